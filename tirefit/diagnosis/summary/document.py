@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
-from tirefit.diagnosis.engine.decide import Status, calibration, floor_of
+from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration, floor_of
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import (
     SizeByGroup,
@@ -230,8 +230,8 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
         unknown = Candidate(
-            effects=("unknown",),
-            family="unknown",
+            effects=(UNKNOWN,),
+            family=UNKNOWN,
             probability=alone,
             parameters={},
             z=None,
