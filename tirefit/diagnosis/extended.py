@@ -335,7 +335,7 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
     effect = effects_by_id((*EFFECTS, *NOISE_EFFECTS)).get(id)
     if effect is None or not hasattr(effect, "change"):
         what = "of the noise" if effect else "not in the library of effects"
-        what = "no listed effect explains it" if id == UNKNOWN else what
+        what = "no listed effect is the likely cause" if id == UNKNOWN else what
         return [], f"not in the forces: {id}: {what}"
     prefix, named = f"{id}: ", set(document.verdict.helping)
     sets = (one.parameters for one in document.candidates if set(one.effects) == named)
