@@ -53,12 +53,11 @@ from tirefit.vehicle.windows import (
     LEAST_WINDOWS,
     Cut,
     CutLog,
-    cut_logs,
+    cut_in_windows,
     derived_rows,
     joined_windows,
     known_vehicle,
     steering_problems,
-    windows_of,
 )
 
 SCHEMA = "tirefit.vehicle_diagnosis/1"
@@ -201,17 +200,8 @@ def diagnose_vehicle(
     given = axle_tire(front), axle_tire(rear)
     tell = Steps(progress or (lambda share, note: None), _STEPS)
     tell("reading logs")
-
-    def cut(some):
-        return cut_logs(
-            some,
-            vehicle,
-            lambda track, motion: windows_of(track, motion, vehicle, window),
-            f"{window:g} s long",
-            "a shorter window",
-        )
-
-    found, others = cut(logs), cut(holdout) if holdout else None
+    found = cut_in_windows(logs, vehicle, window)
+    others = cut_in_windows(holdout, vehicle, window) if holdout else None
     tires = [
         started(tire, derived_rows(found, vehicle, axle))
         for axle, tire in zip(("front", "rear"), given, strict=True)

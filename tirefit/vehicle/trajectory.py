@@ -48,14 +48,13 @@ from tirefit.vehicle.model import logged
 from tirefit.vehicle.windows import (
     CHANNELS,
     Data,
-    cut_logs,
+    cut_in_windows,
     derived_rows,
     known_vehicle,
     linearised,
     minimised,
     sandwich,
     steering_problems,
-    windows_of,
 )
 
 
@@ -226,13 +225,7 @@ def fit_trajectory(
     given = {"front": axle_tire(front), "rear": axle_tire(rear)}
     _check(vehicle, unknowns, given)
     rate = vehicle.filter.sample_rate
-    found = cut_logs(
-        logs,
-        vehicle,
-        lambda track, motion: windows_of(track, motion, vehicle, window),
-        f"{window:g} s long",
-        "a shorter window",
-    )
+    found = cut_in_windows(logs, vehicle, window)
     parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
