@@ -198,7 +198,7 @@ def diagnose_vehicle(
     vehicle, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
     _check(vehicle, effects, without)
     given = axle_tire(front), axle_tire(rear)
-    tell = Steps(progress or (lambda share, note: None), _STEPS)
+    tell = Steps(progress, _STEPS)
     tell("reading logs")
     found = cut_in_windows(logs, vehicle, window)
     others = cut_in_windows(holdout, vehicle, window) if holdout else None
@@ -244,8 +244,8 @@ def diagnose_vehicle(
 class Steps:
     """Reports steps and their share in about ``count`` of them, slower near the end."""
 
-    def __init__(self, report: Callable[[float, str], None], count: int):
-        self.report, self.count, self.done = report, count, 0
+    def __init__(self, report: Callable[[float, str], None] | None, count: int):
+        self.report, self.count, self.done = report or (lambda share, note: None), count, 0
 
     def __call__(self, note: str) -> None:
         self.done += 1

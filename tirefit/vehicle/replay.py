@@ -206,7 +206,7 @@ def replay(
         ((38,), ['floor', 'linear tire', 'no slip', 'tire'])
     """
     require_x64("a replay")
-    tell = Steps(progress or (lambda share, note: None), len(logs) + 5)
+    tell = Steps(progress, len(logs) + 5)
     tell("reading logs")
     vehicle = known_vehicle(vehicle)
     horizons = _checked(vehicle, horizons, steering_delay or 0.0)
