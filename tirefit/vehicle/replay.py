@@ -456,7 +456,8 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator
 def _fans(found, predictions) -> dict[str, Fans]:
     """The windows of the figures, for each log."""
     (states, lateral), fans, first = predictions, {}, 0
-    for name, (windows, *_) in ((name, log.windows) for name, log in found.items()):
+    for name, log in found.items():
+        windows = log.windows[0]
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
         measured = windows.measured._asdict() | {"a_y": windows.a_y}

@@ -231,7 +231,7 @@ def fit_trajectory(
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
     tires = [started(tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
-    return replace(problem.solved(rows), rows=rows)
+    return problem.solved(rows)
 
 
 def _check(vehicle: Vehicle, unknowns, given) -> None:
@@ -337,6 +337,7 @@ class _Problem:
             self.found_vehicle(found),
             bool(converged),
             axles,
+            rows,
         )
 
     def pulls(self) -> jax.Array:
