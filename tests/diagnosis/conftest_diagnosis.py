@@ -74,7 +74,7 @@ class Toy:
         self.priors, self.start = Priors(*full), Start(np.zeros(columns.shape[1]), np.zeros(0))
         self.discrepancy = other.get("smooth", Discrepancy(np.zeros((len(observed), 0)), ()))
         self.unit = other.get("unit", np.ones(len(observed)))
-        self.parts, self.refits = other.get("parts", 6), []
+        self.parts = other.get("parts", 6)
 
     def groups(self):
         return {"time": np.arange(len(self.observed)) + 0.0}
@@ -84,7 +84,6 @@ class Toy:
         return Folds(code, f"{self.parts} blocks")
 
     def refit(self, starts, sets):
-        self.refits += list(sets)
         return [self.fit(atoms) for atoms in sets]
 
     def fit(self, atoms):

@@ -21,7 +21,7 @@ from tirefit.vehicle import subject
 from tirefit.vehicle.diagnose import subject_of
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import TIRES
-from tirefit.vehicle.windows import cut_logs, windows_of
+from tirefit.vehicle.windows import cut_in_windows
 
 FEW = ("steering_delay", "yaw_inertia", "steering_offset", "relaxation_length")
 """The library of test_diagnose_vehicle.py, so that both use the same compiled programs."""
@@ -37,9 +37,7 @@ def few_windows():
 def windows(logs, vehicle_file, tires, library):
     """The subject of some logs."""
     vehicle = load_vehicle(vehicle_file)
-    found = cut_logs(
-        logs, vehicle, lambda track, motion: windows_of(track, motion, vehicle, 1.0), "", ""
-    )
+    found = cut_in_windows(logs, vehicle, 1.0)
     return subject_of(found, vehicle, [axle_tire(one) for one in tires], library)[0]
 
 

@@ -220,23 +220,25 @@ class Document(_Part):
 Parsed = TypeVar("Parsed", bound=BaseModel)
 
 
-def read_checked(path: str | PathLike, kind: type[Parsed], schema: str, what: str) -> Parsed:
+def read_checked(
+    path: str | PathLike, kind: type[Parsed], schema: str, name: str, command: str
+) -> Parsed:
     """The parts of a document of this schema.
 
     Args:
         kind: of the parts.
-        what: the document and the command that writes it, in words.
+        name: of the document, for messages; ``command`` writes it.
 
     Raises:
         DataError: no such file, no such document, or one of another version.
     """
-    name, command = what.split(" of ", 1)
-    remedy = f"give {name} of {command}; run it again for an older file"
+    what = f"{name} of `{command}`"
+    remedy = f"give {what}; run it again for an older file"
     raw = content_of(Path(path), RECORD, DataError, remedy)
     try:
         return parsed(raw.decode("utf-8"), kind, schema)
     except (ValueError, RecursionError) as error:
-        reason = f"not {name} of {command}: {faults_in(error)}"
+        reason = f"not {what}: {faults_in(error)}"
         raise DataError(InputProblem(reason, remedy, str(path))) from None
 
 
@@ -252,7 +254,7 @@ def parsed(text: str, kind: type[Parsed], schema: str) -> Parsed:
 
 def read_document(path: str | PathLike) -> Document:
     """The document of a diagnosis; raises DataError as :func:`read_checked`."""
-    return read_checked(path, Document, SCHEMA, "NAME.json of `tirefit diagnose`")
+    return read_checked(path, Document, SCHEMA, "NAME.json", "tirefit diagnose")
 
 
 def document_of(text: str) -> Document:
@@ -335,7 +337,7 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
     effect = effects_by_id((*EFFECTS, *NOISE_EFFECTS)).get(id)
     if effect is None or not hasattr(effect, "change"):
         what = "of the noise" if effect else "not in the library of effects"
-        what = "no listed effect explains it" if id == UNKNOWN else what
+        what = "no listed effect is the likely cause" if id == UNKNOWN else what
         return [], f"not in the forces: {id}: {what}"
     prefix, named = f"{id}: ", set(document.verdict.helping)
     sets = (one.parameters for one in document.candidates if set(one.effects) == named)

@@ -202,7 +202,4 @@ _READABLE = 3.0
 
 def whole_size(result: Diagnosis, effect: str) -> float:
     """The amplitude of a named effect."""
-    named = set(result.verdict.helping)
-    candidates = (one.parameters for one in result.candidates if set(one.effects) == named)
-    found = next(candidates, {})
-    return next(v.value for k, v in found.items() if k.startswith(f"{effect}: "))
+    return next(v.value for k, v in result.amplitudes.items() if k.startswith(f"{effect}: "))

@@ -294,9 +294,7 @@ def _budget(result: Diagnosis, channel: str) -> Section:
 
 def _effect_lines(result: Diagnosis) -> Iterator[str]:
     verdict = result.verdict
-    helping = verdict.helping or verdict.effects
-    chosen = [c for c in result.candidates if set(c.effects) == set(helping)]
-    parameters = chosen[0].parameters if chosen else {}
+    helping, parameters = verdict.helping or verdict.effects, result.amplitudes
     for effect in (*helping, *verdict.also_possible):
         named, means = effect in helping, words_on(effect, result.library)
         amounts = [

@@ -110,8 +110,8 @@ def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
     """
     if isinstance(source, VehicleDiagnosis):
         return _applied(_Document.model_validate(source.to_dict()))
-    what = "vehicle_diagnosis.json of `tirefit diagnose --vehicle`"
-    return _applied(read_checked(source, _Document, SCHEMA, what))
+    name, command = "vehicle_diagnosis.json", "tirefit diagnose --vehicle"
+    return _applied(read_checked(source, _Document, SCHEMA, name, command))
 
 
 class _Amplitude(BaseModel):

@@ -53,12 +53,11 @@ from tirefit.vehicle.windows import (
     LEAST_WINDOWS,
     Cut,
     CutLog,
-    cut_logs,
+    cut_in_windows,
     derived_rows,
     joined_windows,
     known_vehicle,
     steering_problems,
-    windows_of,
 )
 
 SCHEMA = "tirefit.vehicle_diagnosis/1"
@@ -199,19 +198,10 @@ def diagnose_vehicle(
     vehicle, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
     _check(vehicle, effects, without)
     given = axle_tire(front), axle_tire(rear)
-    tell = Steps(progress or (lambda share, note: None), _STEPS)
+    tell = Steps(progress, _STEPS)
     tell("reading logs")
-
-    def cut(some):
-        return cut_logs(
-            some,
-            vehicle,
-            lambda track, motion: windows_of(track, motion, vehicle, window),
-            f"{window:g} s long",
-            "a shorter window",
-        )
-
-    found, others = cut(logs), cut(holdout) if holdout else None
+    found = cut_in_windows(logs, vehicle, window)
+    others = cut_in_windows(holdout, vehicle, window) if holdout else None
     tires = [
         started(tire, derived_rows(found, vehicle, axle))
         for axle, tire in zip(("front", "rear"), given, strict=True)
@@ -254,8 +244,8 @@ def diagnose_vehicle(
 class Steps:
     """Reports steps and their share in about ``count`` of them, slower near the end."""
 
-    def __init__(self, report: Callable[[float, str], None], count: int):
-        self.report, self.count, self.done = report, count, 0
+    def __init__(self, report: Callable[[float, str], None] | None, count: int):
+        self.report, self.count, self.done = report or (lambda share, note: None), count, 0
 
     def __call__(self, note: str) -> None:
         self.done += 1

@@ -206,7 +206,7 @@ def replay(
         ((38,), ['floor', 'linear tire', 'no slip', 'tire'])
     """
     require_x64("a replay")
-    tell = Steps(progress or (lambda share, note: None), len(logs) + 5)
+    tell = Steps(progress, len(logs) + 5)
     tell("reading logs")
     vehicle = known_vehicle(vehicle)
     horizons = _checked(vehicle, horizons, steering_delay or 0.0)
@@ -456,7 +456,8 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator
 def _fans(found, predictions) -> dict[str, Fans]:
     """The windows of the figures, for each log."""
     (states, lateral), fans, first = predictions, {}, 0
-    for name, (windows, *_) in ((name, log.windows) for name, log in found.items()):
+    for name, log in found.items():
+        windows = log.windows[0]
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
         measured = windows.measured._asdict() | {"a_y": windows.a_y}

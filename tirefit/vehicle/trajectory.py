@@ -48,14 +48,13 @@ from tirefit.vehicle.model import logged
 from tirefit.vehicle.windows import (
     CHANNELS,
     Data,
-    cut_logs,
+    cut_in_windows,
     derived_rows,
     known_vehicle,
     linearised,
     minimised,
     sandwich,
     steering_problems,
-    windows_of,
 )
 
 
@@ -226,19 +225,13 @@ def fit_trajectory(
     given = {"front": axle_tire(front), "rear": axle_tire(rear)}
     _check(vehicle, unknowns, given)
     rate = vehicle.filter.sample_rate
-    found = cut_logs(
-        logs,
-        vehicle,
-        lambda track, motion: windows_of(track, motion, vehicle, window),
-        f"{window:g} s long",
-        "a shorter window",
-    )
+    found = cut_in_windows(logs, vehicle, window)
     parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
     tires = [started(tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
-    return replace(problem.solved(rows), rows=rows)
+    return problem.solved(rows)
 
 
 def _check(vehicle: Vehicle, unknowns, given) -> None:
@@ -344,6 +337,7 @@ class _Problem:
             self.found_vehicle(found),
             bool(converged),
             axles,
+            rows,
         )
 
     def pulls(self) -> jax.Array:

@@ -189,7 +189,9 @@ class Data(NamedTuple):
     start: jax.Array
 
 
-def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
+def windows_of(
+    track: Track, motion: Motion, vehicle: Vehicle, window: float
+) -> tuple[Data, np.ndarray] | None:
     """:class:`Data` of a log, and the rows (w, k) of its motion; None without a window."""
     rate = vehicle.filter.sample_rate
     count, lead = round(window * rate) + 1, round(_LEAD * rate)
@@ -208,6 +210,19 @@ def windows_of(track: Track, motion: Motion, vehicle: Vehicle, window: float):
     own = rows[:, lead:]
     cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]]
     return Data(*map(jnp.asarray, cut)), own
+
+
+def cut_in_windows(
+    logs: Sequence[str | Path], vehicle: Vehicle, window: float
+) -> dict[str, CutLog[tuple[Data, np.ndarray]]]:
+    """:func:`cut_logs` by :func:`windows_of` of a length [s]."""
+    return cut_logs(
+        logs,
+        vehicle,
+        lambda track, motion: windows_of(track, motion, vehicle, window),
+        f"{window:g} s long",
+        "a shorter window",
+    )
 
 
 def logged_channels(track: Track, motion: Motion, vehicle: Vehicle):

@@ -33,7 +33,6 @@ class Covariates(NamedTuple):
     inflation: Values  # pressure, -1/2 to 1/2 over its range
     gamma: Values  # camber [rad]
     rate: Values  # derivative of the smooth slip [1/s]
-    lag: Values  # slip per distance over its usual value, times the spread of the slip
     turning: Values  # +1 while the size of the slip grows, -1 while it shrinks
     side: Values  # sign of the slip
     other: Values  # the slip that the base model ignores (sigma_y for F_x)

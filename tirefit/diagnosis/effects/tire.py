@@ -167,11 +167,14 @@ def _by_condition(name: str) -> Code:
 
 
 CODE = {
-    "pressure_asymmetry": code(lambda state, d, constants, rows: _skewed(state, d)),
+    "pressure_asymmetry": code(
+        lambda state, d, constants, rows: _skewed(state, d), bounds=(_SKEWS,)
+    ),
     "pressure_flatness": code(
         lambda state, share, constants, rows: state._replace(
             flat=xp.clip(state.flat + share, *_FLATNESSES)
-        )
+        ),
+        bounds=(_FLATNESSES,),
     ),
     "kinetic_friction": code(adds("static", lambda a, constants, rows: a)),
     "pressure_shift_load": code(_skew_with),

@@ -52,7 +52,7 @@ class Status(StrEnum):
     INCOMPLETE = "incomplete"
     """Effects are named, but an unlisted effect in addition is likelier than none."""
     UNKNOWN = "unknown"
-    """There is a gap, and no listed effect can be named."""
+    """There is a gap, and no listed effect is its likely cause."""
 
     @property
     def limits(self) -> dict[Outcome, str]:
@@ -62,7 +62,7 @@ class Status(StrEnum):
                 Outcome.NOT_IDENTIFIED: "other effects explain these data as well"
             },
             Status.INCOMPLETE: {Outcome.INCOMPLETE: "an unlisted effect is more probable than not"},
-            Status.UNKNOWN: {Outcome.INCOMPLETE: "no listed effect explains the gap"},
+            Status.UNKNOWN: {Outcome.INCOMPLETE: "no listed effect is the likely cause"},
         }.get(self, {})
 
 
@@ -143,10 +143,10 @@ class Verdict:
     """The two answers: which effects are present, and what remains.
 
     ``effects`` are ids of likely causes, the one that gains most on data left out first;
-    empty without a gap, ``("unknown",)`` if there is none; ``acts_like`` are the others that
-    help; ``key`` is the set of both. ``probability`` is that of exactly these causes
-    without an unlisted effect or, for ``incomplete``, with one. ``also_possible`` are ids
-    that these data do not rule out, ``unlisted`` is the probability of an unlisted effect.
+    empty without a gap, ``("unknown",)`` for a gap without a likely cause; ``acts_like`` are
+    the others that help; ``key`` is the set of both. ``probability`` is that of exactly these
+    causes without an unlisted effect or, for ``incomplete``, with one. ``also_possible`` are
+    ids that these data do not rule out, ``unlisted`` is the probability of an unlisted effect.
     """
 
     status: Status

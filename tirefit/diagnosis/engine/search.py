@@ -103,7 +103,7 @@ class Search:
         """The fit without effects."""
         return self.fits[()]
 
-    @property
+    @cached_property
     def score(self) -> dict[str, float]:
         """Score of each effect at the base fit in standard errors: the largest one of its
         variants."""

@@ -176,7 +176,7 @@ def covariates_of(data: TireData, mode: str, sweeps: Sweeps, slip, second, radiu
     spin = slip_rate(omega, time, run).rate if "omega" in data else zero
     interval = np.full(data.n, sweeps.past.interval)
     pace = np.maximum(np.abs(v), slowest(v))
-    way, temperature = sweeps.rate / pace, column(data, "temperature")
+    temperature = column(data, "temperature")
     sliding = np.abs(v * (size if mode == "y" else size / (1 + sigma)))
     work = work_of_sliding(np.abs(force) * sliding, time, run)
     other = {"x": tan_alpha * (1 + sigma), "y": sigma, "xy": zero}[mode]
@@ -189,7 +189,6 @@ def covariates_of(data: TireData, mode: str, sweeps: Sweeps, slip, second, radiu
         temperature=(temperature - np.mean(temperature)) / 20.0,
         inflation=_over_range(column(data, "pressure")), gamma=column(data, "gamma"),
         rate=sweeps.rate, turning=sweeps.turning, side=np.sign(slip), other=other,
-        lag=way * np.std(size) / max(np.sqrt(np.mean(way**2)), ROUNDING),
         spin=spin / radius if radius else zero, load=np.full(data.n, np.mean(fz)),
         past=past.path, pull=np.zeros_like(past.path), twist=np.zeros_like(past.path),
         burden=past.of(fz) / fz[:, None], interval=interval, step=interval * pace,

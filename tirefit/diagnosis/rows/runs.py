@@ -9,6 +9,7 @@ from scipy.special import chdtrc
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.effects.measurement import RELATIVE, RUN_OFFSETS
+from tirefit.diagnosis.effects.record import PER_MILLE
 from tirefit.diagnosis.engine import NONZERO, UNSEEN
 from tirefit.diagnosis.engine.fit import Folds, without
 from tirefit.diagnosis.rows.discrepancy import PLACE
@@ -105,7 +106,7 @@ def _estimates(base, kind: str, hypothesis=None):
         own = np.asarray(getattr(base.design.rows, offset.pattern))[: rows.n]
         there = sizes.get(kind, 0.0) + sizes.get(f"{kind}_run", 0.0) * own
         if offset.of_load:
-            there = there * 1e-3 * rows.covariates.load
+            there = there * PER_MILLE * rows.covariates.load
     run, field = np.tile(rows.run, len(rows.channels)), PLACE[offset.field]
     slope = linear.fields[:, field]
     if offset.unit == RELATIVE:

@@ -3,6 +3,7 @@ the base, with the named effects, and the located gap."""
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -70,7 +71,7 @@ class Case:
         of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
         return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)
 
-    @property
+    @cached_property
     def widening(self) -> float:
         """Factor on the variance of amplitudes: mean square of the remainder, times its
         rows per independent row; one if the remainder is noise."""

@@ -287,27 +287,20 @@ def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
     return values
 
 
-def budgets_of(case, rows, generator) -> dict[str, tuple[Part, ...]]:
+def budgets_of(case: Case, generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
-    effect, unexplained, noise; their shares add to one. ``rows`` holds by channel
-    ``extended`` (n,), the force of the verdict of a ``Case``."""
+    effect, unexplained, noise; their shares add to one."""
     missed = _missed(case.base, case.chosen)
-    return {
-        channel: _budget(case, channel, missed[channel], parts["extended"], generator)
-        for channel, parts in rows.items()
-    }
+    return {channel: _budget(case, channel, own, generator) for channel, own in missed.items()}
 
 
-def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]:
+def _budget(case: Case, channel: str, missed, generator) -> tuple[Part, ...]:
     base, chosen = case.base, case.chosen
     noise = base.noise[channel]
     players = ((PARAMETERS,) if base.simulator else ()) + chosen.atoms
     whole = missed[()] ** 2
     parts = shapley(players, lambda subset: whole - missed[subset] ** 2)
-    rest = (base.rows.observed[channel] - extended) ** 2
-    for atom in chosen.atoms:
-        # Rounding of a refit is attributed to the effects.
-        parts[atom] = parts[atom] + (missed[players] ** 2 - rest) / len(chosen.atoms)
+    rest = missed[players] ** 2
     fitted = (len(chosen.z) + len(chosen.atoms)) * noise.inflation / base.rows.n
     rows = [*parts.values(), rest, max(1 - fitted, 0.0) * noise.std**2, whole]
     terms = np.stack(rows, axis=1)[~noise.outlier]

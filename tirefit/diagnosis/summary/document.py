@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
-from tirefit.diagnosis.engine.decide import Status, calibration, floor_of
+from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration, floor_of
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import (
     SizeByGroup,
@@ -72,15 +72,14 @@ def document_of(
     """
     data, base, rig = whole.data, case.base, settings.rig
     prepared = base.rows
-    rows = rows_of(case, base.measured)
+    rows, main = rows_of(case, base.measured), prepared.channels[0]
     # Random numbers are drawn in this order: true forces, held-out data, budget.
-    believed, main = rows_of(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base, case.predicted))
     held, ladder = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
-    budgets, curves = budgets_of(case, believed, generator), look_curves(case)
+    budgets, curves = budgets_of(case, generator), look_curves(case)
     message = _verdict(case, curves, gap)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown, noise = shown_rows(base, rows[main]), _noise(case)
@@ -231,8 +230,8 @@ def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
         unknown = Candidate(
-            effects=("unknown",),
-            family="unknown",
+            effects=(UNKNOWN,),
+            family=UNKNOWN,
             probability=alone,
             parameters={},
             z=None,

@@ -115,9 +115,8 @@ def _changed(base: Base, change: dict) -> Base:
     inputs = inputs._replace(**{k: getattr(inputs, k) * f for k, f in scaled.items()})
     if "v" in scaled:
         scaled |= dict.fromkeys(("pace", "sliding", "step"), scaled["v"])
-        scaled["lag"] = 1 / scaled["v"]
     if "slip" in change:
-        scaled = dict.fromkeys(("rate", "lag", "past", "pull", "twist"), slip)
+        scaled = dict.fromkeys(("rate", "past", "pull", "twist"), slip)
         scaled["sliding"] = abs(slip)
     if slip < 0:
         scaled |= dict.fromkeys(("side", "other", "force", "traction"), slip)

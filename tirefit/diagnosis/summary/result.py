@@ -16,7 +16,7 @@ from tirefit.data.records import FileRecord, Row
 from tirefit.data.table import TireData
 from tirefit.data.write import csv_text, to_convention
 from tirefit.diagnosis.effects import NOISE_EFFECTS, Effect
-from tirefit.diagnosis.engine.decide import Each, Status
+from tirefit.diagnosis.engine.decide import UNKNOWN, Each, Status
 from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
 from tirefit.diagnosis.extended import SCHEMA, Extension
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
@@ -139,7 +139,7 @@ class VerdictSummary:
         """Whether effects on the mean force are named, and not only on the noise."""
         of_noise = {effect.id for effect in NOISE_EFFECTS}
         on_mean = [e for e in self.effects if e not in of_noise]
-        return bool(on_mean) and on_mean != ["unknown"]
+        return bool(on_mean) and on_mean != [UNKNOWN]
 
     @property
     def helping(self) -> tuple[str, ...]:
@@ -307,6 +307,12 @@ class Diagnosis(Record):
         return self.verdict.effects
 
     @property
+    def amplitudes(self) -> Mapping[str, Amplitude]:
+        """``effect: parameter`` -> amplitude in the fit of the effects that help."""
+        helping = {*self.verdict.helping}
+        return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
+
+    @property
     def limits(self) -> dict[Outcome, str]:
         """Where the answer of ``verdict`` is open."""
         return self.verdict.status.limits
@@ -369,7 +375,7 @@ def record_of_document(path: Path) -> FileRecord:
     rows += [Row("gap", k, gap[k], unit=unit) for k in ("rms", "remaining_rms")]
     rows += [Row("gap", "closed", gap["closed"])]
     rows += [Row("gap", "probability", verdict["probability"])]
-    best = (one for one in content["candidates"] if set(one["effects"]) == helping - {"unknown"})
+    best = (one for one in content["candidates"] if set(one["effects"]) == helping - {UNKNOWN})
     for name, amplitude in next(best, {"parameters": {}})["parameters"].items():
         value, std, unit = (amplitude[k] for k in ("value", "std", "unit"))
         rows.append(Row("effect", name, value, std, unit=unit))
