@@ -1,13 +1,11 @@
 """Start JAX: 64-bit floats, variables of the environment that it refuses, stored programs."""
 
 import os
+import subprocess
 import sys
-import threading
 import warnings
-from contextlib import suppress
 from pathlib import Path
 
-from tirefit.cli import silence
 from tirefit.results import InputProblem, UsageError
 
 _READ_BY_JAX = ("JAX_", "XLA_", "EQX_")
@@ -79,6 +77,16 @@ def _remedy(names) -> str:
     return f"correct or unset {', '.join(names)}"
 
 
+_TRIAL = """
+import os
+try:
+    import jax
+    jax.devices()
+finally:
+    os._exit(0)
+"""
+
+
 def _refuse_flags() -> None:
     """Try the flags of XLA in a child process: XLA ends a process that has an unknown flag.
 
@@ -86,19 +94,12 @@ def _refuse_flags() -> None:
         UsageError: XLA ended the child.
     """
     flags = os.environ.get("XLA_FLAGS")
-    threads = {thread.name for thread in threading.enumerate()} - {silence.WATCHER}
-    alone = len(threads) == 1 and "jax" not in sys.modules
-    if not flags or not alone or not hasattr(os, "fork"):
+    if not flags or "jax" in sys.modules:
         return
-    child = os.fork()
-    if child == 0:
-        with suppress(BaseException):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            import jax
-
-            jax.devices()
-        os._exit(0)  # the parent meets the same exception
-    if os.waitpid(child, 0)[1]:
+    # An exception ends the child without an error: this process meets the same exception.
+    line = [sys.executable, "-P", "-c", _TRIAL]
+    nothing = subprocess.DEVNULL
+    if subprocess.run(line, stdin=nothing, stdout=nothing, stderr=nothing).returncode:
         raise UsageError(
             InputProblem(f"XLA does not start with XLA_FLAGS={flags!r}", _remedy(["XLA_FLAGS"]))
         )
