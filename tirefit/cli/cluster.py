@@ -61,14 +61,14 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
         return
     # Idle threads of OpenBLAS keep the cores of other processes busy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    how: dict[str, Any] = {
-        "n_workers": jobs,
-        "threads_per_worker": 1,
-        "silence_logs": logging.CRITICAL,
-    }
-    how |= {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
     with dask.config.set(_LOCAL):
-        workers = distributed.LocalCluster(**how)
+        workers = distributed.LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        )
     try:
         with distributed.Client(workers, set_as_default=False) as client:
             yield client
