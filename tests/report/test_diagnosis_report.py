@@ -64,7 +64,7 @@ from tirefit.report.diagnosis_draw import (
     draw_ladder,
     draw_waterfall,
     draw_where,
-    panel_pictures,
+    panels_of,
 )
 from tirefit.report.diagnosis_html import diagnosis_page
 from tirefit.report.diagnosis_panels import (
@@ -91,10 +91,15 @@ from tirefit.report.diagnosis_words import (
     untestable_lines,
     words_on,
 )
+from tirefit.report.panels import alone
 from tirefit.results import UsageError
 
 LOADS, SPEEDS, NOISE = (2000.0, 4000.0, 6000.0), (5.0, 20.0), 20.0
 NAME = 'drum <b>$1 & "x"'
+
+
+def panel_pictures(result):
+    return {name: alone(panel) for name, panel in panels_of(result).items()}
 
 
 def rows_of(loads=LOADS, sweeps=60):
