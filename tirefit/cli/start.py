@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import warnings
+from functools import cache
 from pathlib import Path
 
 from tirefit.results import InputProblem, UsageError
@@ -37,7 +38,8 @@ def start() -> str | None:
     Raises:
         UsageError: JAX does not start with variables of the environment; it names them.
     """
-    _refuse_flags()
+    if flags := os.environ.get("XLA_FLAGS"):
+        _refuse_flags(flags)
     try:
         import equinox  # noqa: F401  reads variables of its own
         import jax
@@ -87,15 +89,13 @@ finally:
 """
 
 
-def _refuse_flags() -> None:
+@cache
+def _refuse_flags(flags: str) -> None:
     """Try the flags of XLA in a child process: XLA ends a process that has an unknown flag.
 
     Raises:
         UsageError: XLA ended the child.
     """
-    flags = os.environ.get("XLA_FLAGS")
-    if not flags or "jax" in sys.modules:
-        return
     # An exception ends the child without an error: this process meets the same exception.
     line = [sys.executable, "-P", "-c", _TRIAL]
     nothing = subprocess.DEVNULL
