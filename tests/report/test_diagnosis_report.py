@@ -1170,6 +1170,15 @@ def test_a_user_defined_effect_is_shown_by_its_id():
     assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
 
 
+def test_what_is_missing_is_listed_once(page_text):
+    needs = [f"quantity {number}" for number in range(11)]
+    found = diagnosis(untestable=tuple(Untestable("toe", (need,)) for need in needs))
+    for text in (flat(diagnosis_text(found, full=True)), words_page(found)):
+        assert [text.count(f"{need}: toe") for need in needs] == [1] * 11
+        assert text.index("and 3 more in the details") < text.lower().index("also not testable")
+    assert "also not testable" not in page_text.lower()
+
+
 def test_ranges_are_written_with_few_digits():
     def region(name, low, high):
         return Region(name, low, high, 0.5, 0.5)
