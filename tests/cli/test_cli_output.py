@@ -337,6 +337,16 @@ def test_a_long_silence_is_ended_by_a_line(monkeypatch):
     assert re.match(r"(still at work, for \d+ s\n){2}", heard.getvalue())
 
 
+def test_no_line_is_printed_while_a_command_waits_for_its_input(monkeypatch):
+    heard, before = io.StringIO(), set(threading.enumerate())
+    monkeypatch.setattr(sys, "stderr", heard)
+    with silence.reported(most=3600):
+        (watcher,) = set(threading.enumerate()) - before
+        silence.expected()
+        watcher.join(60)
+        assert not watcher.is_alive() and heard.getvalue() == ""
+
+
 def test_a_command_that_prints_is_not_silent(monkeypatch):
     heard = io.StringIO()
     monkeypatch.setattr(sys, "stderr", heard)

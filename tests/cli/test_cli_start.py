@@ -50,6 +50,15 @@ def test_a_variable_that_jax_does_not_accept_is_named(given, tmp_path):
     assert done.stderr.endswith(f"remedy: correct or unset {name}\n")
 
 
+def test_flags_are_named_by_a_command_that_imports_jax_before_its_start(tmp_path):
+    line = [sys.executable, "-m", "tirefit", "export", "brush", "--to", "adams"]
+    environment = os.environ | {"XLA_FLAGS": "--nonsense"}
+    done = subprocess.run(
+        [*line, "--out", str(tmp_path / "out.tir")], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 2 and "XLA_FLAGS='--nonsense'" in done.stderr, done.stderr
+
+
 def test_a_variable_that_only_the_command_set_is_not_named(monkeypatch):
     for name in [name for name in os.environ if name.startswith(("JAX_", "XLA_", "EQX_"))]:
         monkeypatch.delenv(name)

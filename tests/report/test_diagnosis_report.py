@@ -64,7 +64,7 @@ from tirefit.report.diagnosis_draw import (
     draw_ladder,
     draw_waterfall,
     draw_where,
-    panel_pictures,
+    panels_of,
 )
 from tirefit.report.diagnosis_html import diagnosis_page
 from tirefit.report.diagnosis_panels import (
@@ -91,10 +91,15 @@ from tirefit.report.diagnosis_words import (
     untestable_lines,
     words_on,
 )
+from tirefit.report.panels import alone
 from tirefit.results import UsageError
 
 LOADS, SPEEDS, NOISE = (2000.0, 4000.0, 6000.0), (5.0, 20.0), 20.0
 NAME = 'drum <b>$1 & "x"'
+
+
+def panel_pictures(result):
+    return {name: alone(panel) for name, panel in panels_of(result).items()}
 
 
 def rows_of(loads=LOADS, sweeps=60):
@@ -1163,6 +1168,15 @@ def test_a_user_defined_effect_is_shown_by_its_id():
         assert "the road has waves; to do: measure elsewhere" in page
     own = Untestable("road_ripple", ("road camera", "omega"))
     assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
+
+
+def test_what_is_missing_is_listed_once(page_text):
+    needs = [f"quantity {number}" for number in range(11)]
+    found = diagnosis(untestable=tuple(Untestable("toe", (need,)) for need in needs))
+    for text in (flat(diagnosis_text(found, full=True)), words_page(found)):
+        assert [text.count(f"{need}: toe") for need in needs] == [1] * 11
+        assert text.index("and 3 more in the details") < text.lower().index("also not testable")
+    assert "also not testable" not in page_text.lower()
 
 
 def test_ranges_are_written_with_few_digits():

@@ -17,9 +17,9 @@ from tirefit.results import InputProblem, UsageError
 _CONNECT = 30.0  # seconds to wait for a scheduler and its first worker
 
 _LOCAL = {
-    # A worker may die for another reason; two deaths are taken for the task's doing. A task
-    # that ends workers at their start would also end those that start them again.
+    # A worker may die for another reason: a task is given up when two died while it ran.
     "distributed.scheduler.allowed-failures": 1,
+    # Without any worker for so long, the tasks fail instead of waiting.
     "distributed.scheduler.no-workers-timeout": "60s",
     # A fit needs all of its memory at once: spilling or pausing would not help it.
     "distributed.worker.memory.target": False,
@@ -61,14 +61,14 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
         return
     # Idle threads of OpenBLAS keep the cores of other processes busy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    how: dict[str, Any] = {
-        "n_workers": jobs,
-        "threads_per_worker": 1,
-        "silence_logs": logging.CRITICAL,
-    }
-    how |= {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
     with dask.config.set(_LOCAL):
-        workers = distributed.LocalCluster(**how)
+        workers = distributed.LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        )
     try:
         with distributed.Client(workers, set_as_default=False) as client:
             yield client
@@ -122,7 +122,10 @@ def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[tuple[int
     waiting, running, numbers = enumerate(pieces), as_completed(loop=client.loop), dict[Any, int]()
 
     def submit() -> None:
-        """One piece for each thread: a piece that waited at a worker would end with it."""
+        """Submit a piece for each free thread, and one if none is at work.
+
+        A piece that waited at a worker would count as a cause of its death.
+        """
         room = sum(client.nthreads().values()) - len(numbers)
         for number, piece in islice(waiting, max(room, not numbers)):
             future = client.submit(work, piece, pure=False)

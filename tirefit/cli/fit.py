@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -207,26 +208,22 @@ def fit(
 def _fit_here(pieces: list[Piece], task: FitTask, fits: dict[str, Any]) -> list[Outcome]:
     """Fit every piece in this process; add the fits for a page of all to ``fits``."""
 
-    def attempt(piece: Piece, task: FitTask) -> tuple[ExitCode, "FileRecord"]:
-        record, result = fit_one(_files_of(piece), piece.to, task)
-        if task.also.html and result is not None:
-            fits[piece.to.name] = result
-        return exit_code_of(record, task.strict), record
-
     def tell(_, note: str) -> None:
         if len(pieces) > 1 and has_terminal():
             complain(f"file {note}")
 
     with merged_notes(len(pieces) > 1):
-        return _done(one_by_one(pieces, attempt, task, tell), pieces)
+        return _done(one_by_one(pieces, partial(_attempt, fits=fits), task, tell), pieces)
 
 
-def _files_of(piece: Piece) -> list[Path]:
-    return piece.file if isinstance(piece.file, list) else [piece.file]
-
-
-def _attempt(piece: Piece, task: FitTask) -> tuple[ExitCode, "FileRecord"]:
-    record, _ = fit_one(_files_of(piece), piece.to, task)
+def _attempt(
+    piece: Piece, task: FitTask, fits: dict[str, Any] | None = None
+) -> tuple[ExitCode, "FileRecord"]:
+    """Fit a piece; add the fit to ``fits``, if given, for a page of all."""
+    files = piece.file if isinstance(piece.file, list) else [piece.file]
+    record, result = fit_one(files, piece.to, task)
+    if fits is not None and task.also.html and result is not None:
+        fits[piece.to.name] = result
     return exit_code_of(record, task.strict), record
 
 

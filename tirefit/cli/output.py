@@ -240,7 +240,7 @@ def write_result(
     with staged(out, known, result) as folder:
         result.save(folder)
         for name, what in figures.items():
-            save_picture(result.plot(*filter(None, [what])), folder / name)
+            save_picture(result.plot(what) if what else result.plot(), folder / name)
         if page:
             result.save(folder / page)
         written = [out / name for name in known if (folder / name).exists()]

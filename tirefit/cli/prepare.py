@@ -108,9 +108,11 @@ def prepare(
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out), merged_notes(len(files) > 1):
-            outcomes = one_by_one(pieces, _one, task, lambda *_: None)
-            if sharing.apart:
-                outcomes = fleet("prepare", pieces, _one, task, sharing, out)
+            outcomes = (
+                fleet("prepare", pieces, _one, task, sharing, out)
+                if sharing.apart
+                else one_by_one(pieces, _one, task, lambda *_: None)
+            )
             raise typer.Exit(worst_of([outcome.code for outcome in outcomes]))
 
 

@@ -13,11 +13,11 @@ from contextlib import contextmanager, suppress
 _MOST = 30.0
 """Seconds without output until a line is printed, and between two lines."""
 
-WATCHER = "silence"
-"""Name of the thread that waits; a process with this one alone can be forked."""
-
 _LATEST = [0.0]
 """Time of the latest output."""
+
+_OVER = threading.Event()
+"""Whether no more lines are printed."""
 
 
 def broken() -> None:
@@ -25,25 +25,30 @@ def broken() -> None:
     _LATEST[0] = time.monotonic()
 
 
+def expected() -> None:
+    """Print no more lines: from now on the command waits for its input."""
+    _OVER.set()
+
+
 @contextmanager
 def reported(most: float = _MOST) -> Iterator[None]:
     """Context manager: print a line after every ``most`` seconds without output."""
-    over = threading.Event()
     begun = time.monotonic()
+    _OVER.clear()
     broken()
 
     def watch() -> None:
-        while not over.wait(max(_LATEST[0] + most - time.monotonic(), 0.0)):
+        while not _OVER.wait(max(_LATEST[0] + most - time.monotonic(), 0.0)):
             if time.monotonic() - _LATEST[0] >= most:
                 broken()
                 with suppress(OSError):
                     passed = time.monotonic() - begun
                     print(f"still at work, for {passed:.0f} s", file=sys.stderr, flush=True)
 
-    watcher = threading.Thread(target=watch, name=WATCHER, daemon=True)
+    watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
     try:
         yield
     finally:
-        over.set()
+        _OVER.set()
         watcher.join()  # its line would meet the end of the interpreter

@@ -1,13 +1,12 @@
 """Start JAX: 64-bit floats, variables of the environment that it refuses, stored programs."""
 
 import os
+import subprocess
 import sys
-import threading
 import warnings
-from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
-from tirefit.cli import silence
 from tirefit.results import InputProblem, UsageError
 
 _READ_BY_JAX = ("JAX_", "XLA_", "EQX_")
@@ -39,7 +38,8 @@ def start() -> str | None:
     Raises:
         UsageError: JAX does not start with variables of the environment; it names them.
     """
-    _refuse_flags()
+    if flags := os.environ.get("XLA_FLAGS"):
+        _refuse_flags(flags)
     try:
         import equinox  # noqa: F401  reads variables of its own
         import jax
@@ -79,26 +79,27 @@ def _remedy(names) -> str:
     return f"correct or unset {', '.join(names)}"
 
 
-def _refuse_flags() -> None:
+_TRIAL = """
+import os
+try:
+    import jax
+    jax.devices()
+finally:
+    os._exit(0)
+"""
+
+
+@cache
+def _refuse_flags(flags: str) -> None:
     """Try the flags of XLA in a child process: XLA ends a process that has an unknown flag.
 
     Raises:
         UsageError: XLA ended the child.
     """
-    flags = os.environ.get("XLA_FLAGS")
-    threads = {thread.name for thread in threading.enumerate()} - {silence.WATCHER}
-    alone = len(threads) == 1 and "jax" not in sys.modules
-    if not flags or not alone or not hasattr(os, "fork"):
-        return
-    child = os.fork()
-    if child == 0:
-        with suppress(BaseException):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            import jax
-
-            jax.devices()
-        os._exit(0)  # the parent meets the same exception
-    if os.waitpid(child, 0)[1]:
+    # An exception ends the child without an error: this process meets the same exception.
+    line = [sys.executable, "-P", "-c", _TRIAL]
+    nothing = subprocess.DEVNULL
+    if subprocess.run(line, stdin=nothing, stdout=nothing, stderr=nothing).returncode:
         raise UsageError(
             InputProblem(f"XLA does not start with XLA_FLAGS={flags!r}", _remedy(["XLA_FLAGS"]))
         )

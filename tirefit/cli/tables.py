@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from tirefit import __version__
+from tirefit.cli.fleet import worst_of
 from tirefit.cli.magic_formula import CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
@@ -89,7 +90,7 @@ def inspect(
 
     with errors_to_exit(), merged_notes():
         how = read_options(options, read_config(options.config))
-        worst, files = ExitCode.OK, expanded(files)
+        codes, files = list[ExitCode](), expanded(files)
         for file in files:
             try:
                 data = read(file, **how)
@@ -99,7 +100,7 @@ def inspect(
                 if error.exit_code == ExitCode.USAGE:
                     raise
                 complain(error_text(error))
-                worst = max(worst, error.exit_code)
+                codes.append(error.exit_code)
                 continue
             content = inspection.to_dict()
             content |= {"identifiability": identified.to_dict()} if identified else {}
@@ -108,7 +109,7 @@ def inspect(
                 inspection = replace(inspection, warnings=(), assumptions=())
             text = inspection.summary() + (identified.summary() if identified else "")
             say(dumps(json_safe(content), indent=1) if json else text)
-        raise typer.Exit(worst)
+        raise typer.Exit(worst_of(codes))
 
 
 def _identified(data, models):

@@ -7,7 +7,7 @@ from tirefit.diagnosis.effects.measurement import RELATIVE
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.diagnosis_sections import gap_line
+from tirefit.report.diagnosis_sections import gap_line, missing_lines
 from tirefit.report.diagnosis_words import (
     amount_text,
     amplitude_text,
@@ -19,7 +19,6 @@ from tirefit.report.diagnosis_words import (
     set_name,
     share_text,
     slip_check_line,
-    untestable_lines,
 )
 from tirefit.report.html import Section
 from tirefit.report.numbers import format_estimate, format_number
@@ -40,7 +39,7 @@ def details(result: Diagnosis) -> list[Section]:
         ),
         Section("Parameters", (), _parameters(result)),
         Section("Hard to tell on this data (forecast)", confused_lines(result)),
-        Section("Not testable", untestable_lines(result, result.untestable)),
+        Section("Also not testable", missing_lines(result)[1]),
         Section("Data and settings", list(_settings(result))),
     ]
     return [one for one in sections if one.lines or len(one.table) > 1]

@@ -267,11 +267,6 @@ def panels_of(result: Diagnosis) -> dict[str, Panel]:
     return panels
 
 
-def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
-    """Each panel as a separate picture."""
-    return {name: alone(panel) for name, panel in panels_of(result).items()}
-
-
 def diagnosis_figure(result: Diagnosis) -> Picture:
     """All panels below the answer, the ladder first; below the first four the remainder,
     if it has a shape, and the budget of a simulator for each channel."""

@@ -21,9 +21,9 @@ def _answer(result: Diagnosis) -> Mapping:
 
 def _shown(sections: Sequence[Section], panels: Mapping[str, Panel]) -> list[Section]:
     """The sections with the pictures of the panels that they name."""
-    named = ([panels[k] for k in one.pictures if k in panels] for one in sections)
     return [
-        one._replace(pictures=images_of(some)) for one, some in zip(sections, named, strict=True)
+        one._replace(pictures=images_of([panels[name] for name in one.pictures if name in panels]))
+        for one in sections
     ]
 
 

@@ -42,7 +42,7 @@ _BEYOND = 1.5
 _HALF = 0.5  # smallest explained share of a mean square without a warning
 _MOST_STEPS = 3  # largest number of measurements that the short report proposes
 
-_MOST_NEEDS = 8  # largest number of missing columns that the short report lists
+_MOST_NEEDS = 8  # largest number of missing columns that the first screen lists
 
 _TELLS_MORE = 0.1
 """Smallest gain in the probability of distinguishing two effects for which a measurement
@@ -384,6 +384,14 @@ def _tells_apart(step: NextMeasurement) -> str:
     )
 
 
+def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
+    """Effects that cannot be tested, by what is missing for the most of them first: the lines
+    of the first screen, and those of the details."""
+    lines = untestable_lines(result, result.untestable)
+    lines.sort(key=lambda text: -text.rpartition(": ")[2].count(","))
+    return lines[:_MOST_NEEDS], lines[_MOST_NEEDS:]
+
+
 def first_screen(result: Diagnosis) -> list[Section]:
     """Sections of the short report: ladder, budget of a simulator, effects, remainder,
     next measurement, effects that cannot be tested."""
@@ -391,10 +399,8 @@ def first_screen(result: Diagnosis) -> list[Section]:
     if result.simulator:
         sections += [_budget(result, channel) for channel in result.budgets]
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
-    missing = untestable_lines(result, result.untestable)
-    missing.sort(key=lambda text: -text.rpartition(": ")[2].count(","))
-    if (more := len(missing) - _MOST_NEEDS) > 0:
-        missing[_MOST_NEEDS:] = [f"and {more} more (--full)"]
+    missing, more = missing_lines(result)
+    missing += [f"and {len(more)} more in the details"] * bool(more)
     effects, left = list(_effect_lines(result)), list(left_lines(result))
     return [
         *sections,

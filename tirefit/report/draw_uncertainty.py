@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, tidy
 from tirefit.report.uncertainty import Corner, ProfilePanel, Trace
 
-_MOST_SCALED = 8  # largest number of parameters whose cells have numbers
+MOST_SCALED = 8  # largest number of parameters whose cells are wide and have numbers
 _SHORT = 15  # number of characters of a name that fits below a cell
 _WORTH_SAYING = 0.3  # smallest correlation that is printed
 
@@ -69,7 +69,7 @@ def draw_corner(axes: Any, corner: Corner) -> None:
 def _label_corner(axes: Any, corner: Corner) -> None:
     """Names of the rows and columns; of a few parameters also numbers along their cells."""
     count = len(corner.labels)
-    scaled, middles = count <= _MOST_SCALED, np.arange(count) + 0.5
+    scaled, middles = count <= MOST_SCALED, np.arange(count) + 0.5
     style: dict[str, Any] = {"minor": scaled, "fontsize": 8 if scaled else 7, "color": DARK}
     for axis in (axes.xaxis, axes.yaxis):
         axis.remove_overlapping_locs = False  # a number may be in the middle of a cell

@@ -19,6 +19,7 @@ from tirefit.report.draw import (
 )
 from tirefit.report.draw_uncertainty import (
     CORNER_NOTE,
+    MOST_SCALED,
     draw_corner,
     draw_profiles,
     draw_trace,
@@ -30,14 +31,11 @@ from tirefit.report.residuals import residual_panels
 from tirefit.report.uncertainty import corner_data, has_trace, profile_data, trace_data
 
 _MOST_PAIRED = 40  # largest number of parameters of which a page has all pairs
-_SCALED = 8  # largest number of parameters with wide cells
 
 
-def draw_curve(figure: Any, curve: FitCurve, columns: int = 2) -> Any:
-    """Draw a force over slip, with its legend below; returns the axes."""
-    axes = figure.subplots()
-    legend_below(figure, draw_fit(axes, curve), curve.note, columns)
-    return axes
+def _draw_curve(figure: Any, curve: FitCurve) -> None:
+    """Draw a force over slip, with its legend below."""
+    legend_below(figure, draw_fit(figure.subplots(), curve), curve.note)
 
 
 def _curve_panels(result: FitResult) -> list[Panel]:
@@ -45,7 +43,7 @@ def _curve_panels(result: FitResult) -> list[Panel]:
     curves = [fit_curve(result, channel) for channel in result.forces]
     return [
         Panel(
-            partial(draw_curve, curve=curve),
+            partial(_draw_curve, curve=curve),
             f"Measured points and fitted curve of {curve.channel} over slip, with bands",
             (WIDE, 3.3 + 0.1 * len(curve.groups)),
         )
@@ -108,8 +106,8 @@ def _corner_panels(result: FitResult, parameters: Sequence[str] | None = None) -
     corner = corner_data(result, parameters)
     count = len(corner.labels)
     names, values = max(map(drawn_length, corner.labels)), max(map(len, corner.values))
-    cell = 1.0 if count <= _SCALED else max(5.4 / count, 0.34)
-    left = 0.4 + 0.06 * names + 0.5 * (count <= _SCALED)
+    cell = 1.0 if count <= MOST_SCALED else max(5.4 / count, 0.34)
+    left = 0.4 + 0.06 * names + 0.5 * (count <= MOST_SCALED)
     size = (max(left + cell * count + 0.065 * values, WIDE), 0.9 + left + cell * count)
     note = "\n".join(filter(None, (CORNER_NOTE, corner.note)))
     text = "Posterior of every parameter and every pair"

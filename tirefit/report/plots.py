@@ -9,7 +9,7 @@ from tirefit.params import check_names
 from tirefit.report.curves import fit_curve
 from tirefit.report.draw import draw_fit
 from tirefit.report.fit_panels import PANELS, figure_of, missing_of
-from tirefit.report.fit_tables import value_text
+from tirefit.report.fit_tables import FORCE_UNIT, value_text
 from tirefit.report.html import Section, fragment
 from tirefit.report.numbers import format_number
 from tirefit.report.text import table
@@ -99,7 +99,7 @@ def compare(results: Sequence[FitResult]) -> Comparison:
     ordered = sorted(results, key=lambda r: criteria[id(r)][0])
     best_aicc = criteria[id(ordered[0])][0]
     best_bic = min(bic for _, bic in criteria.values())
-    unit = "N m" if ordered[0].forces[0] == "mz" else "N"
+    unit = FORCE_UNIT[ordered[0].forces[0]]
     rows = [("model", "k", f"RMSE [{unit}]", "AICc", "Δ AICc", "Δ BIC", "n_eff", "verdict")]
     for r in ordered:
         s, (aicc, bic) = r.statistics, criteria[id(r)]
