@@ -127,7 +127,8 @@ def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> No
 
 
 def remove_left(folder: Path) -> None:
-    """Remove temporary files that no living process can still need: they are old."""
+    """Remove temporary files that were last written more than a day ago: no living process
+    needs them. Among them are earlier files that a killed process had renamed."""
     for path in folder.glob(f".*{PART}"):
         with suppress(OSError):
             if time.time() - path.lstat().st_mtime > _ABANDONED:

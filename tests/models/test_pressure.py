@@ -213,7 +213,7 @@ KNOTS = np.array([-1.0, -0.8, 0.8, 1.0])
 
 def test_table_and_function_with_kinks_agree_with_quadrature():
     table = Tabulated.from_table(KNOTS, trapezoid(KNOTS))
-    given = Tabulated.from_function(trapezoid, kinks=KNOTS[1:-1])
+    given = Tabulated.from_function(trapezoid, kinks=KNOTS)
     found = Tabulated.from_function(trapezoid)
     demand = np.array([0.02, 0.2, 0.5, 1.2, 2.6, 2.8])
     expected = []
@@ -227,6 +227,12 @@ def test_table_and_function_with_kinks_agree_with_quadrature():
         expected.append(0.6 * load / 1.8 + rho * (1 - xi) ** 2 / 2)
     for law, within in ((table, 1e-12), (given, 1e-8), (found, 1e-6)):
         np.testing.assert_allclose(outputs(law, demand)[:, 0], expected, rtol=within)
+
+
+def test_a_kink_beyond_the_patch_is_refused():
+    for xi in (-1.5, 1.5):
+        with pytest.raises(UsageError, match="not go from -1 to 1"):
+            Tabulated.from_function(trapezoid, kinks=[xi])
 
 
 def test_table_of_a_smooth_law_approaches_it():

@@ -18,6 +18,7 @@ dynamic forms.
 """
 
 import math
+from dataclasses import replace
 
 import jax.numpy as jnp
 
@@ -73,6 +74,10 @@ class AbstractLuGre(AbstractTire):
         """g [-] at sliding speed v_s [m/s] >= 0, S(17c)."""
         law = Stribeck(self.mu_c, self.v_st, self.exponent)
         return law.apply(self.mu_s, v_s)
+
+    def scaled(self, theta):
+        """The tire with theta g in the place of g, S section 3.4; theta [-]."""
+        return replace(self, mu_s=theta * self.mu_s, mu_c=theta * self.mu_c)
 
 
 def _motion(inputs: TireInputs):

@@ -18,7 +18,9 @@ _POINTS = 4001
 """Samples of a function, evenly spaced in the angle of xi = -cos(angle): chords miss the
 integrals of the parabolic and the elliptic density by less than 1e-6 of the load."""
 _BEND = 0.01  # largest distance of a function from a chord, over its maximum
-_JUMP = 1e-9  # a value that jumps at xi is sampled this far before and behind it
+_JUMP = 1e-9
+"""Distance in xi before and behind a kink at which a function is sampled as well, as its value
+may jump there; the ends of a table may miss -1 and 1 by as much."""
 
 Points = Float[Array | np.ndarray, " n"]
 
@@ -60,7 +62,9 @@ class Tabulated(AbstractPressure):
         """
         kinks = np.asarray(kinks, float)
         even = -np.cos(np.linspace(0, np.pi, _POINTS))
-        xi = np.unique(np.concatenate([even, kinks - _JUMP, kinks, kinks + _JUMP]))
+        # A kink at an end of the patch has no side beyond it.
+        sides = np.maximum(kinks - _JUMP, -1), np.minimum(kinks + _JUMP, 1)
+        xi = np.unique(np.concatenate([even, kinks, *sides]))
         value, between = (
             np.broadcast_to(np.asarray(density(x), float), x.shape)
             for x in (xi, (xi[1:] + xi[:-1]) / 2)
@@ -151,7 +155,11 @@ class Tabulated(AbstractPressure):
         return cls.from_table(*columns, file=str(path))
 
     def _behind(self, known: Points, x):
-        """Columns of the point behind x, of which ``known`` are the places, (...) each."""
+        """``at``, ``value`` and ``slope`` of the last point that is not beyond x, and its index.
+
+        Args:
+            known: column (n,) of the points, increasing, with which x (...) is compared.
+        """
         k = jnp.searchsorted(jnp.asarray(known), x, side="right") - 1
         k = jnp.clip(k, 0, len(known) - 2)
         return [jnp.asarray(part)[k] for part in (self.at, self.value, self.slope)], k

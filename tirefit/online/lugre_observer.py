@@ -37,7 +37,6 @@ V shows that the error vanishes without noise. The error with noise is the covar
 the observer's error, computed from the slopes of its step.
 """
 
-from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -80,10 +79,9 @@ def peak_share(tire: LuGre, theta, v):
     Args:
         tire: with theta one; theta: factor of g.
     """
-    other = replace(tire, mu_s=theta * tire.mu_s, mu_c=theta * tire.mu_c)
     one = jnp.ones(len(_SLIPS))
     at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
-    return jnp.max(jnp.asarray(other(at).fx))
+    return jnp.max(jnp.asarray(tire.scaled(theta)(at).fx))
 
 
 class Course(NamedTuple):

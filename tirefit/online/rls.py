@@ -61,9 +61,9 @@ class Rls(AbstractRegression):
     )
 
     def init(self) -> RlsState:
-        theta, noise = floats(self.start0, self.start1), self.force_noise**2
-        first = _SAMPLES_OF_NOISE * floats(noise, 1.0)
-        return RlsState(theta, theta, jnp.zeros(2), self.prior() / noise, *first)
+        theta = floats(self.start0, self.start1)
+        errors = _SAMPLES_OF_NOISE * floats(self.force_noise**2, 1.0)
+        return RlsState(theta, theta, jnp.zeros(2), self._first(), *errors)
 
     def step(self, state: RlsState, sample: Sample) -> tuple[RlsState, Estimate]:
         s, x, count = state, self.regressors(sample), sample["count"]
@@ -102,13 +102,17 @@ class Rls(AbstractRegression):
         return held, self._estimate(held, False, False, jnp.nan)
 
     def open(self, state: RlsState) -> RlsState:
-        p = widest(state.p, self.prior() / self.force_noise**2)
+        p = widest(state.p, self._first())
         return state._replace(of_y=state.theta, of_u2=jnp.zeros(2), p=p)
+
+    def _first(self) -> Float[Array, "2 2"]:
+        """P of the first theta."""
+        return self.prior() / self.force_noise**2
 
     def _forgotten(self, p, growth) -> Float[Array, "2 2"]:
         """P increased, at most to its initial value, to prevent wind-up."""
-        first = jnp.diag(self.prior()) / self.force_noise**2
-        return p * jnp.clip(jnp.min(first / jnp.diag(p)), 1.0, growth)
+        room = jnp.min(jnp.diag(self._first()) / jnp.diag(p))
+        return p * jnp.clip(room, 1.0, growth)
 
     def _estimate(self, s: RlsState, idle, slides, surprise) -> Estimate:
         ratio = s.theta[1] / s.theta[0]

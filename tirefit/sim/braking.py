@@ -14,7 +14,7 @@ are known.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -96,7 +96,7 @@ def lugre_tire(peak: float, v: float) -> LuGre:
     """
     tire = LuGre()
     theta = brentq(lambda theta: float(peak_share(tire, theta, v)) - peak, 0.005, 4.0, xtol=1e-15)
-    return replace(tire, mu_s=theta * tire.mu_s, mu_c=theta * tire.mu_c)
+    return tire.scaled(theta)
 
 
 class WheelNumbers(NamedTuple):

@@ -231,7 +231,7 @@ def _power(graph: Graph, x, y: int):
     return result
 
 
-def _simplified(graph: "Graph", op: str, args: tuple) -> Any:
+def _simplified(graph: Graph, op: str, args: tuple) -> Any:
     """An equivalent of an operation that is simpler and differs by rounding at most; None
     if there is none.
 

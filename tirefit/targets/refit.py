@@ -44,7 +44,7 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
         return ()
     compared = [f for f in _SLIP_OF if f in tire.modelled and f in held.modelled]
     # A force whose slip was not measured, like fx of a fit to fy, is in the file as well.
-    slips = [_SLIP_OF[force] for force in compared]
+    slips = [_SLIP_OF[name] for name in compared]
     ranges = dict.fromkeys(slips, (-USUAL_SLIP, USUAL_SLIP))
     ranges["fz"] = USUAL_SHARES[0] * tire.load, USUAL_SHARES[-1] * tire.load
     for name, ends in ranges.items():

@@ -46,13 +46,13 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
         UsageError: unknown version or key of the wheel, a missing radius, or a model
             that is no Magic Formula and has no c_p a^2 and mu.
     """
-    problems = wheel_problems(wheel, ("radius",))
+    problems = _wheel_problems(wheel, ("radius",))
     UsageError.raise_for([*problems, *unknown_names("--model", [model], MAGIC_FORMULAS)])
     own = tire.model if tire.bare is None else tire.bare
     notes = [re.sub("^in the forces:", "not in this file:", one) for one in tire.notes]
     if isinstance(own, MFTire):
         kept = tire.tir if tire.tir and not tire.tir.is_infofile else None
-        tir = kept or new_file(replace(tire, model=own))
+        tir = kept or _new_file(replace(tire, model=own))
     else:
         tir = _reduced(own, tire, wheel, model)
         notes.append(
@@ -66,7 +66,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
         fit = converted(tir, model, USUAL_SLIP, loads)
         notes.append(f"refitted from Magic Formula {tir.version} to {fit.tire.version}")
         spread = {k: one.std for k, one in fit.coefficients.items() if one.std}
-        tir = new_file(replace(tire, model=fit.tire, spread=spread))
+        tir = _new_file(replace(tire, model=fit.tire, spread=spread))
     held = own_tire(tir)
     if isinstance(own, MFTire) and _alike(held, own):
         held = own
@@ -74,7 +74,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     return replace(tire, model=held, bare=None, tir=tir, notes=tuple(notes))
 
 
-def wheel_problems(wheel: Mapping[str, float], keys) -> list[InputProblem]:
+def _wheel_problems(wheel: Mapping[str, float], keys) -> list[InputProblem]:
     """Problems of the values of a wheel, which must have these keys."""
     return unknown_names("--wheel", wheel, keys) + [
         InputProblem(f"--wheel {name}={value:g} is not positive", "give it in SI units")
@@ -103,7 +103,7 @@ def _reduced(
     return tir if version == tir.version else tir.with_values({"FITTYP": 62.0})
 
 
-def new_file(tire: Tire) -> TirFile:
+def _new_file(tire: Tire) -> TirFile:
     """A file with the coefficients of the tire and their standard errors."""
     model, known = tire.model, specs(tire.model)
     assert isinstance(model, MFTire)
@@ -128,7 +128,7 @@ def _alike(one: MFTire, other: MFTire) -> bool:
     return values.keys() == others.keys() and all(near)
 
 
-def comments(lines) -> str:
+def _comments(lines) -> str:
     """Lines as comments of a ``.tir`` file, wrapped to the length that programs read."""
     short: list[str] = []
     for line in lines:
@@ -136,7 +136,7 @@ def comments(lines) -> str:
     return "".join(f"$ {line}\n" for line in short)
 
 
-def head_of(draft: Draft) -> list[str]:
+def _head_of(draft: Draft) -> list[str]:
     """The head without the parameters, which the file lists separately."""
     listed = {f"  {line}" for line in draft.tire.parameters()} | {PARAMETERS}
     return [line for line in draft.above if line not in listed]
@@ -145,7 +145,7 @@ def head_of(draft: Draft) -> list[str]:
 def tir_source(draft: Draft) -> str:
     """The text of the file, the head as comments above it."""
     assert draft.tire.tir is not None
-    text = comments(head_of(draft)) + draft.tire.tir.text
+    text = _comments(_head_of(draft)) + draft.tire.tir.text
     parse_tir(text)
     return text
 
@@ -188,7 +188,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         UsageError: another version, a value of the wheel that is missing, or a tire
             that no ``.tir`` holds.
     """
-    problems = wheel_problems(wheel, (*_WHEEL, "friction", "radius"))
+    problems = _wheel_problems(wheel, (*_WHEEL, "friction", "radius"))
     if model not in (None, _VERSION):
         reason = f"--model {model} with --to chrono, which reads only {_VERSION}"
         problems.append(InputProblem(reason, "leave it out"))
@@ -201,7 +201,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     of_tir = {k: v for k, v in wheel.items() if k not in {*_WHEEL, "friction"}}
     held = held_as_tir(tire, _VERSION, of_tir)
     assert held.tir is not None and isinstance(held.model, MFTire)
-    tir = new_file(held)
+    tir = _new_file(held)
     unread = [k for k in _UNREAD if tir.numbers.get(k)]
     combined = all(tir.numbers.get(k) for keys in WEIGHTS.values() for k in keys)
     added: dict[str, float | str] = {
@@ -293,6 +293,6 @@ def chrono_source(draft: Draft) -> dict[str, str]:
         "Coefficient of Friction": draft.wheel.get("friction", FRICTION),
         "TIR Specification File": f"{draft.name}.tir",
         "Visualization": {"Width": given["width"]},
-        "Notes": head_of(draft)[1:],
+        "Notes": _head_of(draft)[1:],
     }
     return {".json": json_text(content), ".tir": tir_source(draft)}
