@@ -247,13 +247,10 @@ def _slip_likelihoods(problem: FitProblem, forces, slip: str):
         for name, force in chords.items()
     ]
 
-    def log_of(factor, weight):
-        return factor + jnp.log(jnp.sum(weight * nodes.density, axis=1))
-
-    log, weight = integrals(place, residuals)
+    log, weight = integrals(place, residuals, nodes.density)
     of_force = None
     if steep:
-        of_force = log_of(*integrals(place, residuals, measured=False))
+        of_force, _ = integrals(place, residuals, nodes.density, measured=False)
         # No slip belongs to a force far above the peak. Slopes of jnp.min would be 0/0 where a
         # program computes the residuals twice.
         for residual in residuals:
@@ -261,7 +258,7 @@ def _slip_likelihoods(problem: FitProblem, forces, slip: str):
             low, high = jnp.take_along_axis(residual, ends, axis=1).T
             off = jnp.maximum(low, -high)
             of_force += jnp.maximum(off - _BEYOND, 0.0) ** 2 / 2
-    return log_of(log, weight), of_force, weight
+    return log, of_force, weight
 
 
 def _log_of_slip(rows: Rows, slip: str):
