@@ -73,13 +73,13 @@ def node_weights(place: Float[Array, "n q"]) -> Float[Array, "n q"]:
 def unbent(force: Float[Array, "n q"], place: Float[Array, "n q"], within: bool):
     """Forces (n, q) at the nodes whose chords have no error on average: chords of a curve lie
     on its inner side. ``within``: no node moves past a neighbour, and so above a peak."""
-    wide = jnp.diff(place, axis=1)
-    bend = 2 * jnp.diff(jnp.diff(force, axis=1) / wide, axis=1)
-    bend = bend / (wide[:, 1:] + wide[:, :-1])
-    off = bend * (wide[:, 1:] ** 2 + wide[:, :-1] ** 2) / 24
+    wide, step = jnp.diff(place, axis=1), jnp.diff(force, axis=1)
+    before, after = wide[:, :-1], wide[:, 1:]
+    # The curvature times the mean square of both widths, over 24.
+    off = (step[:, 1:] * before - step[:, :-1] * after) * (before**2 + after**2)
+    off = off / (12 * (before + after) * before * after)
     if within:
-        step = jnp.abs(jnp.diff(force, axis=1))
-        least = jnp.minimum(step[:, 1:], step[:, :-1])
+        least = jnp.minimum(jnp.abs(step[:, 1:]), jnp.abs(step[:, :-1]))
         off = jnp.clip(off, -least, least)
     return force.at[:, 1:-1].add(-off)
 
