@@ -127,7 +127,7 @@ class PosteriorConfig(Section):
     sampler: Literal["emcee", "nuts", "importance"] | None = None
     ensembles: int = Field(default=4, ge=4, le=1000)
     walkers: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] = 4000
+    effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     max_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 5000
 
 

@@ -23,8 +23,10 @@ LARGEST_K_HAT = 0.7
 
 _DEGREES_OF_FREEDOM = 5.0
 _WIDE = 0.1  # share of the points from anywhere within the bounds
-_BLOCK = 512
-_FEWEST = 4096  # points of the first round: k-hat of fewer is too noisy to refuse by
+_BLOCK = 256
+_FEWEST, _SURE = 4096, 0.4
+"""Points by which k-hat is judged unless it is below the second number: of 1280 points it
+scatters by 0.1."""
 _LEAST_SHARE = 0.02
 """Effective samples per point below which an ensemble is as cheap, and safer."""
 
@@ -150,7 +152,7 @@ def draw_weighted(
     generator = np.random.default_rng(seed)
     u, log_weights = np.empty((0, len(center))), np.empty(0)
     weights, k_hat, effective = np.empty(0), np.inf, 0.0
-    missing = _blocks(max(1.25 * target, _FEWEST))
+    missing = _blocks(1.25 * target)
     interrupted = False
     try:
         while missing > 0:
@@ -159,6 +161,9 @@ def draw_weighted(
             weights, k_hat = smoothed(log_weights)
             effective = 1 / np.sum(weights**2)
             share = effective / len(u)
+            if k_hat > _SURE and len(u) < _FEWEST:
+                missing = _FEWEST - len(u)
+                continue
             if k_hat > LARGEST_K_HAT or share < _LEAST_SHARE or effective >= target:
                 break
             missing = _blocks(1.1 * (target - effective) / share)

@@ -33,9 +33,10 @@ _SLIGHT = 1e-3
 changes by more than 1e-6, and a constant force has a finite integral."""
 
 _ERFCX = (
-    -1.26551223, 1.00002368, 0.37409196, 0.09678418, -0.18628806,
-    0.27886807, -1.13520398, 1.48851587, -0.82215223, 0.17087277,
+    0.22567583479, 0.22567586005, 0.20761373141, 0.17173925767, 0.11900846725, 0.08391580273,
+    -0.04689385451, 0.13755961386, -0.23552577026, 0.14044603484, -0.02921498401,
 )  # fmt: skip
+"""Coefficients of erfcx(x) / t in t = 2.5 / (2.5 + x), of least largest relative error."""
 
 
 class SlipNodes(NamedTuple):
@@ -72,39 +73,44 @@ def node_weights(place: Float[Array, "n q"]) -> Float[Array, "n q"]:
 def unbent(force: Float[Array, "n q"], place: Float[Array, "n q"], within: bool):
     """Forces (n, q) at the nodes whose chords have no error on average: chords of a curve lie
     on its inner side. ``within``: no node moves past a neighbour, and so above a peak."""
-    wide = jnp.diff(place, axis=1)
-    bend = 2 * jnp.diff(jnp.diff(force, axis=1) / wide, axis=1)
-    bend = bend / (wide[:, 1:] + wide[:, :-1])
-    off = bend * (wide[:, 1:] ** 2 + wide[:, :-1] ** 2) / 24
+    wide, step = jnp.diff(place, axis=1), jnp.diff(force, axis=1)
+    before, after = wide[:, :-1], wide[:, 1:]
+    # The curvature times the mean square of both widths, over 24.
+    off = (step[:, 1:] * before - step[:, :-1] * after) * (before**2 + after**2)
+    off = off / (12 * (before + after) * before * after)
     if within:
-        step = jnp.abs(jnp.diff(force, axis=1))
-        least = jnp.minimum(step[:, 1:], step[:, :-1])
+        least = jnp.minimum(jnp.abs(step[:, 1:]), jnp.abs(step[:, :-1]))
         off = jnp.clip(off, -least, least)
     return force.at[:, 1:-1].add(-off)
 
 
 def _erfcx(x):
-    """exp(x^2) erfc(x) for x >= 0 within 1.2e-7 (Press et al., Numerical Recipes, 6.2)."""
-    t = 1 / (1 + 0.5 * x)
+    """exp(x^2) erfc(x) for x >= 0 within 1e-8 of itself."""
+    t = 2.5 / (2.5 + x)
     power = jnp.full_like(t, _ERFCX[-1])
     for coefficient in _ERFCX[-2::-1]:
         power = power * t + coefficient
-    return t * jnp.exp(power)
+    return t * power
 
 
 def integrals(
-    place: Float[Array, "n q"], residuals: list[Float[Array, "n q"]], *, measured: bool = True
+    place: Float[Array, "n q"],
+    residuals: list[Float[Array, "n q"]],
+    density: Float[Array, "n q"],
+    *,
+    measured: bool = True,
 ):
-    """Weights of the nodes in the integral of a density that is linear between them.
+    """Likelihood of each row with a density of the true slips that is linear between nodes.
 
     Args:
         place: nodes from the measured slip, in slip standard deviations.
         residuals: of each force at the nodes, in standard deviations.
+        density: of the true slips at the nodes.
         measured: whether the measured slip counts; else the forces alone.
 
     Returns:
-        (log of a factor (n,), weights (n, q)): the likelihood of a row is the factor times
-        the sum of weights and density.
+        (log likelihood (n,), weights of the density at the nodes in the likelihood (n, q), up
+        to a factor of the row).
     """
     left, wide = place[:, :-1], jnp.diff(place, axis=1)
     fall = jnp.ones_like(left) if measured else _SLIGHT / wide
@@ -117,15 +123,17 @@ def integrals(
         square = square + there**2
     peak = pull / precision
     least = jnp.maximum(square - pull * peak, 0.0) / 2
-    std = 1 / jnp.sqrt(precision)
-    low, high = (left - peak) / std, (left + wide - peak) / std
+    root = jnp.sqrt(precision)
+    low, high = (left - peak) * root, (left + wide - peak) * root
     mass, first, log = _normal_part(low, high)
-    share = jnp.clip((first / mass - low) * std / wide, 0.0, 1.0)
-    log_mass = jnp.log(mass * std) - least + log
-    most = jax.lax.stop_gradient(jnp.max(log_mass, axis=1))
-    part = jnp.exp(log_mass - most[:, None])
+    share = jnp.clip((first / mass - low) / (root * wide), 0.0, 1.0)
+    # Without the mass, so that a program does not compute it twice.
+    most = jax.lax.stop_gradient(jnp.max(log - least, axis=1))
+    part = mass / root * jnp.exp(log - least - most[:, None])
+    mean = density[:, :-1] + share * jnp.diff(density, axis=1)
     weight = jnp.pad(part * (1 - share), ((0, 0), (0, 1)))
-    return most, weight + jnp.pad(part * share, ((0, 0), (1, 0)))
+    weight = weight + jnp.pad(part * share, ((0, 0), (1, 0)))
+    return most + jnp.log(jnp.sum(part * mean, axis=1)), weight
 
 
 def _normal_part(low, high):
@@ -135,11 +143,11 @@ def _normal_part(low, high):
     near, far = jnp.where(mirrored, -high, low), jnp.where(mirrored, -low, high)
     outside = near > 0
     log = jnp.where(outside, -(near**2) / 2, 0.0)
-    at_near = jnp.exp(-(near**2) / 2 - log)
+    at_near = jnp.where(outside, 1.0, jnp.exp(-(near**2) / 2))
     at_far = jnp.exp(-(far**2) / 2 - log)
-    root = np.sqrt(0.5)
-    beyond = _erfcx(root * far) * at_far
-    before = _erfcx(root * jnp.abs(near)) * at_near
+    half = np.sqrt(0.5)
+    beyond = _erfcx(half * far) * at_far
+    before = _erfcx(half * jnp.abs(near)) * at_near
     mass = jnp.where(outside, before - beyond, 2 - before - beyond) * np.sqrt(np.pi / 2)
     first = jnp.where(mirrored, -1.0, 1.0) * (at_near - at_far)
     return jnp.maximum(mass, 1e-30), first, log

@@ -247,21 +247,23 @@ def _slip_likelihoods(problem: FitProblem, forces, slip: str):
         for name, force in chords.items()
     ]
 
-    def log_of(factor, weight):
-        return factor + jnp.log(jnp.sum(weight * nodes.density, axis=1))
-
-    log, weight = integrals(place, residuals)
+    log, weight = integrals(place, residuals, nodes.density)
     of_force = None
     if steep:
-        of_force = log_of(*integrals(place, residuals, measured=False))
-        # No slip belongs to a force far above the peak. Slopes of jnp.min would be 0/0 where a
-        # program computes the residuals twice.
+        of_force, _ = integrals(place, residuals, nodes.density, measured=False)
+        # No slip belongs to a force far above the peak.
         for residual in residuals:
-            ends = jnp.stack([jnp.argmin(residual, axis=1), jnp.argmax(residual, axis=1)], axis=1)
-            low, high = jnp.take_along_axis(residual, ends, axis=1).T
-            off = jnp.maximum(low, -high)
+            off = jnp.maximum(_least(residual), _least(-residual))
             of_force += jnp.maximum(off - _BEYOND, 0.0) ** 2 / 2
-    return log_of(log, weight), of_force, weight
+    return log, of_force, weight
+
+
+def _least(values: Float[Array, "n q"]) -> Float[Array, " n"]:
+    """Smallest value of each row. Slopes of jnp.min would be 0/0 where a program computes the
+    values twice, and jnp.argmin takes as long as an integral."""
+    least = jax.lax.stop_gradient(jnp.min(values, axis=1, keepdims=True))
+    mask = values <= least + 1e-9
+    return jnp.sum(jnp.where(mask, values, 0.0), axis=1) / jnp.sum(mask, axis=1)
 
 
 def _log_of_slip(rows: Rows, slip: str):
