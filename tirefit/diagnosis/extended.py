@@ -204,8 +204,8 @@ class _Data(_Part):
     sha256: str
 
 
-class Document(_Part):
-    """The parts of ``NAME.json`` that an extension needs."""
+class AnyDocument(_Part):
+    """The parts of a diagnosis that the application of its effects needs."""
 
     data: _Data
     model: str
@@ -214,6 +214,17 @@ class Document(_Part):
     candidates: list[_Candidate]
     base_parameters: dict[str, float]
     extended_parameters: dict[str, float]
+
+    @property
+    def amplitudes(self) -> dict[str, _Amplitude]:
+        """``effect: parameter`` -> amplitude in the fit of the effects that help."""
+        helping = set(self.verdict.helping)
+        return next((x.parameters for x in self.candidates if set(x.effects) == helping), {})
+
+
+class Document(AnyDocument):
+    """The same of rows of forces."""
+
     extension: Extension
 
 
@@ -339,9 +350,7 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
         what = "of the noise" if effect else "not in the library of effects"
         what = "no listed effect is the likely cause" if id == UNKNOWN else what
         return [], f"not in the forces: {id}: {what}"
-    prefix, named = f"{id}: ", set(document.verdict.helping)
-    sets = (one.parameters for one in document.candidates if set(one.effects) == named)
-    amplitudes = next(sets, {})
+    prefix, amplitudes = f"{id}: ", document.amplitudes
     whole = next((key for key in amplitudes if key.startswith(prefix)), None)
     variant = document.extension.variants.get(id, -1)
     if whole is None or variant not in range(len(effect.variants)):
