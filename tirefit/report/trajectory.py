@@ -7,10 +7,10 @@ from tirefit.report.canvas import BLUE, GREY, Picture, dots, panel_title, tidy
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
+from tirefit.vehicle.windows import UNITS
 
 _DRAWN, _POINTS, _REACH = 60, 1500, 99.5
 """Number of draws of a band, of derived points, and percentile of |slip angle| drawn."""
-_CHANNELS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
 
 
 def _rows(fit: TrajectoryFit) -> list[list[str]]:
@@ -39,7 +39,7 @@ def _head(fit: TrajectoryFit) -> str:
 
 def _answer(fit: TrajectoryFit) -> str:
     noise = ", ".join(
-        f"{name} {format_number(std, 2)} {_CHANNELS[name]}" for name, std in fit.noise.items()
+        f"{name} {format_number(std, 2)} {UNITS[name]}" for name, std in fit.noise.items()
     )
     return f"rms error of the car within a window, on these tires: {noise}"
 
