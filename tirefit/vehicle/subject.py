@@ -181,10 +181,9 @@ class Windows:
     @cached_property
     def priors(self) -> Priors:
         """Of the amplitudes of all atoms."""
-        pairs = [np.array(a.effect.bounds[0]) / s
-                 for a, s in zip(self.atoms, self.model.scales, strict=True)]  # fmt: skip
-        low, high = np.array(pairs).reshape(-1, 2).T
-        return Priors(np.zeros(len(low)), low, high, np.zeros(len(low)))
+        scale = np.array(self.model.scales)
+        low, high = np.array([a.effect.bounds[0] for a in self.atoms]).reshape(-1, 2).T / scale
+        return Priors(0 * scale, low, high, 0 * scale, scale)
 
     @property
     def start(self) -> Start:
@@ -207,8 +206,16 @@ class Windows:
 
     @cached_property
     def given_residual(self) -> np.ndarray:
-        """(m,) whitened residual of the car as given, at its best start states."""
-        return self._residual(self.at_best_starts(self.coefficients()))
+        """(m,) whitened residual of the car as given."""
+        return self.residual_of(self.coefficients())
+
+    def residual_of(self, z: np.ndarray) -> np.ndarray:
+        """(m,) whitened residual at all coefficients, from the best start states."""
+        return self._residual(self.at_best_starts(z))
+
+    def over_noise(self, residual: np.ndarray) -> np.ndarray:
+        """Errors (n, c) of each sample over the noise, of a whitened residual (m,)."""
+        return (residual * self.unit).reshape(-1, self.model.channels)
 
     def folds(self, effects: Key) -> Folds:
         """Logs, or blocks of time if there are few logs."""

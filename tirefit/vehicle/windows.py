@@ -42,6 +42,8 @@ class CutLog(NamedTuple, Generic[Piece]):
     windows: Piece
     runs: tuple[str, ...]
     missing: tuple[str, ...] = ()  # see :class:`tirefit.data.track.Track`
+    path: str = ""
+    sha256: str = ""
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -101,7 +103,7 @@ def cut_logs(
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
             found[run_name(file)] = CutLog(
-                motion, windows, names_of_runs(file, track), track.missing
+                motion, windows, names_of_runs(file, track), track.missing, str(file), track.sha256
             )
     DataError.raise_for(problems)
     return found
@@ -177,6 +179,8 @@ _BLOCKS = 40
 
 CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
 """Names of the logged channels of a log of rates, and of one of poses."""
+
+UNITS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
 
 
 class Data(NamedTuple):
