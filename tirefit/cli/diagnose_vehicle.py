@@ -39,6 +39,8 @@ def diagnose_car(
     holdout: Sequence[Path],
     without: Sequence[str],
     figures: bool,
+    full: bool,
+    seed: int,
 ) -> None:
     """Diagnose the car, print the report and write the files."""
     check_results([out / name for name in FILES], logs)
@@ -50,10 +52,10 @@ def diagnose_car(
         with _told_where(out), progress_bar("diagnose", soon=0.0) as progress:
             result = diagnose_vehicle(
                 logs, vehicle, front or "brush", rear or "brush",
-                holdout=holdout, without=without, progress=progress,
+                holdout=holdout, without=without, seed=seed, progress=progress,
             )  # fmt: skip
         drawn, page = ({FILES[1]: ""}, FILES[2]) if figures else ({}, "")
-        write_result(result, out, FILES, drawn, page)
+        write_result(result, out, FILES, drawn, page, full=full)
 
 
 @contextmanager
