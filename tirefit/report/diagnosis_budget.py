@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.summary.result import Change, Diagnosis, Part
+from tirefit.diagnosis.summary.result import UNITS, Change, Diagnosis, Part
 from tirefit.report.diagnosis_words import name_of, share_text
 from tirefit.report.numbers import format_estimate, format_number
 
@@ -71,7 +71,7 @@ def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
     return [
         (
             f"{of * (len(result.budgets) == 1)}part of the error",  # else in the title
-            f"rms [{result.units[channel]}]",
+            f"rms [{UNITS[channel]}]",
             "share of the mean square [90 % interval]",
         ),
         ("whole error of the simulator", _rms(budget), "100 %"),
@@ -119,7 +119,7 @@ def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[Water
         channel: the first if None.
     """
     channel = channel or next(iter(result.budgets))
-    unit = result.units[channel]
+    unit = UNITS[channel]
     message = f"{_rms(result.budgets[channel])} {unit} (rms), 100 %"
     left, steps = 1.0, [WaterfallBar("simulator's error", 1.0, 0.0, "whole", message)]
     for part in result.budgets[channel]:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import UNITS, Diagnosis
 from tirefit.diagnosis.summary.views import Comparison, LoadCurve, ResidualMap
 from tirefit.params import check_names
 from tirefit.report.canvas import (
@@ -41,7 +41,6 @@ from tirefit.report.diagnosis_panels import (
     load_label,
 )
 from tirefit.report.diagnosis_sections import answer, subject
-from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.panels import Panel, alone
 
@@ -171,7 +170,7 @@ def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -
     axis = slip_axis(panel.slip_name, slips)
     for i, curve in enumerate(panel.curves):
         _draw_load(top, curve, axis, COLORS[i % len(COLORS)])
-    force = f"${channel_name(panel.channel)}$ [{FORCE_UNIT[panel.channel]}]"
+    force = f"${channel_name(panel.channel)}$ [{UNITS[panel.channel]}]"
     tidy(top, f"{axis.label} [{axis.unit}]", force)
     handles: list[Line2D | Patch] = [
         Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve))

@@ -8,7 +8,14 @@ import numpy as np
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, SizeByGroup, Step
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.result import Diagnosis, Each, NextMeasurement, Shrinkage, Status
+from tirefit.diagnosis.summary.result import (
+    UNITS,
+    Diagnosis,
+    Each,
+    NextMeasurement,
+    Shrinkage,
+    Status,
+)
 from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
 from tirefit.report.diagnosis_words import (
     amplitude_text,
@@ -148,7 +155,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
     """Number of rows, noise, and warnings that come before the answer."""
     data, noise = result.data, result.noise
     levels = ", ".join(
-        f"{channel_name(name)} {format_number(level, 3)} {result.units[name]}"
+        f"{channel_name(name)} {format_number(level, 3)} {UNITS[name]}"
         for name, level in noise.forces.items()
     )
     yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"

@@ -31,7 +31,6 @@ from tirefit.vehicle.subject import Windows
 from tirefit.vehicle.trajectory import started
 from tirefit.vehicle.windows import (
     LEAST_WINDOWS,
-    Cut,
     CutLog,
     cut_in_windows,
     derived_rows,
@@ -111,26 +110,27 @@ def diagnose_vehicle(
     tell = Steps(progress, _STEPS)
     tell("reading logs")
     found = cut_in_windows(logs, stated, window)
-    others = cut_in_windows(holdout, stated, window) if holdout else {}
+    kept = cut_in_windows(holdout, stated, window) if holdout else {}
     tires = [
         started(tire, derived_rows(found, stated, axle))
         for axle, tire in zip(("front", "rear"), given, strict=True)
     ]
     library = [e for e in effects if e.id not in without]
     subject, lacks = subject_of(found, stated, tires, library)
-    _enough(subject.cut, window)
+    if (count := len(subject.cut.log)) < LEAST_WINDOWS:
+        reason = f"{count} windows of {window:g} s; a diagnosis needs {LEAST_WINDOWS}"
+        raise DataError(reason, "give longer logs, or more of them")
     tell("the car without effects")
-    base, search = _searched(replace(subject, tick=partial(tell, "sets of effects")))
+    search = _searched(replace(subject, tick=partial(tell, "sets of effects")))
     tell("data left out")
-    case = Concluded.of(search, lacks)
-    other = None
-    if others:
-        other = subject_of(others, stated, tires, library)[0]
-        other = replace(other, noise=base.noise, inflation=base.inflation)
+    case, others = Concluded.of(search, lacks), None
+    if kept:
+        noise = {"noise": case.base.noise, "inflation": case.base.inflation}
+        others = kept, replace(subject_of(kept, stated, tires, library)[0], **noise)
     name = "vehicle" if isinstance(vehicle, Vehicle) else vehicle
     model = "car on {} (front) and {} (rear)".format(*(tire.name for tire in tires))
     notes = (*_notes(given, tires), *merged((k, log.missing) for k, log in found.items()))
-    return document_of(case, found, other, name, model, notes, others, library, seed)
+    return document_of(case, found, others, name, model, notes, library, seed)
 
 
 class Steps:
@@ -144,9 +144,9 @@ class Steps:
         self.report(self.done / (self.done + max(self.count - self.done, 0.1 * self.done)), note)
 
 
-def _searched(subject: Windows) -> tuple[Windows, Search]:
-    """The subject with its noise, and the search of the effects. The search is repeated if
-    the remainder of its best set shows another noise."""
+def _searched(subject: Windows) -> Search:
+    """The search of the effects of a subject, with its noise; repeated if the remainder of its
+    best set shows another noise."""
     subject = replace(subject, noise=subject.rms(subject.coefficients()))
     for _ in range(_ROUNDS):
         subject = subject.following(subject.refit([subject.start], [()])[0])
@@ -156,26 +156,17 @@ def _searched(subject: Windows) -> tuple[Windows, Search]:
     judged = subject.with_noise_of(search.ranked[0])
     wide = (one.noise * np.sqrt(one.inflation) for one in (judged, subject))
     if np.any(np.abs(np.log(np.divide(*wide))) > _OTHER_NOISE):
-        subject = judged
-        search = searched(subject, EFFORT)
-    return subject, search
-
-
-def _enough(windows: Cut, window: float) -> None:
-    count = len(windows.log)
-    if count < LEAST_WINDOWS:
-        reason = f"{count} windows of {window:g} s; a diagnosis needs {LEAST_WINDOWS}"
-        raise DataError(InputProblem(reason, "give longer logs, or more of them"))
+        return searched(judged, EFFORT)
+    return search
 
 
 def _notes(given, tires) -> tuple[str, ...]:
-    notes = ["speed and steering are those of the log; axle loads are static"]
-    notes += [
+    fitted = (
         f"the {axle} tire, {tire.name}, starts as fitted to the forces of derive"
         for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
         if tire is not of
-    ]
-    return tuple(notes)
+    )
+    return "speed and steering are those of the log; axle loads are static", *fitted
 
 
 def _check(vehicle: Vehicle, effects, without) -> None:

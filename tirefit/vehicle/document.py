@@ -2,7 +2,6 @@
 simulator, whose parameters are factors on its tires; the first channel is all channels of the
 log over their noise."""
 
-import hashlib
 import importlib.metadata
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -41,7 +40,7 @@ from tirefit.diagnosis.summary.result import (
 from tirefit.diagnosis.summary.views import DataSummary
 from tirefit.vehicle.model import PARAMETERS as FACTORS
 from tirefit.vehicle.subject import Windows
-from tirefit.vehicle.windows import CHANNELS, UNITS, CutLog
+from tirefit.vehicle.windows import CHANNELS, CutLog
 
 ALL = "all"
 """The first channel: all channels, in the unit of their noise."""
@@ -58,56 +57,44 @@ class CarExtension(NamedTuple):
 def document_of(
     case: Concluded,
     found: Mapping[str, CutLog],
-    other: Windows | None,
+    others: tuple[Mapping[str, CutLog], Windows] | None,
     vehicle: str | Path,
     model: str,
     notes: Sequence[str],
-    holdout: Mapping[str, CutLog],
     library: Sequence[Effect],
     seed: int,
 ) -> Diagnosis:
     """The document of the verdict on the windows of the logs ``found``.
 
     Args:
-        other: the windows of the logs ``holdout``, None without.
+        others: logs that were held out, and their windows; None without.
         vehicle: the file of the car, or its name.
         model: the car and its tires in words.
         notes: what was assumed.
         library: effects that were looked for.
     """
-    base, generator = case.base, np.random.default_rng(seed)
-    names, ladder, gaps = CHANNELS[base.model.channels], case.ladder, dict[str, Shrinkage]()
-    errors = _Errors(base, base.given_residual)
+    base, generator, ladder = case.base, np.random.default_rng(seed), case.ladder
     held = of_the_ladder(ladder)
-    if other is not None:
-        held, ladder = _held_out(case, ladder, other, ", ".join(holdout), generator)
-    gaps = {c: errors.closure(c, case.chosen.residual, generator) for c in (ALL, *names)}
+    if others is not None:
+        held, ladder = _held_out(case, ladder, *others, generator)
+    hashes = tuple(log.sha256 for log in (others[0] if others else {}).values())
+    left, z = case.chosen.residual, case.chosen.z
+    gaps = {c: _closure(base, c, base.given_residual, left, generator) for c in _channels(base)}
     gap = Gap(**vars(gaps[ALL]), channels=gaps, holdout=held)
-    z, spread = case.chosen.z, parameter_errors(case)
     factors = dict(zip(FACTORS, np.exp(z).tolist(), strict=True))
+    std = np.exp(z) * parameter_errors(case)
     changes = {
-        name: changed(1.0, factor, float(factor * error))
-        for (name, factor), error in zip(factors.items(), spread, strict=True)
+        name: changed(1.0, factor, float(error))
+        for (name, factor), error in zip(factors.items(), std, strict=True)
     }
-    budgets = _budgets(case, ladder, errors, generator)
-    steps = manoeuvres(case.search, case.weighed, case.verdict)
-    count = len(base.cut.log)
-    length = (base.cut.data.logged.shape[1] - 1) * base.step
-    of_windows = f"{count} windows of {length:g} s, each from the start state that fits best"
+    budgets = _budgets(case, ladder, generator)
+    rows, names = base.cut.data.v_x.size, CHANNELS[base.model.channels]
     return Diagnosis(
-        data=DataSummary(
-            name=", ".join(found),
-            path=", ".join(log.path for log in found.values()),
-            sha256=", ".join(log.sha256 for log in found.values()),
-            convention="",
-            channels=(ALL, *names),
-            assumptions=(of_windows, *notes),
-        ),
-        units={ALL: "× noise", **{name: UNITS[name] for name in names}},
+        data=_data(base, found, notes),
         model=model,
-        simulator=SimulatorSummary("car", *_source(vehicle), Surrogate(model, 0.0, 0.0, 0.0)),
-        n=len(errors.run),
-        n_effective=len(errors.run) / base.inflation,
+        simulator=SimulatorSummary("car", str(vehicle), None, Surrogate(model, 0.0, 0.0, 0.0)),
+        n=rows,
+        n_effective=rows / base.inflation,
         noise=NoiseSummary(
             forces=dict(zip(names, base.noise.tolist(), strict=True)),
             source="what all effects together leave",
@@ -118,22 +105,20 @@ def document_of(
         budgets=budgets,
         verdict=verdict_of(case, gap, changes),
         ladder=ladder,
-        candidates=candidates_of(case, lambda fit: errors.closure(ALL, fit.residual, generator)),
+        candidates=candidates_of(
+            case, lambda fit: _closure(base, ALL, base.given_residual, fit.residual, generator)
+        ),
         untestable=case.untestable,
         resolution=resolution(base.unit, base.discrepancy.columns.shape[1]),
         forecast=tuple(confusion(case.search)),
-        next_measurement=steps,
+        next_measurement=manoeuvres(case.search, case.weighed, case.verdict),
         base_parameters=dict.fromkeys(FACTORS, 1.0),
         extended_parameters=factors,
         extension=CarExtension(
-            {a.effect.id: a.variant for a in (base.atoms[k] for k in case.chosen.atoms)},
+            {base.atoms[k].effect.id: base.atoms[k].variant for k in case.chosen.atoms},
             float(np.mean(base.cut.data.v_x)),
         ),
-        settings=Settings(
-            rig=None,
-            effects=tuple(effect.id for effect in library),
-            holdout=tuple(log.sha256 for log in holdout.values()),
-        ),
+        settings=Settings(rig=None, effects=tuple(e.id for e in library), holdout=hashes),
         seed=seed,
         version=importlib.metadata.version("tirefit"),
         library=tuple(library),
@@ -141,63 +126,62 @@ def document_of(
     )
 
 
-def _source(vehicle: str | Path) -> tuple[str, str | None]:
-    """The file of a car, and its hash."""
-    path = Path(vehicle)
-    return str(vehicle), hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+def _data(base: Windows, found: Mapping[str, CutLog], notes: Sequence[str]) -> DataSummary:
+    """The logs, and what was assumed."""
+    count, length = len(base.cut.log), (base.cut.data.v_x.shape[1] - 1) * base.step
+    of_windows = f"{count} windows of {length:g} s, each from the start state that fits best"
+    return DataSummary(
+        name=", ".join(found),
+        path=", ".join(log.path for log in found.values()),
+        sha256=", ".join(log.sha256 for log in found.values()),
+        convention="",
+        channels=tuple(_channels(base)),
+        assumptions=(of_windows, *notes),
+    )
 
 
-class _Errors:
-    """Errors of the car as given, over the noise: ``of`` (n, c), and the log ``run`` (n,) of
-    each sample."""
-
-    def __init__(self, base: Windows, given: np.ndarray):
-        self.base, self.of = base, base.over_noise(given)
-        self.run = np.repeat(base.cut.log, base.cut.data.logged.shape[1])
-
-    def closure(self, channel: str, residual: np.ndarray, generator) -> Shrinkage:
-        """Closure of the gap of a channel where a fit has these whitened residuals (m,)."""
-        before, after, run, noise = self.of, self.base.over_noise(residual), self.run, 1.0
-        if channel == ALL:
-            run = np.repeat(run, before.shape[1])
-        else:
-            k = CHANNELS[self.base.model.channels].index(channel)
-            before, after, noise = before[:, k], after[:, k], self.base.noise[k]
-        given = noise * before.ravel(), noise * after.ravel(), np.full(before.size, noise**2)
-        return closure_elsewhere(*given, run, self.base.inflation, generator)
+def _channels(base: Windows) -> dict[str, tuple[float, slice]]:
+    """Channel -> its unit over the noise, and its columns of ``base.over_noise``."""
+    names = CHANNELS[base.model.channels]
+    each = {name: (base.noise[k], slice(k, k + 1)) for k, name in enumerate(names)}
+    return {ALL: (1.0, slice(None)), **each}
 
 
-def _held_out(case: Concluded, ladder: Ladder, other: Windows, on: str, generator):
+def _closure(base: Windows, channel: str, before, after, generator) -> Shrinkage:
+    """Closure of the gap of a channel from whitened residuals (m,) to others."""
+    unit, own = _channels(base)[channel]
+    before, after = (unit * base.over_noise(x)[:, own].ravel() for x in (before, after))
+    run = np.repeat(base.cut.log, before.size // len(base.cut.log))
+    variance = np.full(before.size, unit**2)
+    return closure_elsewhere(before, after, variance, run, base.inflation, generator)
+
+
+def _held_out(case: Concluded, ladder: Ladder, logs, other: Windows, generator):
     """Closure on held-out logs, and the ladder with the closure of each step there."""
     null = case.weighed.best_of[()]
     other = other.following(replace(null, state=other.cut.data.start))
-    fits = fits_of(case, ladder)
-    coefficients = {AS_GIVEN: other.coefficients()} | {
-        key: other.coefficients(fit.z, fit.atoms, fit.amplitude) for key, fit in fits.items()
+    left = {AS_GIVEN: other.given_residual} | {
+        key: other.residual_of(other.coefficients(fit.z, fit.atoms, fit.amplitude))
+        for key, fit in fits_of(case, ladder).items()
     }
-    errors = {key: other.residual_of(z) for key, z in coefficients.items()}
-    closure = _Errors(other, errors[AS_GIVEN]).closure(ALL, errors[case.verdict.key], generator)
-    missed = {key: other.over_noise(own).ravel() for key, own in errors.items()}
-    return on_files(ladder, closure, missed, 1.0, on)
+    closure = _closure(other, ALL, left[AS_GIVEN], left[case.verdict.key], generator)
+    missed = {key: other.over_noise(one).ravel() for key, one in left.items()}
+    return on_files(ladder, closure, missed, 1.0, ", ".join(logs))
 
 
-def _budgets(
-    case: Concluded, ladder: Ladder, errors: _Errors, generator
-) -> dict[str, tuple[Part, ...]]:
+def _budgets(case: Concluded, ladder: Ladder, generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of each channel in the order of the ladder: the parameters of the
     tires, the effects, the remainder and the noise."""
-    base, fits = case.base, fits_of(case, ladder)
+    base, fits, found = case.base, fits_of(case, ladder), {}
     names = [PARAMETERS, *(" + ".join({*b} - {*a}) for a, b in pairwise(fits))]
-    residuals = [errors.of, *(base.over_noise(fit.residual) for fit in fits.values())]
-    energy = np.square(residuals)  # (steps, n, c)
-    each = {ALL: (1.0, energy.mean(axis=2))}
-    for k, name in enumerate(CHANNELS[base.model.channels]):
-        each[name] = base.noise[k], base.noise[k] ** 2 * energy[:, :, k]
-    fitted = len(case.chosen.pull) * base.inflation / errors.of.size
-    found = {}
-    for channel, (noise, own) in each.items():
-        parts = dict(zip(names, -np.diff(own, axis=0), strict=True))
-        floor = np.full(len(errors.run), noise**2 * max(1 - fitted, 0.0))
-        rest = own[-1], floor, own[0]
-        found[channel] = budget(parts, rest, errors.run, base.inflation, generator)
+    left = [base.given_residual, *(fit.residual for fit in fits.values())]
+    squares = np.square([base.over_noise(one) for one in left])
+    run = np.repeat(base.cut.log, base.cut.data.v_x.shape[1])
+    fitted = len(case.chosen.pull) * base.inflation / squares[0].size
+    for channel, (unit, own) in _channels(base).items():
+        energy = unit**2 * squares[:, :, own].mean(axis=2)
+        parts = dict(zip(names, -np.diff(energy, axis=0), strict=True))
+        floor = np.full(len(run), unit**2 * max(1 - fitted, 0.0))
+        rest = energy[-1], floor, energy[0]
+        found[channel] = budget(parts, rest, run, base.inflation, generator)
     return found

@@ -180,8 +180,6 @@ _BLOCKS = 40
 CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
 """Names of the logged channels of a log of rates, and of one of poses."""
 
-UNITS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
-
 
 class Data(NamedTuple):
     """Windows: speed (w, k), steering (w, l + k) with its lead, logged channels

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.engine import ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
 from tirefit.diagnosis.engine.fit import Fit
@@ -86,7 +85,6 @@ def document_of(
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
     return Diagnosis(
         data=data_summary(data, base, rig),
-        units={channel: CANONICAL[channel][0] for channel in prepared.channels},
         model=model,
         simulator=simulator_summary(base, model, gap.rms),
         n=data.n,

@@ -239,6 +239,10 @@ class Settings:
 
 
 NOT_WRITTEN = {"written": False}
+UNITS = {"fx": "N", "fy": "N", "mz": "N m", "all": "× noise", "v_y": "m/s", "yaw_rate": "rad/s"}
+UNITS |= {"heading": "rad", "x": "m", "y": "m"}
+"""Units of the channels of forces and of cars."""
+
 _SEEN = "smallest unlisted remainder that would have been seen"
 
 
@@ -247,8 +251,8 @@ class Diagnosis(Record):
     """The diagnosis of a file, or of the logs of a car: the records of the document, in its
     order, then arrays.
 
-    ``units`` are those of the channels; the first channel of a car is all of them over their
-    noise. What only rows of forces have is empty or None for a car.
+    The first channel of a car is all of them over their noise. What only rows of forces have
+    is empty or None for a car.
     ``resolution`` is the rms [N] of the smallest unlisted remainder that would have been seen.
     ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
     largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
@@ -270,7 +274,6 @@ class Diagnosis(Record):
     plot_by: ClassVar[str] = "tirefit.report.diagnosis_draw:plot_diagnosis"
 
     data: DataSummary
-    units: Mapping[str, str]
     model: str
     simulator: SimulatorSummary | None
     n: int
@@ -308,7 +311,7 @@ class Diagnosis(Record):
     @property
     def unit(self) -> str:
         """Unit of the first channel: of gap, ladder and remainder."""
-        return self.units[self.data.channels[0]]
+        return UNITS[self.data.channels[0]]
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -380,7 +383,7 @@ def record_of_document(path: Path) -> FileRecord:
     probability of the verdict, and amplitudes of the named effects."""
     content = json.loads(path.read_text(encoding="utf-8"))
     data, gap, verdict = content["data"], content["gap"], content["verdict"]
-    unit = content["units"][data["channels"][0]]
+    unit = UNITS[data["channels"][0]]
     template = MODELS.get(content["model"])
     units = {k: s.unit for k, s in specs(template).items()} if template else {}
     base, helping = content["base_parameters"], {*verdict["effects"], *verdict["acts_like"]}
