@@ -17,13 +17,14 @@ from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
 from tirefit.cli.commands import app
 from tirefit.data.vehicle import load_vehicle
 from tirefit.diagnosis.effects import EFFECTS, Atom
+from tirefit.diagnosis.extended import read_document
 from tirefit.diagnosis.summary.case import Concluded
 from tirefit.diagnosis.summary.result import record_of_document
 from tirefit.fitting.source import axle_tire
 from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
-from tirefit.vehicle.applied import Applied
+from tirefit.vehicle.applied import Applied, applied
 from tirefit.vehicle.car import cubic, delayed, lagged, with_play
 from tirefit.vehicle.diagnose import subject_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
@@ -99,7 +100,7 @@ def test_the_record_prints_draws_and_saves(found, tmp_path):
     assert (amplitude.name, amplitude.unit) == ("steering_delay: amplitude", "s")
 
 
-def test_the_document_has_the_keys_of_rows_of_forces(found):
+def test_the_document_has_the_keys_of_rows_of_forces(found, tmp_path):
     slip = np.tile(np.linspace(-0.2, 0.2, 32), 3)
     rows = {"sigma_x": slip, "fz": np.repeat([2000.0, 4000.0, 6000.0], 32)}
     force = tirefit.predict("brush", rows, {"cpa2": 5e4, "mu": 0.9})["fx"]
@@ -108,6 +109,11 @@ def test_the_document_has_the_keys_of_rows_of_forces(found):
     of_rows = tirefit.diagnose(rows | {"fx": force}, effects=few).to_dict()
     of_car = found.to_dict()
     assert of_car.keys() == of_rows.keys()
+    (tmp_path / "rows.json").write_text(json.dumps(of_rows))
+    with pytest.raises(DataError, match="not vehicle_diagnosis.json of.*extension.speed"):
+        applied(tmp_path / "rows.json")
+    with pytest.raises(DataError, match="not NAME.json of.*extension.mode"):
+        read_document(found)
     for key in ("schema", "version", "seed"):
         assert of_car[key] == of_rows[key]
     for key in ("data", "gap", "verdict", "settings"):

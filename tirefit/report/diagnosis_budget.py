@@ -50,7 +50,7 @@ def _change_text(meaning: str, change: Change) -> str:
     return f"{meaning} {format_estimate(abs(off), change.std)} too {side}"
 
 
-_OF_CAR = {"all": "all channels", "v_y": "lateral speed", "yaw_rate": "yaw rate"}
+_OF_CAR = {"all": "the motion", "v_y": "lateral speed", "yaw_rate": "yaw rate"}
 _OF_CAR |= {name: name for name in ("heading", "x", "y")}
 
 
@@ -67,10 +67,10 @@ def _rms(parts: Sequence[Part]) -> str:
 
 def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
     """The error of a simulator and its parts, one per row, with a header."""
-    budget, of = result.budgets[channel], f"{channel_name(channel)}, "
+    budget = result.budgets[channel]
     return [
         (
-            f"{of * (len(result.budgets) == 1)}part of the error",  # else in the title
+            f"{channel_name(channel)}, part of the error",
             f"rms [{UNITS[channel]}]",
             "share of the mean square [90 % interval]",
         ),

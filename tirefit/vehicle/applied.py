@@ -14,7 +14,7 @@ from tirefit.data.motion import Motion
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.effects import effects_by_id
 from tirefit.diagnosis.effects.record import Atom
-from tirefit.diagnosis.extended import SCHEMA, AnyDocument, read_checked
+from tirefit.diagnosis.extended import AnyDocument, read_checked
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.vehicle.car import Changes, State
 from tirefit.vehicle.document import CarExtension
@@ -107,12 +107,16 @@ def applied(source: Diagnosis | str | os.PathLike) -> Applied:
     """The effects named by a diagnosis of a car, or by its ``vehicle_diagnosis.json``.
 
     Raises:
-        DataError: a file that is not a diagnosis of a car, or of another version.
+        DataError: not a diagnosis of a car, or of another version.
     """
-    if isinstance(source, Diagnosis):
-        return _applied(_Document.model_validate(source.to_dict()))
     name, command = "vehicle_diagnosis.json", "tirefit diagnose --vehicle"
-    return _applied(read_checked(source, _Document, SCHEMA, name, command))
+    document = read_checked(source, _Document, name, command)
+    library, to = effects_by_id(CAR_EFFECTS), document.extension
+    atoms = tuple(Atom(library[k], to.variants[k]) for k in document.sizes)
+    scales = tuple(atom.effect.scale for atom in atoms)
+    of_tires = [np.log(document.extended_parameters[name]) for name in PARAMETERS]
+    own = np.divide([*document.sizes.values()], scales)
+    return Applied(Model(atoms, scales, 2), np.array([*of_tires, *own], float), to.speed)
 
 
 class _Document(AnyDocument):
@@ -135,12 +139,3 @@ class _Document(AnyDocument):
             if not self.extended_parameters.get(name, 0.0) > 0:
                 raise ValueError(f"extended_parameters.{name} is not a positive number")
         return self
-
-
-def _applied(document: _Document) -> Applied:
-    library, to = effects_by_id(CAR_EFFECTS), document.extension
-    atoms = tuple(Atom(library[k], to.variants[k]) for k in document.sizes)
-    scales = tuple(atom.effect.scale for atom in atoms)
-    of_tires = [np.log(document.extended_parameters[name]) for name in PARAMETERS]
-    own = np.divide([*document.sizes.values()], scales)
-    return Applied(Model(atoms, scales, 2), np.array([*of_tires, *own], float), to.speed)

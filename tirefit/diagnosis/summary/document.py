@@ -230,17 +230,7 @@ def candidates_of(case: Concluded, closure: Callable[[Fit], Shrinkage]) -> tuple
     ]
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
-        unknown = Candidate(
-            effects=(UNKNOWN,),
-            family=UNKNOWN,
-            probability=alone,
-            parameters={},
-            z=None,
-            z_given_rivals=None,
-            closed=0.0,
-            closed_ci=(0.0, 0.0),
-        )
-        listed.append(unknown)
+        listed.append(Candidate(effects=(UNKNOWN,), family=UNKNOWN, probability=alone))
     return tuple(listed)
 
 

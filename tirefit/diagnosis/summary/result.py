@@ -200,11 +200,12 @@ class Candidate:
     effects: tuple[str, ...]
     family: str
     probability: float
-    parameters: Mapping[str, Amplitude]  # ``effect: parameter`` -> size
-    z: float | None  # score at the base fit
-    z_given_rivals: float | None  # smallest amplitude over error in the set
-    closed: float | None
-    closed_ci: tuple[float | None, float | None]
+    # ``effect: parameter`` -> size
+    parameters: Mapping[str, Amplitude] = field(default_factory=dict)
+    z: float | None = None  # score at the base fit
+    z_given_rivals: float | None = None  # smallest amplitude over error in the set
+    closed: float | None = 0.0
+    closed_ci: tuple[float | None, float | None] = (0.0, 0.0)
 
 
 class Forecast(NamedTuple):
