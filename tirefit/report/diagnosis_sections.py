@@ -40,9 +40,10 @@ _SHOWN = (
     "warning: the simulator",
     "found by tirefit derive",
     "windows of",
+    "the forces of derive",
 )
 """Texts that mark the notes to show: on signs, on a simulator, on findings of derive, and on
-the windows of a car."""
+the windows and tires of a car."""
 
 _BEYOND = 1.5
 """Ratio of the noise to the stated noise above which it is reported."""
