@@ -226,7 +226,7 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
     axes.set_yticks(places, [plain_text(step.label) for step in steps])
     axes.set_xlim(0, 1.02 * whole)
     note = "parts add in squares; a bar is a share of their sum [90 % interval]"
-    panel_title(axes, f"Budget of the simulator's error{channel}", note)
+    panel_title(axes, f"Budget{channel}: from the simulator's error to noise", note)
 
 
 def panels_of(result: Diagnosis) -> dict[str, Panel]:
