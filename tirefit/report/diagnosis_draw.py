@@ -219,7 +219,8 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
         at += 0 if room else -0.012 * whole if inside else 0.012 * whole
         color = "white" if room and step.kind in ("whole", "effect") else DARK
         style = {"va": "center", "ha": "right" if inside and not room else "left", "color": color}
-        axes.text(at, place, plain_text(step.text), fontsize=8, **style)
+        small = inside and not room and left < 0.45 * whole  # little space on the left
+        axes.text(at, place, plain_text(step.text), fontsize=7 if small else 8, **style)
     for place, step in zip(places[1:-1], steps[1:-1], strict=True):
         axes.plot([whole * step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
     tidy(axes, "share of the squared error [%]")

@@ -135,7 +135,7 @@ def range_text(region: Region) -> str:
 def covariate_unit(name: str) -> str:
     """Unit of a covariate of figures; empty if it has none."""
     units = {"distance": "m", "slip": "", "slip_rate": "1/s", "yaw rate": "rad/s"}
-    units |= dict.fromkeys(("front slip", "rear slip"), "rad")
+    units |= {"front slip": "rad", "rear slip": "rad", "forward acceleration": "g"}
     unit = units.get(name, CANONICAL.get(name, ("", ""))[0])
     return "" if unit == "-" else unit
 

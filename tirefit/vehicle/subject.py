@@ -53,7 +53,7 @@ LEAST_LOGS = 4
 _BLOCKS = 8
 """Number of parts of the time that are left out in turn if there are fewer logs."""
 
-_PLACES = {"time": 12}
+_PLACES = {"share of the time": 12}
 _USUAL_PLACES = 8
 """Numbers of places of the covariates at which an unlisted force has its values."""
 
@@ -293,8 +293,8 @@ class Windows:
         """Quantities (w, k) that vary over the windows, at the start fit."""
         now, rows = self._at_start, self.cut.rows
         front, rear = np.moveaxis(now.motion.angles, 2, 0)
-        values = {"front slip": front, "rear slip": rear, "speed": rows.speed,
-                  "forward acceleration": rows.along, "time": rows.time}  # fmt: skip
+        values = {"front slip": front, "rear slip": rear, "speed over its mean": rows.speed,
+                  "forward acceleration": rows.along, "share of the time": rows.time}  # fmt: skip
         return {k: np.asarray(v) for k, v in values.items() if np.ptp(v) > UNSEEN}
 
     @cached_property
