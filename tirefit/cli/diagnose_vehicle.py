@@ -44,12 +44,13 @@ def diagnose_car(
 ) -> None:
     """Diagnose the car, print the report and write the files."""
     check_results([out / name for name in FILES], logs)
-    start_jax()
-    from tirefit.vehicle.diagnose import diagnose_vehicle
-
-    # The first line of progress at once, as programs take seconds to compile.
+    # The first line of progress at once, as JAX takes seconds to load and to compile.
     with claimed(out):
         with _told_where(out), progress_bar("diagnose", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.diagnose import diagnose_vehicle
+
             result = diagnose_vehicle(
                 logs, vehicle, front or "brush", rear or "brush",
                 holdout=holdout, without=without, seed=seed, progress=progress,
