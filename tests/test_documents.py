@@ -73,17 +73,25 @@ def whole_document():
 @cache
 def car_document():
     """As ``diagnose --vehicle`` writes it, with an effect of each kind."""
-    from tirefit.vehicle.diagnose import SCHEMA
+    from tirefit.diagnosis.extended import SCHEMA
     from tirefit.vehicle.effects import CAR_EFFECTS
     from tirefit.vehicle.model import PARAMETERS
 
     effects = [effect.id for effect in CAR_EFFECTS]
+    size = {"value": 0.1, "std": 0.01, "unit": "-"}
+    verdict = dict(status="named", effects=effects, acts_like=[], probability=0.9)
     return {
         "schema": SCHEMA,
-        "speed": 9.5,
-        "amplitudes": {one: {"value": 0.1, "std": 0.01, "unit": "-"} for one in effects},
-        "variants": dict.fromkeys(effects, 0),
-        "parameters": {name: {"value": 1.1, "std": 0.1, "unit": "-"} for name in PARAMETERS},
+        "data": {"name": "drive", "sha256": "0"},
+        "model": "car",
+        "simulator": {"kind": "car"},
+        "verdict": verdict | {"also_possible": []},
+        "candidates": [
+            {"effects": effects, "parameters": {f"{one}: amplitude": size for one in effects}}
+        ],
+        "base_parameters": dict.fromkeys(PARAMETERS, 1.0),
+        "extended_parameters": dict.fromkeys(PARAMETERS, 1.1),
+        "extension": {"variants": dict.fromkeys(effects, 0), "speed": 9.5},
     }
 
 

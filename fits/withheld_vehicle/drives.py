@@ -322,6 +322,6 @@ def judged(number: int, folder: Path) -> dict:
         "status": verdict.status.value,
         "effects": verdict.effects,
         "also_possible": verdict.also_possible,
-        "unlisted": verdict.unlisted,
-        "amplitudes": {k: list(v[:3]) for k, v in found.amplitudes.items()},
+        "unlisted": verdict.left.unlisted,
+        "amplitudes": {k.partition(": ")[0]: list(v[:3]) for k, v in found.amplitudes.items()},
     }

@@ -70,7 +70,7 @@ class Toy:
             for name in names
         )
         self.testable = tuple(range(count))
-        full = (np.broadcast_to(value, count) + 0.0 for value in (center, low, 9.0, 0.0))
+        full = (np.broadcast_to(value, count) + 0.0 for value in (center, low, 9.0, 0.0, 1.0))
         self.priors, self.start = Priors(*full), Start(np.zeros(columns.shape[1]), np.zeros(0))
         self.discrepancy = other.get("smooth", Discrepancy(np.zeros((len(observed), 0)), ()))
         self.unit = other.get("unit", np.ones(len(observed)))

@@ -17,7 +17,7 @@ from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.closure import (
     closure_elsewhere,
     closure_on_rows,
-    held_out,
+    of_the_ladder,
     plausible_forces,
 )
 
@@ -70,7 +70,8 @@ class Straight(Base):
         """It is known that the effect is there and no other."""
         key, case = ("one",), object.__new__(Case)
         weighed = weighed_of({key: 1.0}, best_of={key: self.fitted()})
-        case.__dict__.update(base=self, weighed=weighed)
+        search = SimpleNamespace(subject=self)
+        case.__dict__.update(search=search, weighed=weighed)
         return case
 
 
@@ -178,8 +179,7 @@ def test_the_gap_on_parts_left_out_is_that_beyond_the_noise():
     ends = {0.1: (0.4 - 0.1645, 0.4 + 0.1645), 0.9: (-1.0, 1.0)}
     for std, interval in ends.items():
         steps = Step((), 5.0, 0.0, 0.0, 0.0, 0.0), Step(("one",), 4.2, 0.4, std, 0.0, 0.0)
-        case = SimpleNamespace(verdict=SimpleNamespace(key=("one",)))
-        found, _ = held_out(case, (), None, Ladder("parts", (*steps, *last)), None)
+        found = of_the_ladder(Ladder("parts", (*steps, *last)))
         assert (found.rms, found.closed) == (pytest.approx(4.0), 0.4)
         assert found.remaining_rms == pytest.approx(0.6 * 4.0)
         np.testing.assert_allclose(found.closed_ci, interval, atol=1e-4)

@@ -9,7 +9,7 @@ from conftest_diagnosis import bare, brush
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, Atom
-from tirefit.diagnosis.extended import Document, document_of, extend, extension_of
+from tirefit.diagnosis.extended import Document, extend, extension_of, parsed
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import fit_base
@@ -154,8 +154,8 @@ def test_a_diagnosis_of_another_model_or_of_columns_is_refused():
     for changes in ({"model": "brush-d"}, {"simulator": {"kind": "columns"}}):
         text = at.model_dump_json()
         content = json.loads(text) | changes | {"schema": "tirefit.diagnosis/4"}
-        other = document_of(json.dumps(content))
+        other = parsed(json.dumps(content), Document)
         with pytest.raises(UsageError, match="the tire is a brush"):
             extend(MODELS["brush"], "brush", other, lambda tire: tire)
     with pytest.raises(ValueError, match="schema"):
-        document_of(json.dumps({"schema": "tirefit.diagnosis/2"}))
+        parsed(json.dumps({"schema": "tirefit.diagnosis/2"}), Document)

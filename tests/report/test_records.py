@@ -25,7 +25,6 @@ from tirefit.results import Outcome, exit_code
 from tirefit.sim.brake_result import Braking
 from tirefit.targets.export import Exported
 from tirefit.vehicle.car import State, car_of, predicted
-from tirefit.vehicle.diagnose import VehicleDiagnosis
 from tirefit.vehicle.replay import Replay
 from tirefit.vehicle.trajectory import TrajectoryFit
 
@@ -225,7 +224,7 @@ def test_the_exit_code_follows_from_the_outcomes(made, request):
 
 def test_no_record_has_a_status_of_its_own():
     """Every class derives it from what limits its use; its warnings are in it, too."""
-    classes = {MagicFormulaFit, VehicleDiagnosis, *Record.__subclasses__()}
+    classes = {MagicFormulaFit, *Record.__subclasses__()}
     assert len(classes) > len(RECORDS)
     for cls in classes:
         assert cls.status is Record.status

@@ -2,6 +2,7 @@
 independent program (fits/withheld_vehicle/drives.py)."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,18 +12,24 @@ import pytest
 from typer.testing import CliRunner
 
 import tirefit
+from fits.withheld_vehicle import exact
 from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
 from tirefit.cli.commands import app
 from tirefit.data.vehicle import load_vehicle
-from tirefit.diagnosis.effects import Atom
+from tirefit.diagnosis.effects import EFFECTS, Atom
+from tirefit.diagnosis.extended import read_document
+from tirefit.diagnosis.summary.case import Concluded
+from tirefit.diagnosis.summary.result import record_of_document
+from tirefit.fitting.source import axle_tire
 from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
-from tirefit.vehicle.applied import Applied
+from tirefit.vehicle.applied import Applied, applied
 from tirefit.vehicle.car import cubic, delayed, lagged, with_play
-from tirefit.vehicle.diagnose import _errors
+from tirefit.vehicle.diagnose import subject_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
 from tirefit.vehicle.model import Model
+from tirefit.vehicle.windows import cut_in_windows
 
 FEW = ("steering_delay", "yaw_inertia", "steering_offset", "relaxation_length")
 LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
@@ -60,30 +67,84 @@ def found(late):
 
 def test_a_steering_delay_is_named_with_its_size(found):
     assert found.verdict.effects == ("steering_delay",)
-    value, std, unit, _ = found.amplitudes["steering_delay"]
+    value, std, unit, _ = found.amplitudes["steering_delay: amplitude"]
     assert unit == "s" and abs(value - DELAY) < 4 * std + 1e-3
 
 
 def test_the_effect_reduces_the_error_to_the_noise(found):
-    for channel, noise in found.noise.items():
-        before, after = (part[channel] for part in found.miss[1:])
-        assert before > 1.5 * noise
-        assert after < 1.15 * noise
+    for channel, noise in found.noise.forces.items():
+        gap = found.gap.channels[channel]
+        assert gap.rms > noise  # beyond the noise
+        assert gap.remaining_rms < 0.5 * noise
+    given, tires, delay = (step.rms_left_out for step in found.ladder.steps[:3])
+    assert given > tires > 1.5 and delay < 1.15
 
 
 def test_the_tires_are_recovered_with_the_effect(found):
     for axle in ("front", "rear"):
-        factor, std, *_ = found.parameters[f"{axle}.stiffness"]
-        assert abs(factor - 1 / 1.1) < 5 * std
+        change = found.verdict.parameters[f"{axle}.stiffness"]
+        assert change.simulated == 1.0 and change.differs
+        assert abs(change.measured - 1 / 1.1) < 5 * change.std
 
 
 def test_the_record_prints_draws_and_saves(found, tmp_path):
-    assert "steering delay" in found.summary().splitlines()[2]
+    assert "steering delay" in found.summary().partition("HOW FAR")[0]
     assert len(found.summary().splitlines()) < 60
     paths = found.save(tmp_path)
     content = json.loads(paths[0].read_text())
     assert content["verdict"]["effects"] == ["steering_delay"]
-    assert found.plot().axes
+    assert len(found.plot().axes) == len(found.budgets) + 3  # ladder, causes, sizes
+    assert "Budget of the simulator" in found._repr_html_()
+    record = record_of_document(paths[0])
+    amplitude = next(row for row in record.rows if row.kind == "effect")
+    assert (amplitude.name, amplitude.unit) == ("steering_delay: amplitude", "s")
+
+
+def test_the_document_has_the_keys_of_rows_of_forces(found, tmp_path):
+    slip = np.tile(np.linspace(-0.2, 0.2, 32), 3)
+    rows = {"sigma_x": slip, "fz": np.repeat([2000.0, 4000.0, 6000.0], 32)}
+    force = tirefit.predict("brush", rows, {"cpa2": 5e4, "mu": 0.9})["fx"]
+    force += np.random.default_rng(1).normal(0, 20, len(slip))
+    few = [one for one in EFFECTS if one.id == "slip_offset"]
+    of_rows = tirefit.diagnose(rows | {"fx": force}, effects=few).to_dict()
+    of_car = found.to_dict()
+    assert of_car.keys() == of_rows.keys()
+    (tmp_path / "rows.json").write_text(json.dumps(of_rows))
+    with pytest.raises(DataError, match="not vehicle_diagnosis.json of.*extension.speed"):
+        applied(tmp_path / "rows.json")
+    with pytest.raises(DataError, match="not NAME.json of.*extension.mode"):
+        read_document(found)
+    for key in ("schema", "version", "seed"):
+        assert of_car[key] == of_rows[key]
+    for key in ("data", "gap", "verdict", "settings"):
+        assert of_car[key].keys() == of_rows[key].keys(), key
+    for key in ("ladder", "candidates", "budget"):
+        assert of_car[key][0].keys() == of_rows[key][0].keys(), key
+
+
+def test_the_budget_of_each_channel_adds_up_along_the_ladder(late, found):
+    """The whole and each step are the squares of a car predicted anew from the best start
+    states, without the linearisation of the search."""
+    log, vehicle, tires = late
+    cut = cut_in_windows([log], load_vehicle(vehicle), 1.0)
+    made, _ = subject_of(cut, load_vehicle(vehicle), [axle_tire(t) for t in tires], LIBRARY)
+    made = replace(made, noise=np.array([*found.noise.forces.values()]))
+    factors, ids = np.log([*found.extended_parameters.values()]), [a.effect.id for a in made.atoms]
+    k = ids.index("steering_delay")
+    size = found.amplitudes["steering_delay: amplitude"].value / made.priors.scale[k]
+    whole, last = (
+        made.rms(z) for z in (made.coefficients(), made.coefficients(factors, [k], [size]))
+    )
+    samples = made.cut.data.logged.shape[1]
+    free = np.sqrt((2 * samples - 2) / (2 * samples))  # that the two start states leave
+    for c, (channel, parts) in enumerate([*found.budgets.items()][1:]):
+        assert channel == ("v_y", "yaw_rate")[c]
+        assert sum(part.share for part in parts) == pytest.approx(1.0)
+        energy = sum(part.rms**2 for part in parts)
+        assert np.sqrt(energy) * free == pytest.approx(whole[c], rel=0.01)
+        rest = sum(part.rms**2 for part in parts if part.part in ("unexplained", "noise"))
+        assert np.sqrt(rest) * free == pytest.approx(last[c], rel=0.02)
+    assert [part.part for part in parts] == ["parameters", "steering_delay", "unexplained", "noise"]
 
 
 @pytest.mark.long
@@ -100,7 +161,7 @@ def test_a_replay_with_the_effects_reaches_the_noise(late, found, tmp_path):
             )
             assert after < 0.6 * before and after < 2 * floor, quantity
     assert "With the effects" in replayed.summary()
-    given.write_text('{"schema": "tirefit.vehicle_diagnosis/1"}')
+    given.write_text('{"schema": "tirefit.diagnosis/4"}')
     with pytest.raises(DataError, match="not vehicle_diagnosis.json of"):
         tirefit.replay([log], vehicle, *tires, effects=given)
 
@@ -110,6 +171,22 @@ def test_no_effect_is_named_if_none_is_missing(tmp_path):
     log, vehicle, tires = logged(tmp_path, "", 0.0, number=6)
     found = tirefit.diagnose_vehicle([log], vehicle, *tires, effects=LIBRARY)
     assert found.verdict.status.value == "none" and not found.verdict.effects
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("way", exact.WAYS)
+def test_a_car_that_the_model_describes_exactly_has_no_effect(way):
+    """Integrated in steps of 0.2 ms. With l_f and l_r exchanged (a shift by 15 % of the
+    wheelbase), the centre of gravity and the tracked point are twins."""
+    numbers = (2,) if way == "swapped" else (0, 3)
+    cars = [trial(number, "none").car for number in numbers]
+    for number, car, rows in zip(numbers, cars, exact.driven(cars), strict=True):
+        found = exact.judged(number, car, rows, way)
+        if way != "swapped":
+            assert found["status"] == "none", found
+            continue
+        names = {e for effect, (_, twins) in found["each"].items() for e in (effect, *twins)}
+        assert "centre_of_gravity" in names <= {"centre_of_gravity", "tracked_point"}, found
 
 
 def test_the_command_refuses_wrong_use_and_writes_results(late, tmp_path):
@@ -203,8 +280,9 @@ def test_the_error_of_an_amplitude_is_at_least_that_between_parts(spread):
     fit = SimpleNamespace(key=("one",), errors=np.array([0.2]))
     each = 1 + spread * np.array([[-1.0], [0.0], [1.0], [0.0]])
     out = SimpleNamespace(effects=((), ("one",)), amplitude=(None, each))
+    case = Concluded(None, None, out, SimpleNamespace(key=()), ())
     right = max(0.2, np.sqrt(3) * spread * np.sqrt(0.5))
-    assert _errors(fit, out) == pytest.approx(right)
+    assert case.errors(fit) == pytest.approx(right)
 
 
 def test_a_log_is_corrected_for_its_errors(late):

@@ -140,7 +140,7 @@ def diagnose(
         if vehicle is not None:
             alone: dict = dict(model=model, set=parameter, sim=sim, rig=rig)
             alone |= dict(jobs=jobs, scheduler=scheduler, resume=resume, side=side)
-            alone |= dict(signs=signs, force=force, full=full, seed=seed, combination=combination)
+            alone |= dict(signs=signs, force=force, combination=combination)
             refuse_with_vehicle(options, alone)
             return diagnose_car(
                 files,
@@ -151,6 +151,8 @@ def diagnose(
                 holdout=holdout or (),
                 without=without or (),
                 figures=figures,
+                full=full,
+                seed=seed,
             )
         refuse_tires(front, rear)
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]

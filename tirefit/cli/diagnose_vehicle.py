@@ -39,21 +39,24 @@ def diagnose_car(
     holdout: Sequence[Path],
     without: Sequence[str],
     figures: bool,
+    full: bool,
+    seed: int,
 ) -> None:
     """Diagnose the car, print the report and write the files."""
     check_results([out / name for name in FILES], logs)
-    start_jax()
-    from tirefit.vehicle.diagnose import diagnose_vehicle
-
-    # The first line of progress at once, as programs take seconds to compile.
+    # The first line of progress at once, as JAX takes seconds to load and to compile.
     with claimed(out):
         with _told_where(out), progress_bar("diagnose", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.diagnose import diagnose_vehicle
+
             result = diagnose_vehicle(
                 logs, vehicle, front or "brush", rear or "brush",
-                holdout=holdout, without=without, progress=progress,
+                holdout=holdout, without=without, seed=seed, progress=progress,
             )  # fmt: skip
         drawn, page = ({FILES[1]: ""}, FILES[2]) if figures else ({}, "")
-        write_result(result, out, FILES, drawn, page)
+        write_result(result, out, FILES, drawn, page, full=full)
 
 
 @contextmanager

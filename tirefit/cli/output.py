@@ -226,7 +226,12 @@ def staged(
 
 
 def write_result(
-    result: Any, out: Path, known: Collection[str], figures: Mapping[str, str], page: str = ""
+    result: Any,
+    out: Path,
+    known: Collection[str],
+    figures: Mapping[str, str],
+    page: str = "",
+    **how: bool,
 ) -> None:
     """Write a result with its figures into a claimed folder; print it, and the files.
 
@@ -234,6 +239,7 @@ def write_result(
         known: every file that the command may write, in the order of the printed list.
         figures: name of a file -> argument of ``result.plot``, empty for the default.
         page: name of the page; none if empty.
+        how: arguments of ``result.summary``.
     """
     from tirefit.report.canvas import save_picture
 
@@ -244,7 +250,7 @@ def write_result(
         if page:
             result.save(folder / page)
         written = [out / name for name in known if (folder / name).exists()]
-    say(str(result))
+    say(result.summary(**how))
     say("wrote " + ", ".join(map(str, written)))
 
 

@@ -14,7 +14,6 @@ from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import EFFECTS, Effect
-from tirefit.diagnosis.engine.decide import decide, findings_of, predictions
 from tirefit.diagnosis.engine.search import searched
 from tirefit.diagnosis.rows.prepared import (
     Prepared,
@@ -26,7 +25,7 @@ from tirefit.diagnosis.rows.prepared import (
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
-from tirefit.diagnosis.summary.case import Case, Untestable
+from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.result import Diagnosis, Settings
 from tirefit.fitting.mf.fit import fit_magic_formula
@@ -259,8 +258,8 @@ def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
     return tuple(name for name in gives if name in forces)
 
 
-def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:
-    """Atoms that the data can show, and the missing needs of the others."""
+def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], dict[str, list[str]]]:
+    """Atoms that the data can show, and the missing needs of the other effects."""
     possible, missing = [], {}
     blocks = blocks_of_settings(prepared)
     for k, atom in enumerate(atoms):
@@ -272,10 +271,10 @@ def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untes
         if effect.channels and not set(effect.channels) & set(prepared.channels):
             lacks += list(effect.channels)
         if lacks:
-            missing[effect.id] = Untestable(effect.id, tuple(lacks))
+            missing[effect.id] = lacks
         else:
             possible.append(k)
-    return possible, list(missing.values())
+    return possible, missing
 
 
 def _changed(judged: Base, base: Base) -> bool:
@@ -294,7 +293,7 @@ def studied(
 ) -> Case:
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
-    testable, untestable = _testable(prepared, base.atoms, without)
+    testable, lacks = _testable(prepared, base.atoms, without)
     _are_smooth(base, testable)
     base = replace(base, testable=tuple(testable))
     search = searched(base)
@@ -304,9 +303,7 @@ def studied(
     if _changed(judged, base):
         base = replace(judged, testable=base.testable)
         search = searched(base)
-    weighed, out = predictions(search)
-    verdict = decide(findings_of(search, weighed, out))
-    return Case(base, search, weighed, out, verdict, untestable)
+    return Case.of(search, lacks)
 
 
 def _are_smooth(base: Base, testable: Sequence[int]) -> None:

@@ -32,6 +32,7 @@ from tirefit.diagnosis.engine.decide import UNKNOWN
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.rows.covariates import column, slowest
 from tirefit.diagnosis.rows.subject import Base
+from tirefit.display import Record
 from tirefit.door import RECORD, content_of, outrageous
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.params import check_values, specs, with_values
@@ -204,8 +205,8 @@ class _Data(_Part):
     sha256: str
 
 
-class Document(_Part):
-    """The parts of ``NAME.json`` that an extension needs."""
+class AnyDocument(_Part):
+    """The parts of a diagnosis that the application of its effects needs."""
 
     data: _Data
     model: str
@@ -214,6 +215,17 @@ class Document(_Part):
     candidates: list[_Candidate]
     base_parameters: dict[str, float]
     extended_parameters: dict[str, float]
+
+    @property
+    def amplitudes(self) -> dict[str, _Amplitude]:
+        """``effect: parameter`` -> amplitude in the fit of the effects that help."""
+        helping = set(self.verdict.helping)
+        return next((x.parameters for x in self.candidates if set(x.effects) == helping), {})
+
+
+class Document(AnyDocument):
+    """The same of rows of forces."""
+
     extension: Extension
 
 
@@ -221,9 +233,9 @@ Parsed = TypeVar("Parsed", bound=BaseModel)
 
 
 def read_checked(
-    path: str | PathLike, kind: type[Parsed], schema: str, name: str, command: str
+    source: Record | str | PathLike, kind: type[Parsed], name: str, command: str
 ) -> Parsed:
-    """The parts of a document of this schema.
+    """The parts of a diagnosis or its document.
 
     Args:
         kind: of the parts.
@@ -232,34 +244,30 @@ def read_checked(
     Raises:
         DataError: no such file, no such document, or one of another version.
     """
+    file = "" if isinstance(source, Record) else str(source)
     what = f"{name} of `{command}`"
     remedy = f"give {what}; run it again for an older file"
-    raw = content_of(Path(path), RECORD, DataError, remedy)
     try:
-        return parsed(raw.decode("utf-8"), kind, schema)
+        if isinstance(source, Record):
+            return parsed(source.to_json(), kind)
+        return parsed(content_of(Path(source), RECORD, DataError, remedy).decode("utf-8"), kind)
     except (ValueError, RecursionError) as error:
-        reason = f"not {what}: {faults_in(error)}"
-        raise DataError(InputProblem(reason, remedy, str(path))) from None
+        raise DataError(InputProblem(f"not {what}: {faults_in(error)}", remedy, file)) from None
 
 
-def parsed(text: str, kind: type[Parsed], schema: str) -> Parsed:
+def parsed(text: str, kind: type[Parsed]) -> Parsed:
     """:func:`read_checked` of a text; ValueError if it is no such document."""
     content = json.loads(text)
-    if not isinstance(content, dict) or content.get("schema") != schema:
-        raise ValueError(f"its schema is not {schema}")
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise ValueError(f"its schema is not {SCHEMA}")
     if odd := outrageous(content, 0.0):
         raise ValueError(": ".join(odd))
     return kind.model_validate(content)
 
 
-def read_document(path: str | PathLike) -> Document:
-    """The document of a diagnosis; raises DataError as :func:`read_checked`."""
-    return read_checked(path, Document, SCHEMA, "NAME.json", "tirefit diagnose")
-
-
-def document_of(text: str) -> Document:
-    """The document from its text; ValueError if it is none."""
-    return parsed(text, Document, SCHEMA)
+def read_document(source: Record | str | PathLike) -> Document:
+    """The document of a diagnosis of forces; raises DataError as :func:`read_checked`."""
+    return read_checked(source, Document, "NAME.json", "tirefit diagnose")
 
 
 class Report(NamedTuple):
@@ -339,9 +347,7 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
         what = "of the noise" if effect else "not in the library of effects"
         what = "no listed effect is the likely cause" if id == UNKNOWN else what
         return [], f"not in the forces: {id}: {what}"
-    prefix, named = f"{id}: ", set(document.verdict.helping)
-    sets = (one.parameters for one in document.candidates if set(one.effects) == named)
-    amplitudes = next(sets, {})
+    prefix, amplitudes = f"{id}: ", document.amplitudes
     whole = next((key for key in amplitudes if key.startswith(prefix)), None)
     variant = document.extension.variants.get(id, -1)
     if whole is None or variant not in range(len(effect.variants)):

@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.summary.result import Change, Diagnosis, Part
+from tirefit.diagnosis.summary.result import UNITS, Change, Diagnosis, Part
 from tirefit.report.diagnosis_words import name_of, share_text
-from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number
 
 _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
@@ -51,9 +50,13 @@ def _change_text(meaning: str, change: Change) -> str:
     return f"{meaning} {format_estimate(abs(off), change.std)} too {side}"
 
 
+_OF_CAR = {"all": "the motion", "v_y": "lateral speed", "yaw_rate": "yaw rate"}
+_OF_CAR |= {name: name for name in ("heading", "x", "y")}
+
+
 def channel_name(channel: str) -> str:
-    """``F_x``, ``F_y`` or ``M_z``."""
-    return f"{channel[0].upper()}_{channel[1:]}"
+    """``F_x``, ``F_y`` or ``M_z``; a channel of a car in words."""
+    return _OF_CAR.get(channel) or f"{channel[0].upper()}_{channel[1:]}"
 
 
 def _rms(parts: Sequence[Part]) -> str:
@@ -68,7 +71,7 @@ def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
     return [
         (
             f"{channel_name(channel)}, part of the error",
-            f"rms [{FORCE_UNIT[channel]}]",
+            f"rms [{UNITS[channel]}]",
             "share of the mean square [90 % interval]",
         ),
         ("whole error of the simulator", _rms(budget), "100 %"),
@@ -116,7 +119,7 @@ def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[Water
         channel: the first if None.
     """
     channel = channel or next(iter(result.budgets))
-    unit = FORCE_UNIT[channel]
+    unit = UNITS[channel]
     message = f"{_rms(result.budgets[channel])} {unit} (rms), 100 %"
     left, steps = 1.0, [WaterfallBar("simulator's error", 1.0, 0.0, "whole", message)]
     for part in result.budgets[channel]:

@@ -136,24 +136,25 @@ def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
 def _settings(result: Diagnosis) -> Iterator[str]:
     data, settings, noise = result.data, result.settings, result.noise
     yield f"data: {data.path or data.name}, sha256 {data.sha256 or '-'}"
+    of_slip = f"; noise of {noise.slip_name} {format_number(noise.slip, 3)} ({noise.slip_source})"
     yield (
         f"{result.n} rows count as {result.n_effective:.0f} in a fit of the model, whose"
         " residuals contain its misfit, and as"
         f" {result.n / noise.inflation:.0f} where only the noise counts, after smooth functions"
-        " that represent any gap; noise of"
-        f" {noise.slip_name} {format_number(noise.slip, 3)} ({noise.slip_source});"
+        f" that represent any gap{of_slip * bool(noise.slip_name)};"
         f" {noise.outliers} rows excluded as outliers"
         f"{'; noise ' * bool(noise.flags)}{', '.join(noise.flags)}"
     )
     if result.slip_check is not None:
         yield slip_check_line(result.slip_check)
-    rig = {k: v for k, v in vars(settings.rig).items() if v}
-    rig |= {f"noise.{k}": v for k, v in rig.pop("noise", {}).items()}
-    known = ", ".join(f"{k} = {v}" for k, v in rig.items() if k != "notes")
-    yield f"known of the rig: {known or 'nothing'}"
-    out = [effect.id for effect in EFFECTS if effect.id not in settings.effects]
-    if out:
-        yield f"not looked for: {', '.join(out)}"
+    if settings.rig is not None:
+        rig = {k: v for k, v in vars(settings.rig).items() if v}
+        rig |= {f"noise.{k}": v for k, v in rig.pop("noise", {}).items()}
+        known = ", ".join(f"{k} = {v}" for k, v in rig.items() if k != "notes")
+        yield f"known of the rig: {known or 'nothing'}"
+        out = [effect.id for effect in EFFECTS if effect.id not in settings.effects]
+        if out:
+            yield f"not looked for: {', '.join(out)}"
     yield f"files held out: {len(settings.holdout) or 'none'}; {SCHEMA}"
     yield from (f"excluded: {reason}" for reason in data.set_aside)
     yield from (*data.motion, *data.assumptions)

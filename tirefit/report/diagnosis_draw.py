@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.result import UNITS, Diagnosis
 from tirefit.diagnosis.summary.views import Comparison, LoadCurve, ResidualMap
 from tirefit.params import check_names
 from tirefit.report.canvas import (
@@ -41,7 +41,6 @@ from tirefit.report.diagnosis_panels import (
     load_label,
 )
 from tirefit.report.diagnosis_sections import answer, subject
-from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.panels import Panel, alone
 
@@ -171,7 +170,7 @@ def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -
     axis = slip_axis(panel.slip_name, slips)
     for i, curve in enumerate(panel.curves):
         _draw_load(top, curve, axis, COLORS[i % len(COLORS)])
-    force = f"${channel_name(panel.channel)}$ [{FORCE_UNIT[panel.channel]}]"
+    force = f"${channel_name(panel.channel)}$ [{UNITS[panel.channel]}]"
     tidy(top, f"{axis.label} [{axis.unit}]", force)
     handles: list[Line2D | Patch] = [
         Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve))
@@ -220,23 +219,21 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
         at += 0 if room else -0.012 * whole if inside else 0.012 * whole
         color = "white" if room and step.kind in ("whole", "effect") else DARK
         style = {"va": "center", "ha": "right" if inside and not room else "left", "color": color}
-        axes.text(at, place, plain_text(step.text), fontsize=8, **style)
+        small = inside and not room and left < 0.45 * whole  # little space on the left
+        axes.text(at, place, plain_text(step.text), fontsize=7 if small else 8, **style)
     for place, step in zip(places[1:-1], steps[1:-1], strict=True):
         axes.plot([whole * step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
     tidy(axes, "share of the squared error [%]")
     axes.set_yticks(places, [plain_text(step.label) for step in steps])
     axes.set_xlim(0, 1.02 * whole)
     note = "parts add in squares; a bar is a share of their sum [90 % interval]"
-    panel_title(axes, f"Budget{channel}: from the simulator's error to the noise", note)
+    panel_title(axes, f"Budget{channel}: from the simulator's error to noise", note)
 
 
 def panels_of(result: Diagnosis) -> dict[str, Panel]:
     """Name of a panel -> the panel."""
     base, after = "simulator" if result.simulator else "base fit", after_label(result)
-    unit = FORCE_UNIT[result.data.channels[0]]
-    ladder = partial(draw_ladder, bars=ladder_bars(result), on=result.ladder.on, unit=unit)
-    compared = partial(draw_comparison, panel=result.comparison, after=after, base=base)
-    where = partial(draw_where, panel=result.residual_map, base=base)
+    ladder = partial(draw_ladder, bars=ladder_bars(result), on=result.ladder.on, unit=result.unit)
     panels = {
         "ladder": Panel(ladder, "Rms on data left out, step by step, down to the noise", _PHONE),
         "which": Panel(
@@ -244,15 +241,17 @@ def panels_of(result: Diagnosis) -> dict[str, Panel]:
             "Probability that each effect is a cause, as bars",
             _PANEL,
         ),
-        "before and after": Panel(
-            compared, "Force over slip and residuals, of the base fit and after it", _PANEL
-        ),
-        "where": Panel(
-            where, "Map of measured minus fitted force over slip and another quantity", _PANEL
-        ),
     }
+    if result.comparison is not None:
+        compared = partial(draw_comparison, panel=result.comparison, after=after, base=base)
+        text = "Force over slip and residuals, of the base fit and after it"
+        panels["before and after"] = Panel(compared, text, _PANEL)
+    if result.residual_map is not None:
+        where = partial(draw_where, panel=result.residual_map, base=base)
+        text = "Map of measured minus fitted force over slip and another quantity"
+        panels["where"] = Panel(where, text, _PANEL)
     if result.look is not None:
-        beside = after if result.comparison.named else "the base fit"
+        beside = after if result.comparison and result.comparison.named else "the base fit"
         look = partial(draw_look, panel=result.look, beside=beside)
         text = "Remainder: change of a parameter over the quantity that it depends on"
         panels["what is left"] = Panel(look, text, _PANEL)
@@ -272,7 +271,8 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
     if it has a shape, and the budget of a simulator for each channel."""
     panels = panels_of(result)
     heights = (1, *(_FOOT,) * (len(panels) - _SQUARE))
-    foot = f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
+    signs = "braking positive, " * bool(result.data.convention)
+    foot = f"tirefit {result.version} · {signs}SI · seed {result.seed}"
     foot += f" · {format_number(result.n)} rows"
     size = _SIZE[0], _SIZE[1] * sum(heights)
     picture = frame(subject(result), answer(result), foot, size)

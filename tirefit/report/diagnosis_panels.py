@@ -53,7 +53,7 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
     effects and the noise on the fitted rows."""
     kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
     if not result.ladder.steps:
-        noise = result.noise.forces[result.data.channels[0]]
+        noise = result.noise.forces.get(result.data.channels[0], 1.0)
         before = math.hypot(result.gap.rms, noise)
         alone = LadderBar("no effect", before, None, None, "base")
         return [alone, LadderBar("noise floor", noise, None, None, "noise")]
@@ -109,7 +109,7 @@ def load_label(curve: LoadCurve) -> str:
 
 def after_label(result: Diagnosis) -> str:
     """Name of the curves after the diagnosis."""
-    if not result.comparison.named:
+    if result.comparison and not result.comparison.named:
         return "base + located gap"
     named = map(name_of, result.verdict.helping)
     return " + ".join((*(["parameters"] if result.simulator else []), *named))

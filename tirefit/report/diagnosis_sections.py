@@ -8,7 +8,14 @@ import numpy as np
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, SizeByGroup, Step
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.result import Diagnosis, Each, NextMeasurement, Shrinkage, Status
+from tirefit.diagnosis.summary.result import (
+    UNITS,
+    Diagnosis,
+    Each,
+    NextMeasurement,
+    Shrinkage,
+    Status,
+)
 from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
 from tirefit.report.diagnosis_words import (
     amplitude_text,
@@ -24,7 +31,6 @@ from tirefit.report.diagnosis_words import (
     untestable_lines,
     words_on,
 )
-from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.html import Section
 from tirefit.report.numbers import format_estimate, format_number
 
@@ -33,8 +39,11 @@ _SHOWN = (
     "sign convention declared",
     "warning: the simulator",
     "found by tirefit derive",
+    "windows of",
+    "the forces of derive",
 )
-"""Texts that mark the notes to show: on signs, on a simulator, and on findings of derive."""
+"""Texts that mark the notes to show: on signs, on a simulator, on findings of derive, and on
+the windows and tires of a car."""
 
 _BEYOND = 1.5
 """Ratio of the noise to the stated noise above which it is reported."""
@@ -68,8 +77,7 @@ def answer(result: Diagnosis) -> str:
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
     """The rms of the gap without and with the effects that help, or that it is small."""
-    gap, channel = result.gap, result.data.channels[0]
-    unit = FORCE_UNIT[channel]
+    gap, unit = result.gap, result.unit
     if not result.verdict.helping:
         return
     before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
@@ -77,8 +85,9 @@ def _how_much(result: Diagnosis) -> Iterator[str]:
         takes = "This takes" if len(result.verdict.helping) == 1 else "These take"
         yield f"{takes} the gap from {before} to {after} {unit} (rms)."
     else:
-        noise = format_number(result.noise.forces[channel], 2)
-        yield f"The gap is small: {before} {unit} (rms) beside {noise} {unit} of noise."
+        noise = result.noise.forces.get(result.data.channels[0])
+        beside = f" beside {format_number(noise, 2)} {unit} of noise" if noise else ""
+        yield f"The gap is small: {before} {unit} (rms){beside}."
 
 
 def _no_help(result: Diagnosis) -> Iterator[str]:
@@ -89,7 +98,7 @@ def _no_help(result: Diagnosis) -> Iterator[str]:
         return
     before, after = plain.rms_held_out, steps[-1].rms_held_out
     if before is not None and after is not None and after > before:
-        unit = FORCE_UNIT[result.data.channels[0]]
+        unit = result.unit
         old, new = (format_number(x, 3) for x in (before, after))
         yield (
             f"On the files held out it does not help ({old} to {new} {unit} rms): the"
@@ -147,7 +156,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
     """Number of rows, noise, and warnings that come before the answer."""
     data, noise = result.data, result.noise
     levels = ", ".join(
-        f"{channel_name(name)} {format_number(level, 3)} {FORCE_UNIT[name]}"
+        f"{channel_name(name)} {format_number(level, 3)} {UNITS[name]}"
         for name, level in noise.forces.items()
     )
     yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"
@@ -163,7 +172,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
 def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
     """A warning if the base explains less than half of the mean square of a force."""
     for channel, forces in result.rows.items():
-        force = np.asarray(result.table[channel])
+        force = np.asarray(result.table[channel]) if result.table else np.nan
         missed = np.nanmean((force - forces["base"]) ** 2)
         explained = 1 - missed / max(np.nanmean(force**2), NONZERO)
         if explained < _HALF:
@@ -176,10 +185,9 @@ def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
 
 def foot_line(result: Diagnosis) -> str:
     """Signs, units, seed and version of the report."""
-    return (
-        f"braking positive, SI units (the file: {result.data.convention}); seed"
-        f" {result.seed}, tirefit {result.version}"
-    )
+    convention = result.data.convention  # of forces
+    signs = f"braking positive, SI units (the file: {convention})" if convention else "SI units"
+    return f"{signs}; seed {result.seed}, tirefit {result.version}"
 
 
 def step_label(result: Diagnosis, number: int) -> str:
@@ -228,7 +236,7 @@ def _worse_held_out(result: Diagnosis, unit: str) -> Iterator[str]:
 
 
 def _ladder(result: Diagnosis) -> Section:
-    ladder, unit = result.ladder, FORCE_UNIT[result.data.channels[0]]
+    ladder, unit = result.ladder, result.unit
     on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
     title = f"How far the gap shrinks on data left out{on}"
     square = f"({unit})^2" if " " in unit else f"{unit}^2"
@@ -260,7 +268,7 @@ def _ladder(result: Diagnosis) -> Section:
 
 def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
     """A line on the size of the gap on some rows, and its closure."""
-    unit = FORCE_UNIT[result.data.channels[0]]
+    unit = result.unit
 
     def size(force: float) -> str:
         share = format_number(100 * force / result.mean_load, 2)
@@ -339,7 +347,7 @@ def sizes_text(sizes: SizeByGroup, unit: str) -> str:
 
 def left_lines(result: Diagnosis) -> Iterator[str]:
     """The remainder: its rms, and the function that it resembles."""
-    left, unit = result.verdict.left, FORCE_UNIT[result.data.channels[0]]
+    left, unit = result.verdict.left, result.unit
     of_gap = f", {100 * left.share:.0f} % of the gap's mean square" * result.gap.resolvable
     yield (
         f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
@@ -366,7 +374,7 @@ def step_lines(result: Diagnosis) -> list[str]:
         for effect in (*result.verdict.helping, *result.verdict.also_possible):
             why = why.replace(effect, name_of(effect))
         return [why]
-    worth = [step for step in steps if step.p_after - step.p_now >= _TELLS_MORE]
+    worth = [step for step in steps if not step.p_after - step.p_now < _TELLS_MORE]
     if not worth:
         best = max(steps, key=lambda step: step.p_after - step.p_now)
         return [
@@ -378,10 +386,10 @@ def step_lines(result: Diagnosis) -> list[str]:
 
 def _tells_apart(step: NextMeasurement) -> str:
     one, other = map(name_of, step.separates)
-    return (
-        f"separates {one} from {other} with probability {step.p_after:.2f}, instead of"
-        f" {step.p_now:.2f} now"
-    )
+    forecast = f"with probability {step.p_after:.2f}, instead of {step.p_now:.2f} now"
+    if np.isnan(step.p_after):
+        forecast = f"(these rows: with probability {step.p_now:.2f})"
+    return f"separates {one} from {other} {forecast}"
 
 
 def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:

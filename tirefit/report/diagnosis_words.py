@@ -134,7 +134,8 @@ def range_text(region: Region) -> str:
 
 def covariate_unit(name: str) -> str:
     """Unit of a covariate of figures; empty if it has none."""
-    units = {"distance": "m", "slip": "", "slip_rate": "1/s"}
+    units = {"distance": "m", "slip": "", "slip_rate": "1/s", "yaw rate": "rad/s"}
+    units |= {"front slip": "rad", "rear slip": "rad", "forward acceleration": "g"}
     unit = units.get(name, CANONICAL.get(name, ("", ""))[0])
     return "" if unit == "-" else unit
 
@@ -201,6 +202,8 @@ def amplitude_text(amplitude: Amplitude) -> str:
 
 def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
     """The amplitude of a slip or force in the signs of the file, if these differ."""
+    if not result.data.convention:
+        return ""  # of a car
     channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
     kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
     kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), None)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tirefit.diagnosis.summary.result import UNITS
 from tirefit.models import TireInputs, forces
 from tirefit.report.canvas import BLUE, GREY, Picture, dots, panel_title, tidy
 from tirefit.report.numbers import format_estimate, format_number
@@ -10,46 +11,26 @@ from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
 
 _DRAWN, _POINTS, _REACH = 60, 1500, 99.5
 """Number of draws of a band, of derived points, and percentile of |slip angle| drawn."""
-_CHANNELS = {"v_y": "m/s", "yaw_rate": "rad/s", "heading": "rad", "x": "m", "y": "m"}
-
-
-def _rows(fit: TrajectoryFit) -> list[list[str]]:
-    rows = [["parameter", "value ± std", "95 % interval", "unit", ""]]
-    for name, one in fit.parameters.items():
-        low, high = (format_number(end, 3) for end in one.ci95)
-        note = UNKNOWNS[name].meaning if name in UNKNOWNS else ""
-        note = note if one.identified else "NOT IDENTIFIED"
-        value = format_estimate(one.value, one.std)
-        rows.append([name, value, f"{low} to {high}", one.unit, note])
-    return rows
-
-
-def _notes(fit: TrajectoryFit) -> list[str]:
-    return [
-        f"95 % by covariance; {fit.blocks} blocks of windows count as independent",
-        "speed and steering are those of the log; axle loads are static; no drive force",
-    ]
-
-
-def _head(fit: TrajectoryFit) -> str:
-    models = ", ".join(f"{axle} {tire.name}" for axle, tire in fit.axles.items())
-    logs = ", ".join(fit.logs)
-    return f"FIT BY TRAJECTORY: {models}; {fit.windows} windows of {logs}"
-
-
-def _answer(fit: TrajectoryFit) -> str:
-    noise = ", ".join(
-        f"{name} {format_number(std, 2)} {_CHANNELS[name]}" for name, std in fit.noise.items()
-    )
-    return f"rms error of the car within a window, on these tires: {noise}"
 
 
 def trajectory_text(fit: TrajectoryFit) -> str:
     """The report: tires and unknowns of the car, noise, assumptions."""
-    messages = [line for note in _notes(fit) for line in indented(note)]
-    first = [line for note in (*fit.warnings, _answer(fit)) for line in indented(note)]
-    answer = ["ANSWER", *first, "FOUND", *table(_rows(fit))]
-    return "\n".join([_head(fit), *answer, "NOTES", *messages])
+    models = ", ".join(f"{axle} {tire.name}" for axle, tire in fit.axles.items())
+    head = f"FIT BY TRAJECTORY: {models}; {fit.windows} windows of {', '.join(fit.logs)}"
+    noise = (f"{name} {format_number(std, 2)} {UNITS[name]}" for name, std in fit.noise.items())
+    answer = f"rms error of the car within a window, on these tires: {', '.join(noise)}"
+    rows = [["parameter", "value ± std", "95 % interval", "unit", ""]]
+    for name, one in fit.parameters.items():
+        interval = " to ".join(format_number(end, 3) for end in one.ci95)
+        note = UNKNOWNS[name].meaning if name in UNKNOWNS else ""
+        note = note if one.identified else "NOT IDENTIFIED"
+        rows.append([name, format_estimate(one.value, one.std), interval, one.unit, note])
+    notes = [
+        f"95 % by covariance; {fit.blocks} blocks of windows count as independent",
+        "speed and steering are those of the log; axle loads are static; no drive force",
+    ]
+    first, last = ([x for y in z for x in indented(y)] for z in ((*fit.warnings, answer), notes))
+    return "\n".join([head, "ANSWER", *first, "FOUND", *table(rows), "NOTES", *last])
 
 
 def trajectory_figure(fit: TrajectoryFit) -> Picture:

@@ -264,11 +264,9 @@ def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:
 
 def _with_effects(tire: Tire, diagnosis) -> Tire:
     """The tire with the effects that a diagnosis names and a tire can have."""
-    from tirefit.diagnosis.extended import document_of, extend, read_document
-    from tirefit.diagnosis.summary.result import Diagnosis
+    from tirefit.diagnosis.extended import extend, read_document
 
-    known = isinstance(diagnosis, Diagnosis)
-    document = document_of(diagnosis.to_json()) if known else read_document(diagnosis)
+    document = read_document(diagnosis)
     require_x64("an export")
     try:
         report = extend(
@@ -278,7 +276,7 @@ def _with_effects(tire: Tire, diagnosis) -> Tire:
             lambda model: _exportable(replace(tire, model=model)).model,
         )
     except UsageError as error:
-        file = "" if known else os.fspath(diagnosis)
+        file = os.fspath(diagnosis) if isinstance(diagnosis, str | os.PathLike) else ""
         raise UsageError([replace(one, file=file) for one in error.problems]) from None
     own, before = document.extended_parameters, parameter_values(tire.model)
     notes = _exportable(tire).notes + report.sentences

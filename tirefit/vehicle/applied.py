@@ -8,15 +8,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat, PositiveFloat, model_validator
+from pydantic import model_validator
 
 from tirefit.data.motion import Motion
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.effects import effects_by_id
 from tirefit.diagnosis.effects.record import Atom
-from tirefit.diagnosis.extended import read_checked
+from tirefit.diagnosis.extended import AnyDocument, read_checked
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.vehicle.car import Changes, State
-from tirefit.vehicle.diagnose import SCHEMA, VehicleDiagnosis
+from tirefit.vehicle.document import CarExtension
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.model import PARAMETERS, Model, steered
 from tirefit.vehicle.windows import samples_of
@@ -102,54 +103,39 @@ class Applied:
         return found
 
 
-def applied(source: VehicleDiagnosis | str | os.PathLike) -> Applied:
-    """The effects named by a diagnosis, or by its ``vehicle_diagnosis.json``.
+def applied(source: Diagnosis | str | os.PathLike) -> Applied:
+    """The effects named by a diagnosis of a car, or by its ``vehicle_diagnosis.json``.
 
     Raises:
-        DataError: a file that is not a diagnosis of a car, or of another version.
+        DataError: not a diagnosis of a car, or of another version.
     """
-    if isinstance(source, VehicleDiagnosis):
-        return _applied(_Document.model_validate(source.to_dict()))
     name, command = "vehicle_diagnosis.json", "tirefit diagnose --vehicle"
-    return _applied(read_checked(source, _Document, SCHEMA, name, command))
+    document = read_checked(source, _Document, name, command)
+    library, to = effects_by_id(CAR_EFFECTS), document.extension
+    atoms = tuple(Atom(library[k], to.variants[k]) for k in document.sizes)
+    scales = tuple(atom.effect.scale for atom in atoms)
+    of_tires = [np.log(document.extended_parameters[name]) for name in PARAMETERS]
+    own = np.divide([*document.sizes.values()], scales)
+    return Applied(Model(atoms, scales, 2), np.array([*of_tires, *own], float), to.speed)
 
 
-class _Amplitude(BaseModel):
-    value: FiniteFloat
-
-
-class _Factor(BaseModel):
-    value: PositiveFloat
-
-
-class _Document(BaseModel):
+class _Document(AnyDocument):
     """The parts of ``vehicle_diagnosis.json`` that a prediction needs."""
 
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+    extension: CarExtension
 
-    amplitudes: dict[str, _Amplitude]
-    variants: dict[str, int]
-    parameters: dict[str, _Factor]
-    speed: PositiveFloat
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Effect -> amplitude."""
+        return {name.partition(": ")[0]: one.value for name, one in self.amplitudes.items()}
 
     @model_validator(mode="after")
     def _known(self):
-        library = effects_by_id(CAR_EFFECTS)
-        for name in self.amplitudes:
-            if name not in library or self.variants.get(name) not in range(
-                len(library[name].variants)
-            ):
+        library, variants = effects_by_id(CAR_EFFECTS), self.extension.variants
+        for name in self.sizes:
+            if name not in library or variants.get(name) not in range(len(library[name].variants)):
                 raise ValueError(f"{name!r} is not an effect of a car, or has no such form")
-        if missing := set(PARAMETERS) - set(self.parameters):
-            raise ValueError(f"no parameters.{missing.pop()}")
+        for name in PARAMETERS:
+            if not self.extended_parameters.get(name, 0.0) > 0:
+                raise ValueError(f"extended_parameters.{name} is not a positive number")
         return self
-
-
-def _applied(document: _Document) -> Applied:
-    library, sizes = effects_by_id(CAR_EFFECTS), document.amplitudes
-    atoms = tuple(Atom(library[k], document.variants[k]) for k in sizes)
-    scales = tuple(atom.effect.scale for atom in atoms)
-    of_tires = [np.log(document.parameters[name].value) for name in PARAMETERS]
-    own = [one.value / s for one, s in zip(sizes.values(), scales, strict=True)]
-    z = np.array([*of_tires, *own], float)
-    return Applied(Model(atoms, scales, 2), z, document.speed)

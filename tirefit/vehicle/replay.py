@@ -24,6 +24,7 @@ from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, road_wheel, with_noise
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
@@ -33,7 +34,7 @@ from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError
 from tirefit.vehicle.applied import applied
 from tirefit.vehicle.car import Car, State, accelerations, car_of, linear, predicted, steps_a_sample
-from tirefit.vehicle.diagnose import Steps, VehicleDiagnosis
+from tirefit.vehicle.diagnose import Steps
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.windows import (
     cut_logs,
@@ -168,7 +169,7 @@ def replay(
     rear: TireLike | GivenTire,
     *,
     horizons: Sequence[float] = HORIZONS,
-    effects: VehicleDiagnosis | str | Path | None = None,
+    effects: Diagnosis | str | Path | None = None,
     steering_delay: float | None = None,
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,

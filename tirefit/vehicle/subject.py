@@ -53,7 +53,7 @@ LEAST_LOGS = 4
 _BLOCKS = 8
 """Number of parts of the time that are left out in turn if there are fewer logs."""
 
-_PLACES = {"time": 12}
+_PLACES = {"share of the time": 12}
 _USUAL_PLACES = 8
 """Numbers of places of the covariates at which an unlisted force has its values."""
 
@@ -181,10 +181,9 @@ class Windows:
     @cached_property
     def priors(self) -> Priors:
         """Of the amplitudes of all atoms."""
-        pairs = [np.array(a.effect.bounds[0]) / s
-                 for a, s in zip(self.atoms, self.model.scales, strict=True)]  # fmt: skip
-        low, high = np.array(pairs).reshape(-1, 2).T
-        return Priors(np.zeros(len(low)), low, high, np.zeros(len(low)))
+        scale = np.array(self.model.scales)
+        low, high = np.array([a.effect.bounds[0] for a in self.atoms]).reshape(-1, 2).T / scale
+        return Priors(0 * scale, low, high, 0 * scale, scale)
 
     @property
     def start(self) -> Start:
@@ -207,8 +206,16 @@ class Windows:
 
     @cached_property
     def given_residual(self) -> np.ndarray:
-        """(m,) whitened residual of the car as given, at its best start states."""
-        return self._residual(self.at_best_starts(self.coefficients()))
+        """(m,) whitened residual of the car as given."""
+        return self.residual_of(self.coefficients())
+
+    def residual_of(self, z: np.ndarray) -> np.ndarray:
+        """(m,) whitened residual at all coefficients, from the best start states."""
+        return self._residual(self.at_best_starts(z))
+
+    def over_noise(self, residual: np.ndarray) -> np.ndarray:
+        """Errors (n, c) of each sample over the noise, of a whitened residual (m,)."""
+        return (residual * self.unit).reshape(-1, self.model.channels)
 
     def folds(self, effects: Key) -> Folds:
         """Logs, or blocks of time if there are few logs."""
@@ -286,8 +293,8 @@ class Windows:
         """Quantities (w, k) that vary over the windows, at the start fit."""
         now, rows = self._at_start, self.cut.rows
         front, rear = np.moveaxis(now.motion.angles, 2, 0)
-        values = {"front slip": front, "rear slip": rear, "speed": rows.speed,
-                  "forward acceleration": rows.along, "time": rows.time}  # fmt: skip
+        values = {"front slip": front, "rear slip": rear, "speed over its mean": rows.speed,
+                  "forward acceleration": rows.along, "share of the time": rows.time}  # fmt: skip
         return {k: np.asarray(v) for k, v in values.items() if np.ptp(v) > UNSEEN}
 
     @cached_property

@@ -42,6 +42,8 @@ class CutLog(NamedTuple, Generic[Piece]):
     windows: Piece
     runs: tuple[str, ...]
     missing: tuple[str, ...] = ()  # see :class:`tirefit.data.track.Track`
+    path: str = ""
+    sha256: str = ""
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -101,7 +103,7 @@ def cut_logs(
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
             found[run_name(file)] = CutLog(
-                motion, windows, names_of_runs(file, track), track.missing
+                motion, windows, names_of_runs(file, track), track.missing, str(file), track.sha256
             )
     DataError.raise_for(problems)
     return found

@@ -38,13 +38,15 @@ class Folds(NamedTuple):
 
 
 class Priors(NamedTuple):
-    """Priors of the amplitudes of all atoms, in units of their prior standard deviations:
-    center, physical range, and change of the log odds, (K,) each."""
+    """Priors of the amplitudes of all atoms, (K,) each: center and physical range in prior
+    standard deviations, change of the log odds, and ``scale``, the prior standard deviations
+    in the units of the amplitudes."""
 
     center: np.ndarray
     low: np.ndarray
     high: np.ndarray
     odds: np.ndarray
+    scale: np.ndarray
 
     @property
     def sign(self) -> np.ndarray:

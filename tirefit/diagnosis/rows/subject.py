@@ -161,7 +161,7 @@ class Base:
         design, effects = self.design, [atom.effect for atom in self.atoms]
         odds = np.array([e.odds(self.rows) if e.odds else 0.0 for e in effects])
         center, low, high = map(np.asarray, (design.prior_center, design.low, design.high))
-        return Priors(center, low, high, odds)
+        return Priors(center, low, high, odds, np.asarray(design.prior_scale))
 
     @property
     def start(self) -> Start:

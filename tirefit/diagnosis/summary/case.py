@@ -2,18 +2,27 @@
 the base, with the named effects, and the located gap."""
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 
-from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.effects import NOISE_EFFECTS, Atom
 from tirefit.diagnosis.engine import NONZERO
-from tirefit.diagnosis.engine.decide import POLICY, Status, Verdict
+from tirefit.diagnosis.engine.decide import (
+    POLICY,
+    Status,
+    Verdict,
+    decide,
+    findings_of,
+    floor_of,
+    predictions,
+)
 from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
-from tirefit.diagnosis.engine.left_out import Predicted
+from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Search, Weighed, parts_of
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -28,15 +37,77 @@ class Untestable(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Case:
-    """The state of the diagnosis of a file after its verdict."""
+class Concluded:
+    """The state of a diagnosis after its verdict, of any subject."""
 
-    base: Base
     search: Search
     weighed: Weighed
     predicted: Predicted  # data left out, predicted by the leading sets
     verdict: Verdict
-    untestable: list[Untestable]
+    untestable: tuple[Untestable, ...]
+
+    @classmethod
+    def of(cls, search: Search, lacks: Mapping[str, Sequence[str]]) -> Self:
+        """The state after the verdict on a search.
+
+        Args:
+            lacks: effect that cannot be tested -> the data that it needs.
+        """
+        weighed, out = predictions(search)
+        verdict = decide(findings_of(search, weighed, out))
+        untestable = tuple(Untestable(name, tuple(needs)) for name, needs in lacks.items())
+        return cls(search, weighed, out, verdict, untestable)
+
+    @property
+    def base(self) -> Any:
+        """The subject."""
+        return self.search.subject
+
+    @property
+    def on_the_noise(self) -> tuple[str, ...]:
+        """The effects on the noise, if no effect on the mean is possible."""
+        return ()
+
+    @property
+    def widening(self) -> float:
+        """Factor on the variance of amplitudes where the remainder is not noise."""
+        return 1.0
+
+    @property
+    def ladder(self) -> Ladder:
+        """The steps from no effect to those that help."""
+        return ladder_of(self.predicted, self.verdict.key, floor_of(self.base, self.predicted))
+
+    def formula(self, atom: Atom) -> str:
+        """The formula of an effect in words."""
+        return atom.formula(None, None)
+
+    def errors(self, fit: Fit) -> np.ndarray:
+        """Standard errors (k,) of the amplitudes, in prior scales: at least those of the
+        jackknife over the parts left out and, of the set that helps, those of the differences
+        between its parts."""
+        found = fit.errors * np.sqrt(self.widening)
+        if fit.key in self.predicted.effects:
+            left_out = self.predicted.amplitude[self.predicted.effects.index(fit.key)]
+            found = np.maximum(found, jackknife_error(left_out))
+        if fit.key == self.verdict.key:
+            found = np.maximum(found, self._between_parts)
+        return found
+
+    @property
+    def _between_parts(self) -> np.ndarray:
+        """Differences (k,) of the amplitudes between the parts of the set that helps, root of
+        the mean square by their probability."""
+        fit, square = self.chosen, np.zeros(len(self.chosen.atoms))
+        total = np.full(len(fit.atoms), NONZERO)
+        for key, chance in self.parts.items():
+            part = self.weighed.best_of[key]
+            for place, effect in enumerate(fit.effects):
+                if effect in part.effects:
+                    own = part.amplitude[part.effects.index(effect)]
+                    square[place] += chance * (own - fit.amplitude[place]) ** 2
+                    total[place] += chance
+        return np.sqrt(square / total)
 
     @property
     def chosen(self) -> Fit:
@@ -57,13 +128,27 @@ class Case:
         whole = max(sum(found.values()), NONZERO)
         return {key: value / whole for key, value in found.items()}
 
+
+@dataclass(frozen=True)
+class Case(Concluded):
+    """The state of the diagnosis of a file of forces after its verdict."""
+
+    @property
+    def base(self) -> Base:
+        """The rows with their base fit."""
+        return cast(Base, self.search.subject)
+
+    def formula(self, atom: Atom) -> str:
+        """The formula of an effect, with the values to which its amplitude refers."""
+        return atom.formula(self.base.design.rows, self.base.rows.time)
+
     @property
     def noise_flags(self) -> tuple[str, ...]:
         """The flags of the noise of all channels."""
         levels = self.base.noise.values()
         return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
 
-    @property
+    @cached_property
     def on_the_noise(self) -> tuple[str, ...]:
         """The effects on the noise, if no effect on the mean is possible."""
         if self.verdict.status != Status.NONE or self.verdict.also_possible:

@@ -12,12 +12,12 @@ from scipy.special import softmax, stdtrit
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.discrepancy import Beside
-from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, jackknife_error
+from tirefit.diagnosis.engine.fit import Fit, Key
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, Step, jackknife_error
 from tirefit.diagnosis.rows.fits import missed_share, refit
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.subject import Base, on_rows
-from tirefit.diagnosis.summary.case import Case, beside
+from tirefit.diagnosis.summary.case import Case, Concluded, beside
 from tirefit.diagnosis.summary.result import (
     Change,
     HeldOut,
@@ -189,19 +189,11 @@ def of_so_few_runs(value, low, high, one_less):
     return low, np.minimum(np.maximum(high, value + reach), 1.0)
 
 
-def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
-    """Closure by the named effects on data left out, and the ladder with the closure of
-    each step there.
-
-    Args:
-        holdout: other files; without them the closure is that of the last set of the
-            ladder, and None if no effect is named.
-    """
-    if holdout:
-        return _on_files(case, holdout, rig, ladder, generator)
+def of_the_ladder(ladder: Ladder) -> HeldOut | None:
+    """Closure by the last set of the ladder on the data left out; None without effects."""
     steps = ladder.steps[:-2]
-    if not case.verdict.key or not steps or not steps[-1].effects:
-        return None, ladder
+    if not steps or steps[-1].effects in ((), AS_GIVEN):
+        return None
     base, step, floor = steps[0], steps[-1], ladder.steps[-1]
     rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
     reach = _NINETY * step.closed_std
@@ -212,15 +204,23 @@ def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
         closed_ci=(max(step.closed - reach, WORST), min(step.closed + reach, 1.0)),
         remaining_rms=float((1 - step.closed) * rms),
         on=ladder.on,
-    ), ladder
+    )
 
 
-def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
+def held_out(case: Case, holdout: Sequence, rig, generator) -> tuple[HeldOut | None, Ladder]:
+    """Closure by the effects that help on data left out, and the ladder with the closure of
+    each step there.
+
+    Args:
+        holdout: other files; without them the closure is that of the ladder.
+    """
+    ladder = case.ladder
+    if not holdout:
+        return of_the_ladder(ladder), ladder
     base, rows = case.base, case.base.rows
     main, runs = rows.channels[0], 0
     scale = np.median(base.noise[main].std / rows.inputs.fz)
-    keys = [tuple(sorted(step.effects)) for step in ladder.steps]
-    steps = {k: case.weighed.best_of[k] for k in keys if k in case.weighed.best_of}
+    steps = fits_of(case, ladder)
     sets = [(base.as_given, base.amplitudes())]
     sets += [
         (one.z, base.amplitudes(one.atoms, one.amplitude)) for one in (case.chosen, *steps.values())
@@ -237,25 +237,41 @@ def _on_files(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
         parts.append((variance, run, *missed))
         runs += len(data.runs)
     variance, run, before, after, *others = map(np.concatenate, zip(*parts, strict=True))
-    inflation = base.noise[main].inflation
-    closure = closure_elsewhere(before, after, variance, run, inflation, generator)
-    gap = np.mean(before**2 - variance)
+    left = {AS_GIVEN: before, **dict(zip(steps, others, strict=True))}
+    closure = closure_elsewhere(before, after, variance, run, base.noise[main].inflation, generator)
+    return on_files(ladder, closure, left, variance, ", ".join(one.name for one in holdout))
 
-    def extended(step, missed):
-        left = np.array([max(np.mean(missed**2 - variance), 0.0)])
+
+def fits_of(case: Concluded, ladder: Ladder) -> dict[Key, Fit]:
+    """The fit of each step of a ladder that is a set of effects."""
+    keys = [tuple(sorted(step.effects)) for step in ladder.steps]
+    return {k: case.weighed.best_of[k] for k in keys if k in case.weighed.best_of}
+
+
+def on_files(
+    ladder: Ladder, closure: Shrinkage, missed: Mapping[Key, np.ndarray], variance, on: str
+) -> tuple[HeldOut, Ladder]:
+    """The closure on held-out files, and the ladder with the closure of each step there.
+
+    Args:
+        missed: (n,) residuals there of each set, first of the base.
+        variance: (n,) or scalar noise variance.
+        on: names of the files.
+    """
+    gap = np.mean(next(iter(missed.values())) ** 2 - variance)
+
+    def extended(step: Step) -> Step:
+        own = missed.get(tuple(sorted(step.effects)))
+        if own is None:
+            return step
+        left = np.array([max(np.mean(own**2 - variance), 0.0)])
         share = float(_closed(gap, left)[0])
-        rms = float(np.sqrt(np.mean(missed**2)))
         closed = share if closure.resolvable else None
+        rms = float(np.sqrt(np.mean(own**2)))
         return step._replace(rms_held_out=rms, closed_held_out=closed)
 
-    missed_by = {(): before, AS_GIVEN: before}
-    missed_by |= dict(zip(steps, others, strict=True))
-    added = [
-        extended(step, missed_by[key]) if key in missed_by else step
-        for step, key in zip(ladder.steps, keys, strict=True)
-    ]
-    on = ", ".join(data.name for data in holdout)
-    return HeldOut(**vars(closure), on=on), ladder._replace(steps=tuple(added))
+    steps = tuple(map(extended, ladder.steps))
+    return HeldOut(**vars(closure), on=on), ladder._replace(steps=steps)
 
 
 PARAMETERS = "parameters"
@@ -290,35 +306,45 @@ def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
 def budgets_of(case: Case, generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
     effect, unexplained, noise; their shares add to one."""
-    missed = _missed(case.base, case.chosen)
-    return {channel: _budget(case, channel, own, generator) for channel, own in missed.items()}
+    base, found = case.base, {}
+    players = ((PARAMETERS,) if base.simulator else ()) + case.chosen.atoms
+    for channel, missed in _missed(base, case.chosen).items():
+        noise = base.noise[channel]
+        used = ~noise.outlier
+        kept = {key: own[used] for key, own in missed.items()}
+        whole, rest = kept[()] ** 2, kept[players] ** 2
+        closed = {subset: whole - own**2 for subset, own in kept.items()}
+        parts = shapley(players, closed.__getitem__)
+        named = {p if p == PARAMETERS else base.atoms[p].effect.id: x for p, x in parts.items()}
+        fitted = len(case.chosen.pull) * noise.inflation / base.rows.n
+        energy = max(1 - fitted, 0.0) * noise.std[used] ** 2
+        run = base.rows.run[used]
+        found[channel] = budget(named, (rest, energy, whole), run, noise.inflation, generator)
+    return found
 
 
-def _budget(case: Case, channel: str, missed, generator) -> tuple[Part, ...]:
-    base, chosen = case.base, case.chosen
-    noise = base.noise[channel]
-    players = ((PARAMETERS,) if base.simulator else ()) + chosen.atoms
-    whole = missed[()] ** 2
-    parts = shapley(players, lambda subset: whole - missed[subset] ** 2)
-    rest = missed[players] ** 2
-    fitted = (len(chosen.z) + len(chosen.atoms)) * noise.inflation / base.rows.n
-    rows = [*parts.values(), rest, max(1 - fitted, 0.0) * noise.std**2, whole]
-    terms = np.stack(rows, axis=1)[~noise.outlier]
-    run = base.rows.run[~noise.outlier]
+def budget(parts: Mapping[str, np.ndarray], rest, run, inflation, generator) -> tuple[Part, ...]:
+    """Parts of the energy of a channel with 90 % intervals; their shares add to one.
+
+    Args:
+        parts: (n,) energy that each part closes.
+        rest: (n,) energies of the remainder, of the noise in it, and of the whole.
+        run, inflation: as in :func:`closure_elsewhere`.
+    """
+    terms = np.stack([*parts.values(), *rest], axis=1)
 
     def shares(means):
         energies = _energies(means)
         return energies[..., :-1] / energies[..., -1:]
 
     means = terms.mean(axis=0)
-    drawn = shares(block_means(terms, run, noise.inflation, generator))
+    drawn = shares(block_means(terms, run, inflation, generator))
     low, high = np.quantile(drawn, INTERVAL, axis=0)
     if len(fewer := without_each(terms, run)):
         low, high = of_so_few_runs(shares(means), low, high, shares(fewer))
-    names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
     ends = np.clip([low, high], 0.0, 1.0).T.tolist()
     rms = np.sqrt(_energies(means)[:-1]).tolist()
-    columns = [*names, "unexplained", "noise"], rms, shares(means).tolist()
+    columns = [*parts, "unexplained", "noise"], rms, shares(means).tolist()
     return tuple(map(Part, *columns, map(tuple, ends)))
 
 
@@ -361,7 +387,7 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple, np.ndarray]]:
     return missed
 
 
-def _spread(case: Case) -> np.ndarray:
+def parameter_errors(case: Concluded) -> np.ndarray:
     """Standard errors (p,) of the parameters z fitted with the effects that help: those of
     the mixture of the parts of their set, and at least those of the jackknife over the parts
     of the data that are left out."""
@@ -381,13 +407,17 @@ def parameter_changes(case: Case) -> Mapping[str, Change]:
     base, z, changes = case.base, np.asarray(case.chosen.z), {}
     if base.simulator is None:
         return {}
-    values, spread = base.tire.layout.vector, _spread(case)
+    values, spread = base.tire.layout.vector, parameter_errors(case)
     std = np.abs(values(z + spread) - values(z - spread)) / 2
     ends = values(base.simulator.z), values(z), std
-    for name, given, measured, error in zip(base.tire.layout.labels, *ends, strict=True):
-        differs = bool(abs(measured - given) > _DIFFERS * error)
-        changes[name] = Change(float(given), float(measured), float(error), differs)
+    for name, *one in zip(base.tire.layout.labels, *ends, strict=True):
+        changes[name] = changed(*map(float, one))
     return changes
+
+
+def changed(given: float, measured: float, error: float) -> Change:
+    """A parameter of a simulator as given and as measured."""
+    return Change(given, measured, error, abs(measured - given) > _DIFFERS * error)
 
 
 def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:

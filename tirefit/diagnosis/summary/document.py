@@ -1,24 +1,20 @@
 """Build the document of a diagnosis and its rows."""
 
 import importlib.metadata
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from tirefit.diagnosis.engine import NONZERO, ROUNDING
-from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration, floor_of
+from tirefit.diagnosis.engine import ROUNDING
+from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
 from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import (
-    SizeByGroup,
-    jackknife_error,
-    ladder_of,
-    sizes_by_group,
-)
+from tirefit.diagnosis.engine.left_out import sizes_by_group
 from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.case import Case, all_rows, rows_of
+from tirefit.diagnosis.summary.case import Case, Concluded, all_rows, rows_of
 from tirefit.diagnosis.summary.closure import (
     budgets_of,
     closure_on_rows,
@@ -31,6 +27,7 @@ from tirefit.diagnosis.summary.forecast import confusion, next_measurements
 from tirefit.diagnosis.summary.result import (
     Amplitude,
     Candidate,
+    Change,
     Diagnosis,
     Gap,
     Left,
@@ -39,7 +36,7 @@ from tirefit.diagnosis.summary.result import (
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.views import (
-    LookCurve,
+    Look,
     compared,
     data_summary,
     look_curves,
@@ -75,12 +72,12 @@ def document_of(
     rows, main = rows_of(case, base.measured), prepared.channels[0]
     # Random numbers are drawn in this order: true forces, held-out data, budget.
     truth = plausible_forces(case, generator)
-    ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base, case.predicted))
-    held, ladder = held_out(case, holdout, rig, ladder, generator)
+    held, ladder = held_out(case, holdout, rig, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
     budgets, curves = budgets_of(case, generator), look_curves(case)
-    message = _verdict(case, curves, gap)
+    looks = tuple(curve.look for curve in curves)
+    message = verdict_of(case, gap, parameter_changes(case), looks)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown, noise = shown_rows(base, rows[main]), _noise(case)
     missed = base.residual(base.as_given, base.amplitudes())[: prepared.n]
@@ -99,9 +96,13 @@ def document_of(
         where=tuple(regions(base, missed, shown.gap)),
         verdict=message,
         ladder=ladder,
-        candidates=_candidates(case, rows[main]["base"], truth[main]),
-        untestable=tuple(case.untestable),
-        resolution=_resolution(case),
+        candidates=candidates_of(
+            case, lambda fit: _closure_by(case, fit, rows[main]["base"], truth[main])
+        ),
+        untestable=case.untestable,
+        resolution=resolution(
+            np.asarray(base.design.scale[main])[: prepared.n], base.discrepancy.columns.shape[1]
+        ),
         forecast=tuple(confusion(case.search)),
         next_measurement=steps,
         next_measurement_reason=reason,
@@ -174,10 +175,18 @@ def _noise(case: Case) -> NoiseSummary:
     )
 
 
-def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSummary:
+def verdict_of(
+    case: Concluded, gap: Gap, parameters: Mapping[str, Change], looks: tuple[Look, ...] = ()
+) -> VerdictSummary:
     """The verdict with its calibrated probability, the share of such verdicts that are
-    right; if no effect on the mean is found, the effects on the noise."""
-    verdict, noise = case.verdict, case.on_the_noise
+    right; if no effect on the mean is found, the effects on the noise.
+
+    Args:
+        parameters: of a simulator, as given and as measured.
+        looks: shapes that the remainder resembles.
+    """
+    verdict, noise, fit = case.verdict, case.on_the_noise, case.chosen
+    groups, scale = case.base.groups(), case.base.priors.scale
     status = "noise" if noise else verdict.status
     probability = calibration().often(str(status), verdict.probability)
     # Only one of the two probabilities includes the absence of an unlisted effect.
@@ -197,53 +206,35 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
             unlisted=unlisted,
-            looks_like=tuple(curve.look for curve in curves),
+            looks_like=looks,
         ),
-        sizes=sizes_of(
-            case.chosen, case.base.design.prior_scale, case.base.groups(), case.widening
-        ),
-        parameters=parameter_changes(case),
+        sizes={
+            effect: tuple(sizes_by_group(fit, atom, groups, case.widening, float(scale[atom])))
+            for atom, effect in zip(fit.atoms, fit.effects, strict=True)
+        },
+        parameters=parameters,
     )
 
 
-def sizes_of(fit: Fit, scale, groups, widening=1.0) -> dict[str, tuple[SizeByGroup, ...]]:
-    """The sizes of each effect of a fit by groups of covariates (m,); ``scale`` (K,) are the
-    units of all amplitudes."""
-    return {
-        effect: tuple(sizes_by_group(fit, atom, groups, widening, float(scale[atom])))
-        for atom, effect in zip(fit.atoms, fit.effects, strict=True)
-    }
-
-
-def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
+def candidates_of(case: Concluded, closure: Callable[[Fit], Shrinkage]) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown.
 
     Args:
-        before, truth: (n,) base force, (n, draws) of the true one, first channel.
+        closure: of the gap of the first channel by a fit.
     """
     total, verdict = _chances(case), case.verdict
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
     listed = [
-        _candidate(case, key, total[key], _closure_by(case, key, before, truth))
+        _candidate(case, key, total[key], closure(case.weighed.best_of[key]))
         for key in ranked[:_LISTED]
     ]
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
-        unknown = Candidate(
-            effects=(UNKNOWN,),
-            family=UNKNOWN,
-            probability=alone,
-            parameters={},
-            z=None,
-            z_given_rivals=None,
-            closed=0.0,
-            closed_ci=(0.0, 0.0),
-        )
-        listed.append(unknown)
+        listed.append(Candidate(effects=(UNKNOWN,), family=UNKNOWN, probability=alone))
     return tuple(listed)
 
 
-def _chances(case: Case) -> dict:
+def _chances(case: Concluded) -> dict:
     """Probability of every refitted set: that of the verdict; others by evidence."""
     verdict, listed = case.verdict, case.weighed.listed
     named = bool(verdict.key)
@@ -257,25 +248,19 @@ def _chances(case: Case) -> dict:
     return shared | ({verdict.key: verdict.probability} if named else {})
 
 
-def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
+def _candidate(case: Concluded, key, probability: float, closure: Shrinkage) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
-    spread, parameters = hypothesis.errors * np.sqrt(case.widening), {}
-    if key in case.predicted.effects:
-        left_out = case.predicted.amplitude[case.predicted.effects.index(key)]
-        spread = np.maximum(spread, jackknife_error(left_out))
-    if key == case.verdict.key:
-        spread = np.maximum(spread, _between_parts(case))
+    spread, parameters = case.errors(hypothesis), {}
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     atoms = [base.atoms[k] for k in hypothesis.atoms]
-    scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
+    scale = base.priors.scale[list(hypothesis.atoms)]
     sizes = hypothesis.amplitude * scale
     # However bad the fit, the error is at most that of the prior.
     errors = np.minimum(spread, 1.0) * scale
     for atom, size, error in zip(atoms, sizes, errors, strict=True):
-        formula = atom.formula(base.design.rows, base.rows.time)
         name = f"{atom.effect.id}: {atom.effect.parameter}"
         unit = atom.effect.unit
-        parameters[name] = Amplitude(float(size), float(error), unit, formula)
+        parameters[name] = Amplitude(float(size), float(error), unit, case.formula(atom))
     return Candidate(
         effects=key,
         family=" + ".join(dict.fromkeys(atom.effect.family for atom in atoms)),
@@ -288,25 +273,13 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
     )
 
 
-def _between_parts(case: Case) -> np.ndarray:
-    """Differences (k,) of the amplitudes between the parts of the set that helps, root of the
-    mean square by their probability."""
-    fit, square = case.chosen, np.zeros(len(case.chosen.atoms))
-    total = np.full(len(fit.atoms), NONZERO)
-    for key, chance in case.parts.items():
-        part = case.weighed.best_of[key]
-        for place, effect in enumerate(fit.effects):
-            if effect in part.effects:
-                own = part.amplitude[part.effects.index(effect)]
-                square[place] += chance * (own - fit.amplitude[place]) ** 2
-                total[place] += chance
-    return np.sqrt(square / total)
+def _closure_by(case: Case, hypothesis: Fit, before, truth) -> Shrinkage:
+    """Closure of the gap of the first channel by a set of effects.
 
-
-def _closure_by(case: Case, key, before, truth) -> Shrinkage:
-    """Closure of the gap of the first channel by a set of effects; arguments as in
-    :func:`_candidates`."""
-    at, hypothesis = case.base.measured, case.weighed.best_of[key]
+    Args:
+        before, truth: (n,) base force, (n, draws) of the true one.
+    """
+    at = case.base.measured
     main = at.rows.channels[0]
     after = at.forces(hypothesis.z, at.amplitudes(hypothesis.atoms, hypothesis.amplitude))[main]
     noise = at.noise[main]
@@ -314,12 +287,16 @@ def _closure_by(case: Case, key, before, truth) -> Shrinkage:
     return closure_on_rows(truth, before, after, *given)
 
 
-def _resolution(case: Case) -> float:
-    """The smallest generic remainder, rms [N], that would be detected four times in five."""
-    base, n = case.base, case.base.rows.n
-    scale = np.asarray(base.design.scale[base.rows.channels[0]])[:n]
-    directions = min(base.discrepancy.columns.shape[1], _DIRECTIONS)
-    return float(np.median(scale) * np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n))
+def resolution(scale: np.ndarray, columns: int) -> float:
+    """The smallest generic remainder, rms, that would be detected four times in five.
+
+    Args:
+        scale: (n,) units of the whitened residuals.
+        columns: number of functions for an unlisted effect.
+    """
+    directions = min(columns, _DIRECTIONS)
+    energy = _SEEN_ENERGY * np.sqrt(2 * directions) / len(scale)
+    return float(np.median(scale) * np.sqrt(energy))
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:

@@ -85,9 +85,9 @@ def confusion(search) -> list[Forecast]:
     for name in dict.fromkeys(names):
         first = names.index(name)
         k, effect = use[first], base.atoms[use[first]].effect
-        usual = float(base.design.prior_center[k]) or float(effect.sign or 1)
+        usual = float(base.priors.center[k]) or float(effect.sign or 1)
         chances = recognition(directions, names, first, usual * length[k], noise)
-        amplitude = usual * float(base.design.prior_scale[k])
+        amplitude = usual * float(base.priors.scale[k])
         forecasts.append(Forecast(name, amplitude, effect.unit, *chances))
     return forecasts
 
@@ -172,7 +172,7 @@ def _told_apart(blocks: Sequence[_Block], one, two) -> float:
 def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
     """Atom and amplitude in prior scales of each testable effect: the usual amplitude, or
     that of the single refit if it is larger (a refit near zero is not a limit)."""
-    center = np.asarray(search.subject.design.prior_center)
+    center = search.subject.priors.center
     sizes: dict[str, tuple[int, float]] = {}
     for k in search.subject.testable:
         name, usual = search.subject.atoms[k].effect.id, abs(float(center[k])) or 1.0
@@ -194,6 +194,19 @@ def _pairs(search, weighed, verdict, known) -> list[tuple[str, str]]:
     pairs += [(ranked[0], other) for other in ranked[1:_FEW]]
     distinct = (p for p in pairs if p[0] != p[1] and set(p) <= set(known))
     return list(dict.fromkeys(distinct))[:_FEW]
+
+
+def manoeuvres(search, weighed, verdict) -> tuple[NextMeasurement, ...]:
+    """The measurement by which each pair of confused effects is told apart, as their records
+    name it, and the probability of distinguishing them without it, the smallest first."""
+    sizes, found = _sizes(search, weighed), []
+    for pair in _pairs(search, weighed, verdict, sizes):
+        (one, size), (two, other) = (sizes[name] for name in pair)
+        now = separability(search.projected, one, two, size, other)
+        add = search.subject.atoms[one].effect.told_apart_by
+        if add and now <= 1 - _WORTHWHILE:
+            found.append(NextMeasurement(add, pair, now, np.nan))
+    return tuple(sorted(found, key=lambda step: step.p_now))
 
 
 def next_measurements(

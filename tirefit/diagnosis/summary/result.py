@@ -18,7 +18,7 @@ from tirefit.data.write import csv_text, to_convention
 from tirefit.diagnosis.effects import NOISE_EFFECTS, Effect
 from tirefit.diagnosis.engine.decide import UNKNOWN, Each, Status
 from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
-from tirefit.diagnosis.extended import SCHEMA, Extension
+from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.summary.case import Untestable
@@ -41,22 +41,22 @@ from tirefit.results import Outcome
 class NoiseSummary:
     """Standard deviations of the noise."""
 
-    forces: Mapping[str, float]  # median over the rows
-    slip_name: str
-    slip: float
-    slip_source: str
+    forces: Mapping[str, float]  # of each channel, median over the rows
+    slip_name: str = ""  # empty for a car, whose slips are not measured
+    slip: float = 0.0
+    slip_source: str = ""
     source: str
-    flags: tuple[str, ...]
+    flags: tuple[str, ...] = ()
     inflation: float  # rows per independent row
-    outliers: int  # number of excluded rows
+    outliers: int = 0  # number of excluded rows
     excess: float = 1.0  # over the stated noise, 1 where none was stated
 
     def as_json(self) -> Mapping:
         """Each level under the name of its column."""
+        slip = {self.slip_name: self.slip, f"{self.slip_name}_source": self.slip_source}
         return {
             **self.forces,
-            self.slip_name: self.slip,
-            f"{self.slip_name}_source": self.slip_source,
+            **(slip if self.slip_name else {}),
             "source": self.source,
             "flags": self.flags,
             "inflation": self.inflation,
@@ -176,7 +176,7 @@ class Surrogate(NamedTuple):
 
 
 class SimulatorSummary(NamedTuple):
-    """A simulator that was diagnosed; ``kind`` is columns, model, fit or tir."""
+    """A simulator that was diagnosed; ``kind`` is columns, model, fit, tir or car."""
 
     kind: str
     source: str
@@ -200,11 +200,12 @@ class Candidate:
     effects: tuple[str, ...]
     family: str
     probability: float
-    parameters: Mapping[str, Amplitude]  # ``effect: parameter`` -> size
-    z: float | None  # score at the base fit
-    z_given_rivals: float | None  # smallest amplitude over error in the set
-    closed: float | None
-    closed_ci: tuple[float | None, float | None]
+    # ``effect: parameter`` -> size
+    parameters: Mapping[str, Amplitude] = field(default_factory=dict)
+    z: float | None = None  # score at the base fit
+    z_given_rivals: float | None = None  # smallest amplitude over error in the set
+    closed: float | None = 0.0
+    closed_ci: tuple[float | None, float | None] = (0.0, 0.0)
 
 
 class Forecast(NamedTuple):
@@ -220,7 +221,7 @@ class Forecast(NamedTuple):
 
 class NextMeasurement(NamedTuple):
     """A further measurement, the two effects that it distinguishes, and the probabilities
-    of distinguishing them without and with it."""
+    of distinguishing them without and with it (NaN if there is no forecast)."""
 
     add: str
     separates: tuple[str, str]
@@ -232,20 +233,27 @@ class NextMeasurement(NamedTuple):
 class Settings:
     """Settings of the diagnosis."""
 
-    rig: Rig
+    rig: Rig | None  # None for a car
     effects: tuple[str, ...]  # ids searched
     holdout: tuple[str, ...]  # sha256 of held-out files
     forces: tuple[str, ...] | None = None  # that matter, None for all
 
 
 NOT_WRITTEN = {"written": False}
+UNITS = {"fx": "N", "fy": "N", "mz": "N m", "all": "× noise", "v_y": "m/s", "yaw_rate": "rad/s"}
+UNITS |= {"heading": "rad", "x": "m", "y": "m"}
+"""Units of the channels of forces and of cars."""
+
 _SEEN = "smallest unlisted remainder that would have been seen"
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Diagnosis(Record):
-    """The diagnosis of a file: the records of the document, in its order, then arrays.
+    """The diagnosis of a file, or of the logs of a car: the records of the document, in its
+    order, then arrays.
 
+    The first channel of a car is all of them over their noise. What only rows of forces have
+    is empty or None for a car.
     ``resolution`` is the rms [N] of the smallest unlisted remainder that would have been seen.
     ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
     largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
@@ -275,7 +283,7 @@ class Diagnosis(Record):
     gap: Gap
     budget: tuple[Part, ...]
     budgets: Mapping[str, tuple[Part, ...]]
-    where: tuple[Region, ...]
+    where: tuple[Region, ...] = ()
     verdict: VerdictSummary
     ladder: Ladder = Ladder()
     candidates: tuple[Candidate, ...]
@@ -283,23 +291,28 @@ class Diagnosis(Record):
     resolution: float
     forecast: tuple[Forecast, ...]
     next_measurement: tuple[NextMeasurement, ...]
-    next_measurement_reason: str | None
-    slip_check: SlipCheck | None
+    next_measurement_reason: str | None = None
+    slip_check: SlipCheck | None = None
     runs: Mapping[str, RunOffsets] = field(default_factory=dict)
     base_parameters: Mapping[str, float]
     extended_parameters: Mapping[str, float]
-    extension: Extension
+    extension: tuple
     settings: Settings
     seed: int
     version: str
-    rows: Mapping[str, Mapping[str, np.ndarray]] = field(metadata=NOT_WRITTEN)
-    table: TireData = field(metadata=NOT_WRITTEN)
-    mean_load: float = field(metadata=NOT_WRITTEN)
-    residual_map: ResidualMap = field(metadata=NOT_WRITTEN)
-    comparison: Comparison = field(metadata=NOT_WRITTEN)
-    look: LookCurve | None = field(metadata=NOT_WRITTEN)
+    rows: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict, metadata=NOT_WRITTEN)
+    table: TireData | None = field(default=None, metadata=NOT_WRITTEN)
+    mean_load: float = field(default=np.nan, metadata=NOT_WRITTEN)
+    residual_map: ResidualMap | None = field(default=None, metadata=NOT_WRITTEN)
+    comparison: Comparison | None = field(default=None, metadata=NOT_WRITTEN)
+    look: LookCurve | None = field(default=None, metadata=NOT_WRITTEN)
     library: tuple[Effect, ...] = field(metadata=NOT_WRITTEN)
     meanings: Mapping[str, str] = field(metadata=NOT_WRITTEN)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the first channel: of gap, ladder and remainder."""
+        return UNITS[self.data.channels[0]]
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -325,7 +338,9 @@ class Diagnosis(Record):
         return json_safe(content)
 
     def files(self, name: str = "") -> dict[str, str]:
-        """``NAME.json`` and ``NAME.rows.csv``."""
+        """``NAME.json`` and ``NAME.rows.csv``; of a car ``vehicle_diagnosis.json``."""
+        if self.table is None:
+            return {"vehicle_diagnosis.json": self.to_json()}
         name = name or self.table.name
         # The document is written last, so that its rows always exist.
         rows = csv_text(rows_in_file_terms(self))
@@ -349,8 +364,10 @@ def mappings(value: Any) -> Any:
 
 
 def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
-    """Columns of ``NAME.rows.csv``, in the convention and units of the file."""
-    data, out = result.table, {}
+    """Columns of ``NAME.rows.csv``, in the convention and units of the file; none of a car."""
+    data, out = result.table, dict[str, np.ndarray]()
+    if data is None:
+        return out
     for channel, parts in result.rows.items():
         header = data.source.columns.get(channel, channel)
         # A difference of forces is converted like a force, as their units have no offset.
@@ -367,7 +384,7 @@ def record_of_document(path: Path) -> FileRecord:
     probability of the verdict, and amplitudes of the named effects."""
     content = json.loads(path.read_text(encoding="utf-8"))
     data, gap, verdict = content["data"], content["gap"], content["verdict"]
-    unit = "N m" if data["channels"][0] == "mz" else "N"
+    unit = UNITS[data["channels"][0]]
     template = MODELS.get(content["model"])
     units = {k: s.unit for k, s in specs(template).items()} if template else {}
     base, helping = content["base_parameters"], {*verdict["effects"], *verdict["acts_like"]}
