@@ -5,9 +5,10 @@ import numpy as np
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.engine.left_out import NOISE
 from tirefit.report.canvas import BLUE, GREY, ORANGE, Picture, panel_title, tidy
+from tirefit.report.diagnosis_answer import or_twins
 from tirefit.report.diagnosis_draw import draw_ladder
 from tirefit.report.diagnosis_panels import LadderBar
-from tirefit.report.diagnosis_sections import each_text, or_twins, sizes_text
+from tirefit.report.diagnosis_sections import each_text, sizes_text
 from tirefit.report.diagnosis_words import amount_text, listing, name_with_id, set_name, share_text
 from tirefit.report.numbers import format_number
 from tirefit.report.panels import legend_below

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tirefit.diagnosis.engine import NONZERO, ROUNDING
+from tirefit.diagnosis.engine import ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration, floor_of
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import (
@@ -259,16 +259,17 @@ def _chances(case: Case) -> dict:
 
 def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
-    spread, parameters = hypothesis.errors * np.sqrt(case.widening), {}
-    if key in case.predicted.effects:
+    found, parameters = hypothesis.amplitude, {}
+    spread = hypothesis.errors * np.sqrt(case.widening)
+    if key == case.verdict.key:
+        found, spread = case.sizes
+    elif key in case.predicted.effects:
         left_out = case.predicted.amplitude[case.predicted.effects.index(key)]
         spread = np.maximum(spread, jackknife_error(left_out))
-    if key == case.verdict.key:
-        spread = np.maximum(spread, _between_parts(case))
-    ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
+    ratio = found / np.maximum(spread, ROUNDING)
     atoms = [base.atoms[k] for k in hypothesis.atoms]
     scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
-    sizes = hypothesis.amplitude * scale
+    sizes = found * scale
     # However bad the fit, the error is at most that of the prior.
     errors = np.minimum(spread, 1.0) * scale
     for atom, size, error in zip(atoms, sizes, errors, strict=True):
@@ -286,21 +287,6 @@ def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candi
         closed=closure.closed,
         closed_ci=closure.closed_ci,
     )
-
-
-def _between_parts(case: Case) -> np.ndarray:
-    """Differences (k,) of the amplitudes between the parts of the set that helps, root of the
-    mean square by their probability."""
-    fit, square = case.chosen, np.zeros(len(case.chosen.atoms))
-    total = np.full(len(fit.atoms), NONZERO)
-    for key, chance in case.parts.items():
-        part = case.weighed.best_of[key]
-        for place, effect in enumerate(fit.effects):
-            if effect in part.effects:
-                own = part.amplitude[part.effects.index(effect)]
-                square[place] += chance * (own - fit.amplitude[place]) ** 2
-                total[place] += chance
-    return np.sqrt(square / total)
 
 
 def _closure_by(case: Case, key, before, truth) -> Shrinkage:
