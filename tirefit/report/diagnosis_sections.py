@@ -20,6 +20,7 @@ from tirefit.report.diagnosis_words import (
     name_of,
     name_with_id,
     said_unit,
+    set_name,
     slip_check_line,
     untestable_lines,
     words_on,
@@ -290,7 +291,7 @@ def step_lines(result: Diagnosis) -> list[str]:
 
 
 def _tells_apart(step: NextMeasurement) -> str:
-    one, other = map(name_of, step.separates)
+    one, other = (set_name([effect]) for effect in step.separates)
     return (
         f"separates {one} from {other} with probability {step.p_after:.2f}, instead of"
         f" {step.p_now:.2f} now"
