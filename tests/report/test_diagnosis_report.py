@@ -689,7 +689,8 @@ def test_the_error_of_a_simulator_is_reported_by_part():
         (
             "named",
             ("slip_offset",),
-            "The gap comes from slip offset (0.91), 12 % of the error's mean square: add it to",
+            "The gap comes from slip offset of 0.1234 ± 0.0056 (0.91), 12 % of the error's mean"
+            " square: add it to the slip.",
         ),
     ],
 )
@@ -698,6 +699,23 @@ def test_the_answer_on_a_simulator_begins_with_its_parameters(status, effects, s
     first = "The simulator has friction 9.0 ± 1.1 % too high (set mu to 0.9), 78 % of its error. "
     assert answer(found).startswith(first + sentence)
     assert after_label(simulated()) == "parameters + slip offset"
+
+
+def test_the_largest_part_comes_first_and_what_does_not_carry_over_is_left_out():
+    """The second effect has the larger share; a third predicts held-out files worse."""
+    parts = [Part(e, 9.0, share, (0.0, 1.0)) for e, share in
+             (("slip_offset", 0.2), ("load_friction", 0.7), ("unexplained", 0.1))]  # fmt: skip
+    names = ["slip_offset", "load_friction", "conicity"]
+    steps = [
+        Step(tuple(names[:k]), 9.0 - k, 0.1 * k, 0.0, 1.0, 0.1, rms, None)
+        for k, rms in enumerate((9.0, 8.0, 7.0, 7.5))
+    ]
+    found = judged("named", names, budget=tuple(parts), ladder=Ladder("runs", tuple(steps)))
+    text = answer(found)
+    assert text.startswith("The gap comes from load friction (0.20), 70 %")
+    assert "; then from slip offset (0.91), 20 %" in text and "conicity" not in text
+    simulator = simulated(changes={"mu": CHANGES["mu"]}, budget=tuple(parts))
+    assert answer(simulator).startswith("The gap comes from slip offset")
 
 
 def test_the_answer_tells_a_small_gap_beside_the_noise():
