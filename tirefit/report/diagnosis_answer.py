@@ -60,7 +60,7 @@ def _no_help(result: Diagnosis) -> Iterator[str]:
 
 def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> str:
     verdict = result.verdict
-    like = _acting(result, "the error" if verdict.names_an_effect else "it")
+    like = _acting(result, shares, "the error" if verdict.names_an_effect else "it")
     if verdict.status == Status.UNKNOWN:
         return (
             f"There is a gap beyond {beyond}the noise, and no listed effect is its likely"
@@ -73,7 +73,7 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
             f"There is no gap beyond {beyond}the noise. Probability"
             f" {verdict.probability:.2f} of no effect, listed or unlisted.{tail}"
         )
-    causes = sorted(carried(result, verdict.effects), key=lambda e: -shares.get(e, 0.0))
+    causes = carried(result, verdict.effects, shares)
     parts = [_cause_text(result, effect, shares) for effect in causes]
     beside = (
         f"; an unlisted effect is likely as well ({verdict.left.unlisted:.2f})"
@@ -106,12 +106,14 @@ def of_size(result: Diagnosis, effect: str) -> str:
     return f" of {listing(sizes)}" if sizes else ""
 
 
-def carried(result: Diagnosis, effects: Sequence[str]) -> list[str]:
-    """The effects without those that predict held-out files worse, unless all of them do."""
+def carried(result: Diagnosis, effects: Sequence[str], shares: Mapping[str, float]) -> list[str]:
+    """The effects, the largest share of the error first, without those that predict held-out
+    files worse, unless all of them do."""
     steps = result.ladder.steps
     added = [{*steps[k].effects} - {*steps[k - 1].effects} for k in worse_steps(result)]
     worse = set().union(*added)
-    return [effect for effect in effects if effect not in worse] or list(effects)
+    kept = [effect for effect in effects if effect not in worse] or effects
+    return sorted(kept, key=lambda effect: -shares.get(effect, 0.0))
 
 
 def worse_steps(result: Diagnosis) -> Iterator[int]:
@@ -122,10 +124,10 @@ def worse_steps(result: Diagnosis) -> Iterator[int]:
             yield k
 
 
-def _acting(result: Diagnosis, what: str) -> str:
+def _acting(result: Diagnosis, shares: Mapping[str, float], what: str) -> str:
     """A sentence on effects that help without being the likely cause; empty for none."""
     parts = []
-    for effect in carried(result, result.verdict.acts_like):
+    for effect in carried(result, result.verdict.acts_like, shares):
         each = result.verdict.each[effect]
         text = f"{name_of(effect)}{of_size(result, effect)}"
         text += f" ({each.probability:.2f} that this is the cause"
