@@ -1,7 +1,7 @@
 """The main table: verdicts in worlds with and without unlisted effects.
 
 Worlds: *listed* (listed effects only), *beside* (a listed and an unlisted effect), *alone* (an
-unlisted effect) and *null*. Each value has its standard error over trials.
+unlisted effect), *null*, and all of these. Each value has its standard error over trials.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +12,7 @@ from fits.withheld.judge import Outcome, kind_of
 
 __all__ = ["WORLDS", "mix_rows", "world_of"]
 
-WORLDS = ("listed", "beside", "alone", "null")
+WORLDS = ("listed", "beside", "alone", "null", "all")
 SETS = {
     "singles": "listed",
     "pairs": "listed",
@@ -71,8 +71,9 @@ FIGURES: dict[str, Callable[[Sequence[Outcome]], str]] = {
 
 def mix_rows(labels: Mapping, outcomes: Mapping[str, Outcome]) -> list[list[str]]:
     """Rows of the table: a figure in each world."""
-    of = {
-        world: [o for name, o in outcomes.items() if world_of(labels[name]) == world]
-        for world in WORLDS
-    }
+    of: dict[str, list[Outcome]] = {world: [] for world in WORLDS}
+    for name, outcome in outcomes.items():
+        if world := world_of(labels[name]):
+            of[world].append(outcome)
+            of["all"].append(outcome)
     return [[name, *(figure(of[world]) for world in WORLDS)] for name, figure in FIGURES.items()]
