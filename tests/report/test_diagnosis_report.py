@@ -718,6 +718,13 @@ def test_the_largest_part_comes_first_and_what_does_not_carry_over_is_left_out()
     assert answer(simulator).startswith("The gap comes from slip offset")
 
 
+def test_the_remedy_of_a_derived_slip_is_in_the_vehicle_file():
+    found = judged("named", ["slip_offset"])
+    derived = replace(found, data=replace(found.data, motion=("yaw rate of the pose",)))
+    assert "(0.91): subtract it from yaw_offset of vehicle.toml" in answer(derived)
+    assert "(0.91): add it to the slip." in answer(found)
+
+
 def test_the_answer_tells_a_small_gap_beside_the_noise():
     found = simulated("named", ("slip_offset",))
     small = replace(found, gap=replace(found.gap, rms=7.5, resolvable=False))

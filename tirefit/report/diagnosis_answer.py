@@ -11,6 +11,13 @@ from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_number
 
 
+_OF_VEHICLE = (
+    "subtract it from yaw_offset of vehicle.toml (log of rates: add it to sideslip_offset)"
+)
+"""Remedy of a slip offset of the rear axle in a derived file; the front has that of the steering
+as well."""
+
+
 def answer(result: Diagnosis) -> str:
     """The answer: the largest part of the error first, what to do about it, what else there
     is, and what is left."""
@@ -93,6 +100,8 @@ def _cause_text(result: Diagnosis, effect: str, shares: Mapping[str, float]) -> 
         text += f", {share_text(shares[effect])} of the error's mean square"
     # The first remedy; all are under the effects.
     remedy = words_on(effect, result.library)[1].partition(";")[0]
+    if result.data.motion and effect == "slip_offset":
+        remedy = _OF_VEHICLE
     return f"{text}: {remedy}" if remedy and not twins else text
 
 

@@ -57,7 +57,7 @@ class Case:
             claim = frozenset(stands_for.get(effect) for effect in key)
             if None not in claim and len(claim) == len(key):
                 sets.setdefault(claim, []).append(key)
-        found = {}
+        found: dict[Key, float] = {}
         for claim, keys in sets.items():
             chances = (p.probability if e in claim else 1 - p.probability for e, p in each.items())
             shares = softmax([weighed.log_weight[key] for key in keys])
