@@ -10,7 +10,6 @@ from tirefit.report.diagnosis_words import amount_text, listing, name_of, share_
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_number
 
-
 _OF_VEHICLE = (
     "subtract it from yaw_offset of vehicle.toml (log of rates: add it to sideslip_offset)"
 )
