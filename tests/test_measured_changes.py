@@ -114,6 +114,15 @@ def test_lines_are_judged_by_the_stated_rules(known, said, right):
     assert run.judged(line, case, TRUTH)[0] == right
 
 
+def test_halves_of_a_log_share_no_rows_and_miss_none():
+    """The diagnosed rows of the two halves, against those of the whole."""
+    case = next(c for c in CASES if c.name == "dart_later")
+    even, odd, whole = (
+        set(np.flatnonzero(table(c.logs).kept)) for c in (*run.halves_of(case), case)
+    )
+    assert not even & odd and even | odd == whole
+
+
 def test_rms_of_the_ladder_is_right():
     """The longest step within the names; None if the tool has no ladder."""
     rms = {(): 0.6, ("x",): 0.3, ("x", "y"): 0.2, ("anything smooth",): 0.15, ("n",): 0}

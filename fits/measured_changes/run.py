@@ -11,6 +11,7 @@ import re
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -113,6 +114,30 @@ def diagnosed(case: Case, out: Path) -> dict:
     )
 
 
+def halves_of(case: Case) -> tuple[Case, Case]:
+    """The case on the even and on the odd tenths of its runs, which share no rows."""
+    even, odd = (replace(case, logs=replace(case.logs, part=part)) for part in ("even", "odd"))
+    return even, odd
+
+
+def agreement(case: Case) -> dict:
+    """The names of two halves of the logs of a case, and whether they agree: every cause that
+    one half names is named by the other one or acts like a cause there."""
+    jax.config.update("jax_enable_x64", True)
+    sim = tirefit.fit(data(table(case.fitted_on), "fitted"), "brush") if case.fitted_on else None
+    found = [tirefit.diagnose(data(table(c.logs), c.name), sim=sim) for c in halves_of(case)]
+    named = [{*f.verdict.effects} - {"unknown"} for f in found]
+    helps = [{*f.verdict.helping} for f in found]
+    each = [{k: round(one.probability, 2) for k, one in f.verdict.each.items()} for f in found]
+    return {
+        "case": case.name,
+        "named": [sorted(one) for one in named],
+        "each": each,
+        "same": named[0] == named[1],
+        "agree": named[0] <= helps[1] and named[1] <= helps[0],
+    }
+
+
 def scored(line: dict, case: Case, hand: dict) -> dict:
     """The row with the known change, the result by hand, and whether it is right."""
     right, why = judged(line, case, hand)
@@ -164,11 +189,26 @@ def markdown(lines: list[dict]) -> str:
     return f"{text}\n{len(lines)} cases: {', '.join(counts)}; of by hand {mean}\n"
 
 
+def compare_halves(cases: list[Case], asked, context) -> None:
+    """Write ``halves.json``; print each case, and how many agree."""
+    found = []
+    with ProcessPoolExecutor(asked.jobs, context) as pool:
+        for done in as_completed(pool.submit(agreement, case) for case in cases):
+            found.append(done.result())
+            (asked.out / "halves.json").write_text(json.dumps(found, indent=1) + "\n")
+            print(found[-1], flush=True)
+    for kind in ("same", "agree"):
+        print(f"{kind}: {sum(one[kind] for one in found)} of {len(found)} cases")
+
+
 def main() -> None:
     """Diagnose the cases, and write the table after each."""
     parser = argparse.ArgumentParser(prog="python -m fits.measured_changes")
     parser.add_argument("--case", action="append", choices=[c.name for c in CASES])
     parser.add_argument("--use", choices=["choosing", "judging"])
+    parser.add_argument(
+        "--halves", action="store_true", help="do the names of halves of one log agree? no truth"
+    )
     parser.add_argument("--table", action="store_true", help="only score again and write the table")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
@@ -191,6 +231,9 @@ def main() -> None:
     cases = [c for c in CASES if c.name in (asked.case or [c.name])]
     cases = [c for c in cases if c.use == (asked.use or c.use) and not asked.table]
     context = multiprocessing.get_context("spawn")
+    if asked.halves:
+        compare_halves([c for c in cases if c.logs.part == "all"], asked, context)
+        return
     with ProcessPoolExecutor(asked.jobs, context) as pool:
         for done in as_completed(pool.submit(diagnosed, c, asked.out) for c in cases):
             write({done.result()["case"]: done.result()})

@@ -1,5 +1,6 @@
 """Scores one answer against its label: pure functions of two documents."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,12 @@ __all__ = ["Outcome", "answer_of", "judge", "kind_of", "true_closure"]
 
 SURE = 0.9
 INTERVAL = 1.645  # standard errors on both sides of 90 %
+UNIT = {
+    "delay": 1, "slip_lag": 1, "stiffness_power": 1, "sign_friction": 1,
+    "slip_zero": -1, "slip_zero_creeps": -1,
+    "force_zero": 1e3, "force_zero_creeps": 1e3, "conicity": 1e3, "load_leaks": 1e3,
+}  # fmt: skip
+"""Form -> an answer's amplitude over that of the form, where both mean the same."""
 HIDDEN = ("unlisted", "leave_out", "foreign", "procedural", "beside")
 
 
@@ -49,6 +56,9 @@ class Outcome(NamedTuple):
     holdout: float | None = None
     within: tuple[bool, ...] = ()  # 90 % intervals of a simulator's parameters
     shares_off: tuple[float, ...] = ()  # of the budget's parts
+    each: tuple[tuple[float, bool], ...] = ()  # probability of an effect, and whether it is there
+    of_truth: float = 0.0  # probability of exactly the true verdict
+    sizes: tuple[bool, ...] = ()  # within two errors of the true size, each named effect there
 
 
 def families(effects, listed=None) -> frozenset:
@@ -142,8 +152,47 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
         effects=a.effects, also=a.also, named=bool(truth) and truth <= a.mean,
         false_names=len(a.mean - truth),
         unlisted=result["verdict"].get("left", {}).get("unlisted"),
-        **_gap(result), **_simulator(label, result),
+        each=_each(result, truth), of_truth=_of_truth(result, truth, hidden),
+        sizes=_sizes(label, result), **_gap(result), **_simulator(label, result),
     )  # fmt: skip
+
+
+def _each(result: dict, truth: frozenset) -> tuple[tuple[float, bool], ...]:
+    """Stated probability of each effect that helps, and whether it is there; a twin counts."""
+    each = result["verdict"].get("each", {})
+    return tuple(
+        (one["probability"], bool(truth & {name, *one["twins"]})) for name, one in each.items()
+    )
+
+
+def _of_truth(result: dict, truth: frozenset, unlisted: bool) -> float:
+    """Probability that the answer gives to exactly the effects that are there, by the
+    probabilities of each and of an unlisted effect."""
+    verdict = result["verdict"]
+    each, left = verdict.get("each", {}), verdict.get("left", {}).get("unlisted")
+    if left is None or not truth <= each.keys():
+        return 0.0
+    chances = (
+        one["probability"] if e in truth else 1 - one["probability"] for e, one in each.items()
+    )
+    return math.prod(chances) * (left if unlisted else 1 - left)
+
+
+def _sizes(label: dict, result: dict) -> tuple[bool, ...]:
+    """Whether the size of each named effect that is there is within two errors of the truth,
+    for the forms whose amplitude has the meaning of the answer's."""
+    verdict = result["verdict"]
+    helping = {*verdict["effects"], *verdict.get("acts_like", ())}
+    found = next((c for c in result.get("candidates", []) if {*c["effects"]} == helping), {})
+    inside = []
+    for effect, form, size in zip(
+        label["effects"], label["forms"], label.get("amplitudes", ()), strict=False
+    ):
+        for name, amplitude in found.get("parameters", {}).items():
+            if form in UNIT and effect in verdict["effects"] and name.startswith(f"{effect}: "):
+                off = amplitude["value"] - UNIT[form] * size
+                inside.append(abs(off) <= 2 * amplitude["std"])
+    return tuple(inside)
 
 
 def _simulator(label: dict, result: dict) -> dict:

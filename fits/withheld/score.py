@@ -18,6 +18,7 @@ from fits.withheld.baselines import read_columns
 from fits.withheld.bound import bound_rows
 from fits.withheld.goals import goals
 from fits.withheld.judge import Outcome, judge, true_closure
+from fits.withheld.open_mix import WORLDS, mix_rows
 from fits.withheld.reliability import draw_reliability, reliability
 from fits.withheld.thresholds import brier, check_all, expected_calibration_error, share, telling
 
@@ -265,6 +266,9 @@ def tables(labels: dict, outcomes: dict, summaries: dict, seconds=None, bound=()
         else {}
     )
     parts = {
+        "Open mix: value ± standard error (number)": table(
+            ["", *WORLDS], mix_rows(labels, outcomes)
+        ),
         "Results: share (number of trials)": table(["", *summaries], rows),
         "Goals": table(["#", "goal", "pass", "found", ""], wanted),
         "Thresholds": table(["#", "requirement", "pass", "found", ""], asked),

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest_diagnosis import RIG, brush, record
+from conftest_diagnosis import RIG, bare, brush, record
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ndtr
@@ -29,7 +29,13 @@ from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.diagnosis.summary.closure import shapley
-from tirefit.diagnosis.summary.forecast import recognition, scores_of_nothing, separability
+from tirefit.diagnosis.summary.forecast import (
+    decided,
+    recognition,
+    scores_of_nothing,
+    separability,
+    size_apart,
+)
 from tirefit.diagnosis.summary.views import _look_curve, regions
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
@@ -349,6 +355,38 @@ def test_separability_is_right_for_known_directions():
     for size in (1, -1):  # an amplitude has either sign
         columns[:, 1] = size * columns[:, 0]
         assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("chance", "distance"), [(0.3, 2.0), (0.7, 2.0), (0.6, 0.5), (0.25, 4.0)])
+def test_the_forecast_of_a_decision_agrees_with_draws(chance, distance):
+    """Of the more probable answer, given a result with unit error."""
+    generator = np.random.default_rng(3)
+    cause = generator.uniform(size=10**6) < chance
+    result = generator.standard_normal(10**6) + distance * ~cause
+    log = np.log(chance / (1 - chance)) + 0.5 * ((result - distance) ** 2 - result**2)
+    right = np.mean((log > 0) == cause)
+    assert decided(chance, distance) == pytest.approx(right, abs=2.5e-3)  # 5 errors of the mean
+    assert decided(chance, 0.0) == pytest.approx(max(chance, 1 - chance))
+
+
+def test_the_change_of_a_size_has_the_error_of_a_joint_fit():
+    """By the inverse of the normal equations of both measurements."""
+    generator = np.random.default_rng(4)
+    blocks = [
+        (generator.standard_normal((n, 2)), generator.standard_normal((n, 3))) for n in (30, 20)
+    ]
+    fit = bare(("a", "b"), atoms=(0, 2), amplitude=np.array([9.0, 1.5]), residual=np.ones(30),
+               columns=np.zeros((30, 4)), pull=np.ones(4), off=np.zeros(4))  # fmt: skip
+    columns = np.zeros((50, 5))
+    columns[:, :2] = np.concatenate([jacobian for jacobian, _ in blocks])
+    columns[:, 2] = np.concatenate([own[:, 0] for _, own in blocks])
+    columns[:30, 3], columns[30:, 4] = blocks[0][1][:, 2], blocks[1][1][:, 2]
+    covariance = np.linalg.inv(columns.T @ columns)
+    error = np.sqrt(np.array([1, -1]) @ covariance[3:, 3:] @ np.array([1, -1]))
+    expected = 0.5 / np.hypot(error / 1.5, 0.15)
+    assert size_apart(blocks, fit, 1) == pytest.approx(expected)
+    blocks[1][1][:, 2] = 0.0
+    assert size_apart(blocks, fit, 1) == 0.0
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8, 0.97])

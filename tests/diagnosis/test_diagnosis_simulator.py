@@ -15,9 +15,11 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.engine.decide import Each, Status, Verdict
 from tirefit.diagnosis.rows.fits import as_measured, not_followed
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.simulator import given_simulator, simulator_at
+from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.closure import _energies, block_means, parameter_changes
 from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
@@ -123,26 +125,75 @@ def test_the_gap_is_measured_from_the_given_simulator(frame, as_given):
     assert as_given.simulator.surrogate.of_force < 1e-9
 
 
-def test_the_error_of_a_parameter_is_that_of_the_fits_or_of_the_parts_left_out():
-    """The larger one of the widened mixture of the fits with and without the effect, and of
-    the jackknife; twice as large in the unit of the parameter."""
-    key, blank = ("a",), {"residual": np.zeros(2), "pull": np.zeros(2), "off": np.zeros(2)}
-    blank["columns"] = np.diag([10.0, 5.0])  # variances of 0.01 and 0.04
-    chosen, plain = (bare(k, z=np.array(z), **blank) for k, z in ((key, [1, 3]), ((), [1.1, 3])))
-    out = SimpleNamespace(effects=(key,), parameters=(np.array([[1, 3], [1, 3.5], [1, 2.5]]),))
-    layout = SimpleNamespace(vector=lambda z: 2 * np.asarray(z), labels=("one", "other"))
-    case = SimpleNamespace(
-        chosen=chosen, predicted=out, parts={key: 0.8, (): 0.2}, widening=4.0,
-        weighed=SimpleNamespace(best_of={key: chosen, (): plain}),
-        base=SimpleNamespace(
-            simulator=SimpleNamespace(z=[0.8, 1.0]), tire=SimpleNamespace(layout=layout)
+def test_parameters_and_sizes_are_those_of_the_mixture_of_the_sets():
+    """Mean and standard deviation of normal draws from the fits with the effect, with its twin
+    in its place, and without: 0.6, 0.2 and 0.2 of them; or the error of the jackknife."""
+    key, twin, blank = ("a",), ("t",), {"residual": np.zeros(3), "pull": np.zeros(3)}
+    blank |= {"off": np.zeros(3), "columns": np.diag([10.0, 5.0, 2.0])}  # variances .01, .04, .25
+    fits = {
+        k: bare(k, z=np.array([z, 3.0]), amplitude=np.full(len(k), 2.0), **blank)
+        for k, z in ((key, 1.0), (twin, 1.2), ((), 1.1))
+    }
+    base = SimpleNamespace(
+        simulator=SimpleNamespace(z=[0.8, 1.0]),
+        tire=SimpleNamespace(
+            layout=SimpleNamespace(vector=lambda z: 2 * np.asarray(z), labels=("one", "other"))
         ),
-    )  # fmt: skip
+    )
+    each = {"a": Each(0.8, None, None, twin)}
+    verdict = Verdict(
+        status=Status.NAMED, effects=key, key=key, probability=0.8, each=each, unlisted=0.1
+    )
+    out = SimpleNamespace(
+        effects=(key,),
+        parameters=(np.array([[1, 3], [1, 3.5], [1, 2.5]]),),
+        amplitude=(np.array([[2.0], [2.0], [2.0]]),),
+    )
+    weighed = SimpleNamespace(best_of=fits, log_weight={key: np.log(3), twin: 0.0, (): 9.0})
+    case = Case(base, None, weighed, out, verdict, [])
+    vars(case)["widening"] = 4.0
+    assert case.parts == pytest.approx({key: 0.6, twin: 0.2, (): 0.2})
+    generator = np.random.default_rng(0)
+    means = generator.choice([1.0, 1.2, 1.1], 10**6, p=[0.6, 0.2, 0.2])
+    draws = means + np.sqrt(4 * 0.01) * generator.standard_normal(10**6)
     one, other = parameter_changes(case).values()
-    assert one.std == pytest.approx(2 * np.sqrt(4 * 0.01 + 0.2 * 0.1**2))
+    assert one.measured == pytest.approx(2 * draws.mean(), abs=2e-3)  # 5 errors of the mean
+    assert one.std == pytest.approx(2 * draws.std(), rel=5e-3)
     assert other.std == pytest.approx(2 * np.sqrt(2 * np.var([3, 3.5, 2.5])))
-    assert (one.simulated, one.measured) == (1.6, 2.0)
     assert not one.differs and other.differs
+    value, std = case.sizes
+    assert value == [2.0] and std == pytest.approx([np.sqrt(4 * 0.25)])
+
+
+def test_an_effect_that_acts_like_a_cause_keeps_the_size_with_which_it_helps():
+    """A cause has the mean over its sets; the other one the size of the set that helps."""
+    verdict = Verdict(
+        status=Status.NAMED,
+        effects=("a",),
+        acts_like=("b",),
+        key=("a", "b"),
+        probability=0.5,
+        each={"a": Each(0.9, None, None, ()), "b": Each(0.5, None, None, ())},
+        unlisted=0.1,
+    )
+    fits, sizes = {}, {("a", "b"): [1.0, 3.0], ("a",): [2.0], ("b",): [4.0], (): []}
+    for key, amplitude in sizes.items():
+        n = 1 + len(key)
+        fits[key] = bare(
+            key,
+            z=np.zeros(1),
+            amplitude=np.array(amplitude),
+            residual=np.zeros(n),
+            pull=np.zeros(n),
+            off=np.zeros(n),
+            columns=1e6 * np.eye(n),
+        )
+    out = SimpleNamespace(effects=(("a", "b"),), amplitude=(np.array([[1.0, 3.0]] * 3),))
+    weighed = SimpleNamespace(best_of=fits, log_weight=dict.fromkeys(fits, 0.0))
+    case = Case(None, None, weighed, out, verdict, [])
+    vars(case)["widening"] = 1.0
+    # Of the sets with a half have b as well; of those with b nine in ten have a.
+    np.testing.assert_allclose(case.sizes, [[1.5, 3.0], [0.5, np.sqrt(0.1)]], rtol=1e-6)
 
 
 def test_without_a_simulator_no_parameter_differs(frame):

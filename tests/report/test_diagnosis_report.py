@@ -50,6 +50,7 @@ from tirefit.diagnosis.summary.views import (
 )
 from tirefit.models import MODELS
 from tirefit.report.canvas import Picture, save_picture
+from tirefit.report.diagnosis_answer import answer
 from tirefit.report.diagnosis_budget import (
     budget_table,
     change_texts,
@@ -76,7 +77,7 @@ from tirefit.report.diagnosis_panels import (
     load_label,
     look_title,
 )
-from tirefit.report.diagnosis_sections import answer, gap_line, step_label, step_lines
+from tirefit.report.diagnosis_sections import gap_line, step_label, step_lines
 from tirefit.report.diagnosis_text import diagnosis_text
 from tirefit.report.diagnosis_words import (
     _NEEDS,
@@ -664,15 +665,19 @@ def test_the_error_of_a_simulator_is_reported_by_part():
     assert stand_in_line(diagnosis()) == ""
     # The surest change first: E is 30 standard errors off, mu nine.
     assert change_texts(found) == [
-        "curvature factor 0.600 ± 0.020 too low",
-        "friction 9.0 ± 1.1 % too high",
+        "curvature factor 0.600 ± 0.020 too low (set E to 0.1)",
+        "friction 9.0 ± 1.1 % too high (set mu to 0.9)",
     ]
     # s / m: its error is s / m^2 times that of m.
     far = CHANGES["cpa2"]._replace(simulated=5e4, measured=2.5e4, std=500.0)
     many = far._replace(measured=50.0, std=2.0, differs=True)
     far = far._replace(differs=True)
-    assert change_texts(simulated(changes={"cpa2": far})) == ["stiffness 100.0 ± 4.0 % too high"]
-    assert change_texts(simulated(changes={"cpa2": many})) == ["stiffness 1000 ± 40 times too high"]
+    assert change_texts(simulated(changes={"cpa2": far})) == [
+        "stiffness 100.0 ± 4.0 % too high (set cpa2 to 25000)"
+    ]
+    assert change_texts(simulated(changes={"cpa2": many})) == [
+        "stiffness 1000 ± 40 times too high (set cpa2 to 50)"
+    ]
     details = flat(diagnosis_text(found, full=True))
     assert "cpa2 [N] 50000 51000 ± 900 no" in details and "mu [-] 0.981" in details
 
@@ -681,14 +686,43 @@ def test_the_error_of_a_simulator_is_reported_by_part():
     ("status", "effects", "sentence"),
     [
         ("none", (), "There is no gap beyond its parameters and the noise. Probability"),
-        ("named", ("slip_offset",), "The gap comes from slip offset (0.91)."),
+        (
+            "named",
+            ("slip_offset",),
+            "The gap comes from slip offset of 0.1234 ± 0.0056 (0.91), 12 % of the error's mean"
+            " square: add it to the slip.",
+        ),
     ],
 )
 def test_the_answer_on_a_simulator_begins_with_its_parameters(status, effects, sentence):
     found = simulated(status, effects, {"mu": CHANGES["mu"]})
-    first = "The simulator has friction 9.0 ± 1.1 % too high. "
+    first = "The simulator has friction 9.0 ± 1.1 % too high (set mu to 0.9), 78 % of its error. "
     assert answer(found).startswith(first + sentence)
     assert after_label(simulated()) == "parameters + slip offset"
+
+
+def test_the_largest_part_comes_first_and_what_does_not_carry_over_is_left_out():
+    """The second effect has the larger share; a third predicts held-out files worse."""
+    parts = [Part(e, 9.0, share, (0.0, 1.0)) for e, share in
+             (("slip_offset", 0.2), ("load_friction", 0.7), ("unexplained", 0.1))]  # fmt: skip
+    names = ["slip_offset", "load_friction", "conicity"]
+    steps = [
+        Step(tuple(names[:k]), 9.0 - k, 0.1 * k, 0.0, 1.0, 0.1, rms, None)
+        for k, rms in enumerate((9.0, 8.0, 7.0, 7.5))
+    ]
+    found = judged("named", names, budget=tuple(parts), ladder=Ladder("runs", tuple(steps)))
+    text = answer(found)
+    assert text.startswith("The gap comes from load friction (0.20), 70 %")
+    assert "; then from slip offset (0.91), 20 %" in text and "conicity" not in text
+    simulator = simulated(changes={"mu": CHANGES["mu"]}, budget=tuple(parts))
+    assert answer(simulator).startswith("The gap comes from slip offset")
+
+
+def test_the_remedy_of_a_derived_slip_is_in_the_vehicle_file():
+    found = judged("named", ["slip_offset"])
+    derived = replace(found, data=replace(found.data, motion=("yaw rate of the pose",)))
+    assert "(0.91): subtract it from yaw_offset of vehicle.toml" in answer(derived)
+    assert "(0.91): add it to the slip." in answer(found)
 
 
 def test_the_answer_tells_a_small_gap_beside_the_noise():
@@ -910,10 +944,16 @@ def test_the_sizes_are_legible_on_a_phone():
 def test_an_effect_that_acts_like_the_cause_is_in_text_page_and_document():
     found = sized()
     text, page = flat(found), flat(html.unescape(words_page(found)))
-    acting = "In the model, the error acts like load friction (0.20 that this is the cause)."
+    acting = (
+        "In the model, the error acts like load friction of 0.1234 ± 0.0056 (0.20 that this is"
+        " the cause)."
+    )
     size = "size by load F_z: 0.050 ± 0.010, 0.120 ± 0.020, 0.18 ± 0.50; beyond their errors"
     for shown in (text, page):
-        assert f"The gap comes in part from slip offset (0.91). {acting}" in shown
+        assert (
+            "The gap comes in part from slip offset of 0.1234 ± 0.0056 (0.91): add it to the slip."
+            f" {acting}" in shown
+        )
         assert "load friction (load_friction): 0.1234 ± 0.0056" in shown
         assert f"{size} they spread by 40 % of the whole" in shown
     assert after_label(found) == "slip offset + load friction"
@@ -923,8 +963,8 @@ def test_an_effect_that_acts_like_the_cause_is_in_text_page_and_document():
     alone = judged("unknown", ["unknown"], like=["load_friction"])
     assert answer(alone).startswith(
         "There is a gap beyond the noise, and no listed effect is its likely cause. Probability"
-        " 0.13 of an unlisted effect. In the model, it acts like load friction (0.20 that this"
-        " is the cause). This takes the gap from 125 to 25 N (rms)."
+        " 0.13 of an unlisted effect. In the model, it acts like load friction of 0.1234 ±"
+        " 0.0056 (0.20 that this is the cause). This takes the gap from 125 to 25 N (rms)."
     )
     assert "load friction (load_friction): 0.1234 ± 0.0056" in flat(alone)
 
@@ -954,7 +994,8 @@ def test_a_failed_save_leaves_no_figure(tmp_path, monkeypatch):
 STATUSES = {
     "named": (
         ("named", ["load_friction"]),
-        "The gap comes from load friction (0.91). This takes the gap from 125 to 25 N (rms).",
+        "The gap comes from load friction of 0.1234 ± 0.0056 (0.91): fit brush-load. This takes the"
+        " gap from 125 to 25 N (rms).",
     ),
     "noise": (
         ("named", ["outliers"]),
@@ -967,8 +1008,9 @@ STATUSES = {
     ),
     "incomplete": (
         ("incomplete", ["load_friction", "slip_offset"]),
-        "The gap comes in part from load friction (0.91) and slip offset (0.20); an unlisted"
-        " effect is likely as well (0.13). These take the gap from 125 to 25 N (rms).",
+        "The gap comes in part from load friction (0.91): fit brush-load; then from slip offset"
+        " (0.20): add it to the slip; an unlisted effect is likely as well (0.13). These take the"
+        " gap from 125 to 25 N (rms).",
     ),
     "unknown": (
         ("unknown", [], 0.6, ["friction_drift"]),
@@ -977,8 +1019,8 @@ STATUSES = {
     ),
     "cannot_tell": (
         ("cannot_tell", ["load_friction"], 0.6, ["friction_drift"], ["friction_drift"]),
-        "The gap comes from load friction or friction drift, which this data cannot tell"
-        " apart (0.91). This takes the gap from 125 to 25 N (rms).",
+        "The gap comes from load friction of 0.1234 ± 0.0056 or friction drift, which this data"
+        " cannot tell apart (0.91). This takes the gap from 125 to 25 N (rms).",
     ),
 }
 
@@ -1150,7 +1192,7 @@ def test_texts_cover_the_library_and_name_existing_models():
 
 def test_a_user_defined_effect_is_shown_by_its_id():
     found = judged("named", ["road_ripple"], candidates=(candidate(["road_ripple"], 1),))
-    assert "The gap comes from road ripple (0.91)." in flat(found)
+    assert "The gap comes from road ripple of 0.1234 ± 0.0056 (0.91)." in flat(found)
     assert "road ripple (road_ripple)" in words_page(found)
     mine = Effect(
         id="road_ripple",
@@ -1234,7 +1276,7 @@ def test_a_notebook_shows_the_diagnosis():
     fragment = diagnosis()._repr_html_()
     page = Page(fragment)
     assert page.seen.count("img") == 1 and "html" not in page.seen
-    assert "The gap comes from load friction (0.91)." in "".join(page.texts)
+    assert "The gap comes from load friction of 0.1234 ± 0.0056 (0.91)" in "".join(page.texts)
     assert "style" not in page.seen  # it would restyle the whole notebook
 
 
@@ -1249,7 +1291,7 @@ def test_chromium_shows_the_page_and_fetches_nothing(page_text, tmp_path):
     page.write_text(page_text)
     document, asked = browse(page, tmp_path, "--dump-dom")
     assert '<title>drum &lt;b&gt;$1 &amp; "x" against brush:' in document
-    assert "The gap comes from load friction (0.91)." in document
+    assert "The gap comes from load friction of 0.1234 ± 0.0056 (0.91)" in document
     assert asked == []
     shot = tmp_path / "shot.png"
     browse(page, tmp_path, f"--screenshot={shot}")

@@ -22,6 +22,7 @@ from fits.withheld.designs import DESIGNS, make_world
 from fits.withheld.generate import write_csv
 from fits.withheld.goals import goals
 from fits.withheld.judge import judge
+from fits.withheld.open_mix import mix_rows
 from fits.withheld.reliability import draw_reliability, reliability
 from fits.withheld.strange import FOREIGN, SEALED, UNLISTED, suits
 
@@ -114,6 +115,50 @@ def test_a_name_with_an_unlisted_effect_counts_for_any_status():
     assert (line.found, line.verdict) == ("0.500 (4)", "FAIL")
     line = found["false names with an unlisted effect, per trial"]
     assert (line.found, line.verdict) == ("0.250 (4)", "FAIL")
+
+
+def test_the_open_mix_agrees_with_hand_calculation():
+    """Three trials of a listed effect, one without any; every figure by hand."""
+
+    def answer(status, effects, like=(), unlisted=0.2, size=0.02, **each):
+        found = said(status, *effects, p=0.6)
+        found["verdict"] |= {
+            "acts_like": list(like),
+            "left": {"unlisted": unlisted},
+            "each": {e: {"probability": p, "twins": []} for e, p in each.items()},
+        }
+        amplitude = {"value": size, "std": 0.001, "unit": "s"}
+        helping = {"effects": [*effects, *like], "family": "", "probability": 0.5}
+        found["candidates"] = [helping | {"parameters": {"channel_delay: time": amplitude}}]
+        return found
+
+    truth = label("singles", "channel_delay", forms=["delay"], amplitudes=[0.021])
+    cases = {
+        "right": (truth, answer("named", ["channel_delay"], channel_delay=0.9)),
+        "more": (truth, answer("named", ["conicity"], ["channel_delay"],
+                               conicity=0.85, channel_delay=0.4)),
+        "far": (truth, answer("named", ["channel_delay"], size=0.03, channel_delay=0.7)),
+        "beside": (label("beside", "channel_delay"),
+                   answer("incomplete", ["channel_delay"], unlisted=0.9, channel_delay=0.6)),
+        "null": (label("null"), answer("none", [], unlisted=0.1)),
+    }  # fmt: skip
+    labels = {name: mark for name, (mark, _) in cases.items()}
+    outcomes = {name: judge(name, mark, given) for name, (mark, given) in cases.items()}
+    rows = {name: values for name, *values in mix_rows(labels, outcomes)}
+    of_truth = [0.9 * 0.8, 0.4 * 0.15 * 0.8, 0.7 * 0.8]
+    error = np.std(of_truth, ddof=1) / np.sqrt(3)
+    assert rows["mean probability on the true verdict"][:-1] == [
+        f"{np.mean(of_truth):.3f} ± {error:.3f} (3)", "0.540 ± nan (1)", "-", "0.900 ± nan (1)",
+    ]  # fmt: skip
+    assert rows["absent effects at > .8, per trial"][0].startswith("0.333")
+    squares = [0.1**2, 0.85**2, 0.6**2, 0.3**2]
+    assert rows["Brier score of `each`"][0].startswith(f"{np.mean(squares):.3f}")
+    # Fifths: 0.85 and 0.9 (one there), 0.4 and 0.7 (both there).
+    off = (2 * abs(0.875 - 0.5) + 0.6 + 0.3) / 4
+    assert float(rows["calibration error of `each`"][0].split()[0]) == pytest.approx(off, abs=6e-4)
+    assert rows["sizes inside 2 errors"][0].startswith("0.500")
+    assert rows["a gap is claimed"][3].startswith("0.000")
+    assert rows["a gap is claimed"][4].startswith("0.800")
 
 
 def test_the_remainder_has_the_probability_of_something_unlisted():

@@ -9,6 +9,9 @@ from tirefit.diagnosis.summary.result import UNITS, Change, Diagnosis, Part
 from tirefit.report.diagnosis_words import name_of, share_text
 from tirefit.report.numbers import format_estimate, format_number
 
+_LEFT = ("unexplained", "noise")
+_KINDS = ("parameters", *_LEFT)  # parts of a budget that are not effects
+
 _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Short names of parameters for sentences."""
 
@@ -34,17 +37,17 @@ def change_texts(result: Diagnosis) -> list[str]:
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
     words = {**result.meanings, **_SHORT}
-    return [_change_text(words.get(name, name), change) for name, change in wrong]
+    return [_change_text(name, words.get(name, name), change) for name, change in wrong]
 
 
-def _change_text(meaning: str, change: Change) -> str:
+def _change_text(name: str, meaning: str, change: Change) -> str:
     off = change.simulated - change.measured
-    side = "high" if off > 0 else "low"
+    side = f"{'high' if off > 0 else 'low'} (set {name} to {format_number(change.measured, 3)})"
     if min(change.simulated, change.measured) > 0:
         ratio = change.simulated / change.measured
         error = ratio * change.std / change.measured
         if ratio > _MANY_TIMES:
-            return f"{meaning} {format_estimate(ratio, error)} times too high"
+            return f"{meaning} {format_estimate(ratio, error)} times too {side}"
         share = format_estimate(100 * abs(ratio - 1), 100 * error)
         return f"{meaning} {share} % too {side}"
     return f"{meaning} {format_estimate(abs(off), change.std)} too {side}"
@@ -65,19 +68,26 @@ def _rms(parts: Sequence[Part]) -> str:
     return format_number(sure.rms / np.sqrt(sure.share), 3)
 
 
+def in_order(budget: Sequence[Part]) -> list[Part]:
+    """The parts that are explained, the largest first, then what is left."""
+    return sorted(budget, key=lambda part: -part.share * (part.part not in _LEFT))
+
+
 def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
-    """The error of a simulator and its parts, one per row, with a header."""
-    budget = result.budgets[channel]
+    """The error of a simulator or model and its parts, one per row, with a header."""
+    budget, what = result.budgets[channel], "simulator" if result.simulator else "model"
+    if not budget:
+        return []
     return [
         (
             f"{channel_name(channel)}, part of the error",
             f"rms [{UNITS[channel]}]",
             "share of the mean square [90 % interval]",
         ),
-        ("whole error of the simulator", _rms(budget), "100 %"),
+        (f"whole error of the {what}", _rms(budget), "100 %"),
         *(
             (_label(part), format_number(part.rms, 3), share_text(part.share, part.closed_ci))
-            for part in budget
+            for part in in_order(budget)
         ),
     ]
 
@@ -105,9 +115,6 @@ def stand_in_line(result: Diagnosis) -> str:
     return line
 
 
-_KINDS = ("parameters", "unexplained", "noise")  # parts of a budget that are not effects
-
-
 def _label(part: Part) -> str:
     return "its parameters" if part.part == "parameters" else name_of(part.part)
 
@@ -122,7 +129,7 @@ def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[Water
     unit = UNITS[channel]
     message = f"{_rms(result.budgets[channel])} {unit} (rms), 100 %"
     left, steps = 1.0, [WaterfallBar("simulator's error", 1.0, 0.0, "whole", message)]
-    for part in result.budgets[channel]:
+    for part in in_order(result.budgets[channel]):
         rest = max(left - part.share, 0.0) if part.part != "noise" else 0.0
         kind = part.part if part.part in _KINDS else "effect"
         low, high = part.closed_ci

@@ -27,6 +27,7 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
+from tirefit.report.diagnosis_answer import answer
 from tirefit.report.diagnosis_budget import WaterfallBar, channel_name, waterfall_steps
 from tirefit.report.diagnosis_panels import (
     ChanceBar,
@@ -40,7 +41,7 @@ from tirefit.report.diagnosis_panels import (
     level_labels,
     load_label,
 )
-from tirefit.report.diagnosis_sections import answer, subject
+from tirefit.report.diagnosis_sections import subject
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.panels import Panel, alone
 

@@ -1,7 +1,6 @@
 """The first screen of a diagnosis: the answer, and what a reader acts on."""
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 import numpy as np
 
@@ -16,7 +15,8 @@ from tirefit.diagnosis.summary.result import (
     Shrinkage,
     Status,
 )
-from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
+from tirefit.report.diagnosis_answer import worse_steps
+from tirefit.report.diagnosis_budget import budget_table, channel_name, stand_in_line
 from tirefit.report.diagnosis_words import (
     amplitude_text,
     closed_text,
@@ -27,6 +27,7 @@ from tirefit.report.diagnosis_words import (
     name_of,
     name_with_id,
     said_unit,
+    set_name,
     slip_check_line,
     untestable_lines,
     words_on,
@@ -65,91 +66,6 @@ def subject(result: Diagnosis) -> str:
     is_forces = result.simulator is not None and result.simulator.kind == "columns"
     against = "the simulator's own forces" if is_forces else result.model
     return f"{result.data.name} against {against}"
-
-
-def answer(result: Diagnosis) -> str:
-    """The answer: a sentence on the effects; for a simulator, first its parameters."""
-    changes = change_texts(result)
-    message = _on_effects(result, beyond="its parameters and " if changes else "")
-    message = f"The simulator has {listing(changes)}. {message}" if changes else message
-    return " ".join([message, *_how_much(result), *_no_help(result)])
-
-
-def _how_much(result: Diagnosis) -> Iterator[str]:
-    """The rms of the gap without and with the effects that help, or that it is small."""
-    gap, unit = result.gap, result.unit
-    if not result.verdict.helping:
-        return
-    before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
-    if gap.resolvable:
-        takes = "This takes" if len(result.verdict.helping) == 1 else "These take"
-        yield f"{takes} the gap from {before} to {after} {unit} (rms)."
-    else:
-        noise = result.noise.forces.get(result.data.channels[0])
-        beside = f" beside {format_number(noise, 2)} {unit} of noise" if noise else ""
-        yield f"The gap is small: {before} {unit} (rms){beside}."
-
-
-def _no_help(result: Diagnosis) -> Iterator[str]:
-    """A sentence if the named effects predict the held-out files worse."""
-    steps = [s for s in result.ladder.steps if s.rms_held_out is not None]
-    plain = next((s for s in steps if not s.effects), None)
-    if plain is None or not result.verdict.helping:
-        return
-    before, after = plain.rms_held_out, steps[-1].rms_held_out
-    if before is not None and after is not None and after > before:
-        unit = result.unit
-        old, new = (format_number(x, 3) for x in (before, after))
-        yield (
-            f"On the files held out it does not help ({old} to {new} {unit} rms): the"
-            " answer is of the diagnosed files alone."
-        )
-
-
-def _on_effects(result: Diagnosis, beyond: str) -> str:
-    verdict = result.verdict
-    like = _acting(result, "the error" if verdict.names_an_effect else "it")
-    if verdict.status == Status.UNKNOWN:
-        return (
-            f"There is a gap beyond {beyond}the noise, and no listed effect is its likely"
-            f" cause. Probability {verdict.left.unlisted:.2f} of an unlisted effect.{like}"
-        )
-    if not verdict.names_an_effect:
-        of_noise = [name_of(e) for e in verdict.effects if e != "unknown"]
-        tail = f" The noise shows {listing(of_noise)}." if of_noise else ""
-        return (
-            f"There is no gap beyond {beyond}the noise. Probability"
-            f" {verdict.probability:.2f} of no effect, listed or unlisted.{tail}"
-        )
-    parts = [
-        f"{name_of(effect)}{or_twins(result, effect)} ({verdict.each[effect].probability:.2f})"
-        for effect in verdict.effects
-    ]
-    beside = (
-        f"; an unlisted effect is likely as well ({verdict.left.unlisted:.2f})"
-        if verdict.status == Status.INCOMPLETE
-        else ""
-    )
-    part = " in part" if beside or like else ""
-    return f"The gap comes{part} from {listing(parts)}{beside}.{like}"
-
-
-def _acting(result: Diagnosis, what: str) -> str:
-    """A sentence on effects that help without being the likely cause; empty for none."""
-    parts = [
-        f"{name_of(e)} ({result.verdict.each[e].probability:.2f} that this is the cause)"
-        for e in result.verdict.acts_like
-    ]
-    return f" In the model, {what} acts like {listing(parts)}." if parts else ""
-
-
-def or_twins(result, effect: str) -> str:
-    """Words on the effects that the data cannot distinguish from a named one."""
-    each = result.verdict.each.get(effect)
-    if each is None or not each.twins:
-        return ""
-    twins = listing([name_of(twin) for twin in each.twins], "or")
-    return f" or {twins}, which this data cannot tell apart"
 
 
 def head_lines(result: Diagnosis) -> Iterator[str]:
@@ -224,15 +140,12 @@ def _held_out(step: Step) -> str:
 
 def _worse_held_out(result: Diagnosis, unit: str) -> Iterator[str]:
     """A sentence on each step that predicts the held-out files worse than the previous."""
-    steps = result.ladder.steps
-    for k, (before, after) in enumerate(pairwise(steps), 1):
-        old, new = before.rms_held_out, after.rms_held_out
-        if old is not None and new is not None and new > old:
-            yield (
-                f"{step_label(result, k)}: predicts the files held out worse"
-                f" ({format_number(old, 3)} to {format_number(new, 3)} {unit} rms): do"
-                " not carry it over to other data"
-            )
+    for k in worse_steps(result):
+        old, new = (format_number(result.ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))
+        yield (
+            f"{step_label(result, k)}: predicts the files held out worse ({old} to {new} {unit}"
+            " rms): do not carry it over to other data"
+        )
 
 
 def _ladder(result: Diagnosis) -> Section:
@@ -292,8 +205,9 @@ def _budget(result: Diagnosis, channel: str) -> Section:
     several = len(result.budgets) > 1
     first = channel == result.data.channels[0]
     of_channel = f" of {channel_name(channel)}" if several else ""
+    what = "simulator" if result.simulator else "model"
     return Section(
-        f"Budget of the simulator's error{of_channel} ({result.n} rows)",
+        f"Budget of the {what}'s error{of_channel} ({result.n} rows)",
         [stand_in_line(result)] if first and stand_in_line(result) else (),
         budget_table(result, channel),
         (f"budget{of_channel}",),
@@ -385,7 +299,7 @@ def step_lines(result: Diagnosis) -> list[str]:
 
 
 def _tells_apart(step: NextMeasurement) -> str:
-    one, other = map(name_of, step.separates)
+    one, other = (set_name([effect]) for effect in step.separates)
     forecast = f"with probability {step.p_after:.2f}, instead of {step.p_now:.2f} now"
     if np.isnan(step.p_after):
         forecast = f"(these rows: with probability {step.p_now:.2f})"
@@ -404,7 +318,7 @@ def first_screen(result: Diagnosis) -> list[Section]:
     """Sections of the short report: ladder, budget of a simulator, effects, remainder,
     next measurement, effects that cannot be tested."""
     sections = [_ladder(result)]
-    if result.simulator:
+    if result.simulator or result.verdict.helping:
         sections += [_budget(result, channel) for channel in result.budgets]
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)

@@ -23,7 +23,6 @@ from tirefit.diagnosis.summary.closure import (
     fits_of,
     of_the_ladder,
     on_files,
-    parameter_errors,
 )
 from tirefit.diagnosis.summary.document import candidates_of, resolution, verdict_of
 from tirefit.diagnosis.summary.forecast import confusion, manoeuvres
@@ -78,11 +77,11 @@ def document_of(
     if others is not None:
         held, ladder = _held_out(case, ladder, *others, generator)
     hashes = tuple(log.sha256 for log in (others[0] if others else {}).values())
-    left, z = case.chosen.residual, case.chosen.z
+    left, (z, spread) = case.chosen.residual, case.parameters
     gaps = {c: _closure(base, c, base.given_residual, left, generator) for c in _channels(base)}
     gap = Gap(**vars(gaps[ALL]), channels=gaps, holdout=held)
     factors = dict(zip(FACTORS, np.exp(z).tolist(), strict=True))
-    std = np.exp(z) * parameter_errors(case)
+    std = np.exp(z) * spread
     changes = {
         name: changed(1.0, factor, float(error))
         for (name, factor), error in zip(factors.items(), std, strict=True)
@@ -113,7 +112,7 @@ def document_of(
         forecast=tuple(confusion(case.search)),
         next_measurement=manoeuvres(case.search, case.weighed, case.verdict),
         base_parameters=dict.fromkeys(FACTORS, 1.0),
-        extended_parameters=factors,
+        extended_parameters=dict(zip(FACTORS, np.exp(case.chosen.z).tolist(), strict=True)),
         extension=CarExtension(
             {base.atoms[k].effect.id: base.atoms[k].variant for k in case.chosen.atoms},
             float(np.mean(base.cut.data.v_x)),

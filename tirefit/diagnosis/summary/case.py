@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
+from scipy.special import softmax
 
 from tirefit.diagnosis.effects import NOISE_EFFECTS, Atom
 from tirefit.diagnosis.engine import NONZERO
@@ -23,7 +24,7 @@ from tirefit.diagnosis.engine.decide import (
 from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
-from tirefit.diagnosis.engine.search import Search, Weighed, parts_of
+from tirefit.diagnosis.engine.search import Search, Weighed
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base, on_rows
@@ -82,51 +83,67 @@ class Concluded:
         """The formula of an effect in words."""
         return atom.formula(None, None)
 
-    def errors(self, fit: Fit) -> np.ndarray:
-        """Standard errors (k,) of the amplitudes, in prior scales: at least those of the
-        jackknife over the parts left out and, of the set that helps, those of the differences
-        between its parts."""
-        found = fit.errors * np.sqrt(self.widening)
-        if fit.key in self.predicted.effects:
-            left_out = self.predicted.amplitude[self.predicted.effects.index(fit.key)]
-            found = np.maximum(found, jackknife_error(left_out))
-        if fit.key == self.verdict.key:
-            found = np.maximum(found, self._between_parts)
-        return found
-
-    @property
-    def _between_parts(self) -> np.ndarray:
-        """Differences (k,) of the amplitudes between the parts of the set that helps, root of
-        the mean square by their probability."""
-        fit, square = self.chosen, np.zeros(len(self.chosen.atoms))
-        total = np.full(len(fit.atoms), NONZERO)
-        for key, chance in self.parts.items():
-            part = self.weighed.best_of[key]
-            for place, effect in enumerate(fit.effects):
-                if effect in part.effects:
-                    own = part.amplitude[part.effects.index(effect)]
-                    square[place] += chance * (own - fit.amplitude[place]) ** 2
-                    total[place] += chance
-        return np.sqrt(square / total)
-
     @property
     def chosen(self) -> Fit:
         """The fit of the named effects, or of none."""
         return self.weighed.best_of[self.verdict.key]
 
-    @property
+    @cached_property
     def parts(self) -> dict[Key, float]:
-        """Probability of each part of the set that helps: its effects are causes with their
-        own probabilities. A size and a parameter are uncertain by the differences of these
-        fits: an effect that only acts like a cause may have taken a part of either."""
-        each = {effect: one.probability for effect, one in self.verdict.each.items()}
-        found = {}
-        for key in [*parts_of(self.verdict.key), ()]:
-            if key in self.weighed.best_of:
-                chances = (p if effect in key else 1 - p for effect, p in each.items())
-                found[key] = math.prod(chances)
+        """Probability of each set that these data do not rule out: effects that help are causes
+        with their own probabilities, and a twin may be there in the place of each. A size and a
+        parameter are averages over these fits: an effect that only acts like a cause may have
+        taken a part of either."""
+        each, weighed = self.verdict.each, self.weighed
+        stands_for = {name: e for e, one in each.items() for name in (e, *one.twins)}
+        sets: dict[frozenset, list[Key]] = {}
+        for key in weighed.best_of:
+            claim = frozenset(stands_for.get(effect) for effect in key)
+            if None not in claim and len(claim) == len(key):
+                sets.setdefault(claim, []).append(key)
+        found: dict[Key, float] = {}
+        for claim, keys in sets.items():
+            chances = (p.probability if e in claim else 1 - p.probability for e, p in each.items())
+            shares = softmax([weighed.log_weight[key] for key in keys])
+            found |= dict(zip(keys, (math.prod(chances) * shares).tolist(), strict=True))
         whole = max(sum(found.values()), NONZERO)
         return {key: value / whole for key, value in found.items()}
+
+    @cached_property
+    def sizes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Amplitudes (k,) of the effects that help in prior scales, and their standard errors.
+
+        A cause has the average over the ``parts`` that hold it; an effect that only acts like
+        one has the size with which it helps, and the error covers its sizes in the parts. The
+        errors are at least those of the jackknife over the data left out.
+        """
+        found = []
+        for effect, whole in zip(self.chosen.effects, self.chosen.amplitude, strict=True):
+            fits = {k: self.weighed.best_of[k] for k in self.parts if effect in k}
+            at = {k: fit.effects.index(effect) for k, fit in fits.items()}
+            values = np.array([fit.amplitude[at[k]] for k, fit in fits.items()])
+            errors = np.array([fit.errors[at[k]] for k, fit in fits.items()])
+            chances = np.array([self.parts[k] for k in fits])
+            center = None if effect in self.verdict.effects else whole
+            found.append(averaged(values, self.widening * errors**2, chances, center))
+        value, std = np.reshape(found, (-1, 2)).T
+        out = self.predicted
+        return value, np.maximum(std, jackknife_error(out.amplitude[self._place]))
+
+    @cached_property
+    def parameters(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters z (p,) of the base, averaged over the ``parts``, and their standard
+        errors: at least those of the jackknife over the data left out."""
+        fits, p = [self.weighed.best_of[key] for key in self.parts], len(self.chosen.z)
+        variance = self.widening * np.array([np.diag(fit.covariance)[:p] for fit in fits])
+        chances = np.array([*self.parts.values()])
+        value, std = averaged(np.array([f.z for f in fits]), np.maximum(variance, 0.0), chances)
+        return value, np.maximum(std, jackknife_error(self.predicted.parameters[self._place]))
+
+    @property
+    def _place(self) -> int:
+        """The place of the set that helps in the predictions of data left out."""
+        return self.predicted.effects.index(self.verdict.key)
 
 
 @dataclass(frozen=True)
@@ -165,6 +182,19 @@ class Case(Concluded):
         parts = np.split(left, len(left) // n)
         rows_each = max(correlation(part, base.rows.time, base.rows.run) for part in parts)
         return max(float(np.mean(left**2)) * rows_each, 1.0)
+
+
+def averaged(values, variances, chances, center=None) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation (...) of a mixture of normal estimates.
+
+    Args:
+        values, variances: (sets, ...) of each estimate.
+        chances: (sets,) weights, of any positive sum.
+        center: value from which to measure the deviation; None for the mean.
+    """
+    chances = chances / max(float(chances.sum()), NONZERO)
+    mean = chances @ values if center is None else center
+    return mean, np.sqrt(chances @ (variances + (values - mean) ** 2))
 
 
 def _both(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:

@@ -387,27 +387,13 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple, np.ndarray]]:
     return missed
 
 
-def parameter_errors(case: Concluded) -> np.ndarray:
-    """Standard errors (p,) of the parameters z fitted with the effects that help: those of
-    the mixture of the parts of their set, and at least those of the jackknife over the parts
-    of the data that are left out."""
-    chosen, out, p = case.chosen, case.predicted, len(case.chosen.z)
-    each = [case.weighed.best_of[key] for key in case.parts]
-    variance = np.array([np.diag(fit.covariance)[:p] for fit in [chosen, *each]])
-    variance = np.maximum(variance, 0.0) * case.widening
-    off = np.array([fit.z for fit in each]) - chosen.z
-    mixed = np.array([*case.parts.values()]) @ (variance[1:] + off**2)
-    by_parts = jackknife_error(out.parameters[out.effects.index(chosen.key)])
-    return np.sqrt(np.maximum.reduce([variance[0], mixed, by_parts**2]))
-
-
 def parameter_changes(case: Case) -> Mapping[str, Change]:
-    """The parameters of the simulator as given, and as fitted with the effects of the verdict;
-    empty if a form was fitted."""
-    base, z, changes = case.base, np.asarray(case.chosen.z), {}
+    """The parameters of the simulator as given, and as measured, averaged over the sets of
+    effects that these data do not rule out; empty if a form was fitted."""
+    base, changes = case.base, {}
     if base.simulator is None:
         return {}
-    values, spread = base.tire.layout.vector, parameter_errors(case)
+    values, (z, spread) = base.tire.layout.vector, case.parameters
     std = np.abs(values(z + spread) - values(z - spread)) / 2
     ends = values(base.simulator.z), values(z), std
     for name, *one in zip(base.tire.layout.labels, *ends, strict=True):

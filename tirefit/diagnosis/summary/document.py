@@ -9,7 +9,7 @@ import numpy as np
 from tirefit.diagnosis.engine import ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
 from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import sizes_by_group
+from tirefit.diagnosis.engine.left_out import jackknife_error, sizes_by_group
 from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.runs import offsets_of_runs
@@ -250,11 +250,17 @@ def _chances(case: Concluded) -> dict:
 
 def _candidate(case: Concluded, key, probability: float, closure: Shrinkage) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
-    spread, parameters = case.errors(hypothesis), {}
-    ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
+    found, parameters = hypothesis.amplitude, {}
+    spread = hypothesis.errors * np.sqrt(case.widening)
+    if key == case.verdict.key:
+        found, spread = case.sizes
+    elif key in case.predicted.effects:
+        left_out = case.predicted.amplitude[case.predicted.effects.index(key)]
+        spread = np.maximum(spread, jackknife_error(left_out))
+    ratio = found / np.maximum(spread, ROUNDING)
     atoms = [base.atoms[k] for k in hypothesis.atoms]
     scale = base.priors.scale[list(hypothesis.atoms)]
-    sizes = hypothesis.amplitude * scale
+    sizes = found * scale
     # However bad the fit, the error is at most that of the prior.
     errors = np.minimum(spread, 1.0) * scale
     for atom, size, error in zip(atoms, sizes, errors, strict=True):

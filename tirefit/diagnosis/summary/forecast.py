@@ -7,10 +7,11 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import logit, ndtr
 
 from tirefit.diagnosis.engine import FLAT, UNSEEN
-from tirefit.diagnosis.engine.fit import without
+from tirefit.diagnosis.engine.decide import UNKNOWN
+from tirefit.diagnosis.engine.fit import Fit, without
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.result import Forecast, NextMeasurement
@@ -23,6 +24,14 @@ _FACTORS, _SMALL = (0.5, 2.0), 0.1
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
 _WORTHWHILE = 0.02
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
+_OPEN = (0.2, 0.8)
+"""Probabilities of a cause between which a further measurement is to decide."""
+_STANDS_OFF = 0.5
+"""Change of the size of a stand-in under other conditions, over its size: on measured logs a
+quarter to once its size, that of a cause hardly any."""
+_VARIES = 0.15
+"""Standard deviation of the size of a cause between conditions, over its size: half of the
+largest one on measured logs."""
 _SAME_AGAIN = "the same again"
 _MOMENT = "the aligning moment M_z on lateral runs"
 
@@ -169,6 +178,42 @@ def _told_apart(blocks: Sequence[_Block], one, two) -> float:
     return separability(without(columns, np.concatenate(known)), 0, 1, size, other)
 
 
+def decided(chance: float, distance: float) -> float:
+    """Forecast probability of a right decision between a cause and a stand-in.
+
+    Args:
+        chance: probability of the cause now.
+        distance: between the two expected results, in standard errors.
+    """
+    odds = logit(chance) / max(distance, FLAT)
+    right = chance * ndtr(distance / 2 + odds), (1 - chance) * ndtr(distance / 2 - odds)
+    return float(sum(right))
+
+
+def size_apart(blocks: Sequence[_Block], fit: Fit, place: int) -> float:
+    """Difference between the size of a stand-in here and that under other conditions, over the
+    standard deviation of that of a cause; zero if the effect is not felt there.
+
+    Args:
+        blocks: slopes of the present rows and of those under other conditions.
+        fit: the effects that help; ``place`` is that of the effect.
+    """
+    (jacobian, columns), (other, changed) = blocks
+    atom, beside = fit.atoms[place], [k for k in fit.atoms if k != fit.atoms[place]]
+    known = np.concatenate([jacobian, other]), np.concatenate([columns, changed])[:, beside]
+    split = np.zeros((len(columns) + len(changed), 2))
+    split[: len(columns), 0], split[len(columns) :, 1] = columns[:, atom], changed[:, atom]
+    left = without(split, np.concatenate(known, axis=1))
+    gram, rest = left.T @ left, fit.remainder()
+    size = np.diag(gram)
+    if min(size) < FLAT or np.linalg.det(gram) < UNSEEN * np.prod(size):
+        return 0.0
+    by_apart = np.array([1.0, -1.0])
+    variance = by_apart @ np.linalg.solve(gram, by_apart) * max(float(np.mean(rest**2)), 1.0)
+    relative = float(np.sqrt(variance)) / max(abs(float(fit.amplitude[place])), FLAT)
+    return _STANDS_OFF / float(np.hypot(relative, _VARIES))
+
+
 def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
     """Atom and amplitude in prior scales of each testable effect: the usual amplitude, or
     that of the single refit if it is larger (a refit near zero is not a limit)."""
@@ -234,9 +279,19 @@ def next_measurements(
         for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:
             after = _told_apart([here, added(name)], one, two)
             considered.append(NextMeasurement(name, pair, now, after))
+    for effect, one in verdict.each.items():
+        if effect in verdict.key and _OPEN[0] <= one.probability <= _OPEN[1]:
+            fit, now = weighed.best_of[verdict.key], max(one.probability, 1 - one.probability)
+            for name in (name for name in changes if name != _SAME_AGAIN):
+                distance = size_apart([here, added(name)], fit, fit.effects.index(effect))
+                after = decided(one.probability, distance)
+                considered.append(NextMeasurement(name, (effect, UNKNOWN), now, after))
     useful = [step for step in considered if step.p_after > step.p_now + _WORTHWHILE]
     if useful:
-        return tuple(sorted(useful, key=lambda s: s.p_now - s.p_after)[:most]), None
+        ranked = sorted(useful, key=lambda s: s.p_now - s.p_after)
+        # One of them decides whether an effect is the cause, if any can.
+        first = [step for step in ranked if UNKNOWN in step.separates][:1]
+        return tuple(dict.fromkeys([*first, *ranked]))[:most], None
     return (), _reason(considered, verdict.status)
 
 
