@@ -36,10 +36,10 @@ _ENDS = (0.01, 0.99)
 """Quantiles of the loads of fitted rows that are the ends of their range: the load of a
 rig also falls to zero between settings."""
 
-_BEYOND, _WORTH = {"fx": 0.1, "fy": 0.1, "mz": 0.3, "mx": 0.1, "my": 0.1}, 1.0
+_BEYOND, _WORTH = 0.04, 1
 """Error of the formula, relative to the force, at e times the largest load or 1/e of the
 smallest, before any load is left out; and the number of left-out loads that it counts as.
-M_z is a product of two functions of load. ``fits/rig_test/loads.py`` judges both."""
+Chosen on five tires, judged on others (``fits/rig_test/loads.py``)."""
 
 
 class LeftOut(NamedTuple):
@@ -77,6 +77,11 @@ class _Sample(NamedTuple):
     def beyond(self) -> np.ndarray:
         """Distance (n,) from the fitted loads."""
         return beyond_loads(self.fz, self.loads)
+
+    @property
+    def is_outer(self) -> bool:
+        """Whether its load lies beyond those of the other parts."""
+        return bool(np.median(self.beyond) > 0)
 
     @property
     def rmse(self) -> float:
@@ -121,11 +126,11 @@ def cross_validated(
         fitted_rows = _sample(work, rows[force], chosen, chosen)
         for label, part, whole in parts:
             others = [other for _, other, _ in parts if other is not part]
-            band = _band(force, others, fitted_rows)
+            band = _band(others, fitted_rows)
             within = _within(part, band) if others else float("nan")
             sizes = part.rmse, whole.rmse
             found.append(LeftOut(label, force, part.rows, *sizes, within))
-        bands[force] = _band(force, [part for _, part, _ in parts], fitted_rows)
+        bands[force] = _band([part for _, part, _ in parts], fitted_rows)
     return tuple(found), bands
 
 
@@ -204,54 +209,47 @@ def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
     return float(np.sum(shift**2 / (sizes[determined] - 1))), len(shift)
 
 
-def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
+def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     """The band that rows of left-out parts follow.
 
     Standard errors are widened to the size of the shifts if these are larger than the
-    errors at the level of 5 %. The noise is that of the left-out rows or that of the
-    ``fitted`` rows, whichever is larger on the fitted rows: in a left-out part the
-    errors of the coefficients may account for the whole residual. It is raised if fewer
-    than 95 % of the fitted rows would be in the band, as the rows of one load may scatter
-    more than the law. The error of the formula beyond the loads is estimated from the
-    parts whose loads lie beyond those of the other parts.
+    errors at the level of 5 %. The noise is that of the ``fitted`` rows. It is raised if
+    fewer than 95 % of them would be in the band, as the rows of one load may scatter more
+    than the law. The error of the formula beyond the loads is estimated from the parts
+    whose loads lie beyond those of the other parts.
     """
     squares = sum(part.shift[0] for part in parts)
     count = sum(part.shift[1] for part in parts)
     is_clear = count > 0 and chdtrc(count, squares) < _CHANCE
     wider = float(np.sqrt(squares / count)) if is_clear else 1.0
-    laws = [_law_of(some, wider) for some in (parts, [fitted]) if some]
-    inside = [law._replace(beyond=0.0) for law in laws]
-    sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in inside]
-    law = inside[int(np.argmax(sizes))]
-    needed = (fitted.residual / _IN_95) ** 2 - wider**2 * fitted.variance
+    known = wider**2 * fitted.variance
+    law = noise_law(fitted.residual, fitted.fz, fitted.predicted, known, fitted.each)
+    beyond = beyond_of([_error_beyond(part, law) for part in parts if part.is_outer])
+    needed = (fitted.residual / _IN_95) ** 2 - known
     needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-200)
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
-    outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
-    beyond = beyond_of(force, laws[0].beyond, outer)
     constant, share, of_force = (raised * x for x in law[:3])
     return Band(NoiseLaw(constant, share, of_force, beyond, fitted.loads), wider)
 
 
-def beyond_of(force: str, found: float, outer: int) -> float:
-    """The error of the formula beyond the loads, from that ``found`` in ``outer`` loads.
+def _error_beyond(part: _Sample, law: NoiseLaw) -> float:
+    """Mean square of the relative error of the formula in an outer part, over the distance
+    of its load; without the noise and the standard errors of the coefficients."""
+    law = law._replace(loads=part.loads)
+    excess = part.residual**2 - part.variance - law.variance(part.fz, part.predicted)
+    return max(float(np.mean(excess) / np.mean(part.beyond * part.predicted**2)), 0.0)
+
+
+def beyond_of(squares: Sequence[float]) -> float:
+    """The error of the formula beyond the loads, from its ``squares`` in outer loads.
 
     It is one number per load, as all rows of a load are wrong alike. Its variance is
     therefore that of few draws, to which the prior adds one, and its distribution is
     Student's t: the error is scaled so that 1.96 times it is the interval of 95 %.
     """
-    count = outer + _WORTH
-    variance = (outer * found**2 + _WORTH * _BEYOND[force] ** 2) / count
+    count = len(squares) + _WORTH
+    variance = (sum(squares) + _WORTH * _BEYOND**2) / count
     return float(np.sqrt(variance)) * half_width_95(True, count) / _IN_95
-
-
-def _law_of(parts: Sequence[_Sample], wider: float) -> NoiseLaw:
-    """The noise law of some rows, given the errors of the coefficients."""
-    residual, fz, predicted, variance, beyond = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("residual", "fz", "predicted", "variance", "beyond")
-    )
-    each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
-    return noise_law(residual, fz, predicted, wider**2 * variance, each, beyond)
 
 
 def _within(one: _Sample, band: Band) -> float:
