@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.data.levels import levels
 from tirefit.fitting.inference import half_width_95
+from tirefit.fitting.mf.bins import RigSettings
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
@@ -31,6 +31,10 @@ coefficients that the part determines."""
 
 _FEWEST_LOADS = 3
 """Smallest number of loads for one to be left out: two others predict it."""
+
+_ONE_LOAD = 1.06
+"""Largest ratio of two neighbouring levels of one load. The levels of a load differ between
+forces, as it varies with the slip: twice the scatter of a load that a rig holds."""
 
 _ENDS = (0.01, 0.99)
 """Quantiles of the loads of fitted rows that are the ends of their range: the load of a
@@ -91,14 +95,14 @@ class _Sample(NamedTuple):
 def cross_validated(
     work: Search,
     rows: Mapping[str, ForceRows],
-    settings: Mapping[str, tuple[Sequence[str], np.ndarray]],
+    settings: Mapping[str, RigSettings],
     which: str,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[tuple[LeftOut, ...], dict[str, Band]]:
     """Leave each part out in turn and predict it; the band of each force follows.
 
     Args:
-        settings: by force, the labels of the settings and the setting (n,) of each row.
+        settings: by force.
         which: of :data:`LEAVE_OUT`.
 
     Returns:
@@ -106,7 +110,7 @@ def cross_validated(
         the fitted rows. ``within`` of a single part is NaN.
     """
     samples: dict[str, list[tuple[str, _Sample, _Sample]]] = {f: [] for f in rows}
-    for label, gone in _parts(rows, settings, which).items():
+    for label, gone in _parts(settings, which).items():
         progress(f"left out: {label}")
         keeps = {
             force: [~np.isin(group.cells.setting, gone[force]) for group in groups]
@@ -115,7 +119,7 @@ def cross_validated(
         fitted = without(work, keeps)
         for force in fitted.groups:
             chosen = _chosen(work, rows[force])
-            own = chosen & np.isin(settings[force][1], gone[force])
+            own = chosen & np.isin(settings[force].code, gone[force])
             if np.any(own):
                 part = _sample(fitted, rows[force], own, chosen & ~own)
                 part = part._replace(shift=_shift(fitted, work, force))
@@ -139,29 +143,22 @@ def _chosen(work: Search, rows: ForceRows) -> np.ndarray:
     return rows.chosen([group.pure for group in work.groups[rows.force]])
 
 
-def _parts(rows, settings, which: str) -> dict[str, dict[str, list[int]]]:
+def _parts(settings: Mapping[str, RigSettings], which: str) -> dict[str, dict[str, list[int]]]:
     """Label of each part -> by force, the settings that are left out together."""
     if which == "none":
         return {}
-    labels = {force: list(own) for force, (own, _) in settings.items()}
+    labels = {force: list(own.labels) for force, own in settings.items()}
     chosen = list(dict.fromkeys(label for own in labels.values() for label in own))
     if which != "bin":
-        loads = {
-            force: [np.median(rows[force].column("fz")[code == k]) for k in range(len(own))]
-            for force, (own, code) in settings.items()
-        }
-        # Each twice: `levels` takes a value that stands alone for no level.
-        center = levels(np.repeat(np.concatenate(list(loads.values())), 2)).center
-        if len(center) < _FEWEST_LOADS:
+        fz = np.unique(np.concatenate([own.fz for own in settings.values()]))
+        loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
+        if len(loads) < _FEWEST_LOADS:
             return {}
-        edges = (center[1:] + center[:-1]) / 2
-        names = [f"F_z = {c:.0f} N" for c in center]
-        labels = {
-            force: [names[k] for k in np.searchsorted(edges, own)] for force, own in loads.items()
-        }
-        chosen = names
+        name_of = {one: f"F_z = {np.median(load):.0f} N" for load in loads for one in load}
+        labels = {force: [name_of[one] for one in own.fz] for force, own in settings.items()}
+        chosen = list(dict.fromkeys(name_of.values()))
         if which == "three":
-            chosen = [names[k] for k in sorted({0, len(names) // 2, len(names) - 1})]
+            chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]
     return {
         label: {
             force: [k for k, name in enumerate(own) if name == label]
