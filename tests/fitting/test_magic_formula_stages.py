@@ -261,7 +261,7 @@ def test_the_error_beyond_the_loads_is_that_of_few_loads():
     prior = beyond_of([]) * 1.96 / t.ppf(0.975, 1)
     scale = prior / np.sqrt(generator.chisquare(1, count))
     errors = scale * generator.standard_normal((3, count))
-    half = 1.96 * np.array([beyond_of(squares) for squares in errors[:2].T ** 2])
+    half = 1.96 * np.array([beyond_of(squares) for squares in (errors[:2].T ** 2).tolist()])
     share = np.mean(np.abs(errors[2]) < half)
     # 2.6 standard errors of a binomial share, either side: 1 %.
     assert share == pytest.approx(0.95, abs=2.6 * np.sqrt(0.95 * 0.05 / count))
