@@ -42,7 +42,7 @@ def problems(rows: int):
     parts = rows_of_forces(rig_test(rows), ("fx", "fy"), config)
     tire, _ = nominal_of("mf61", parts, config)
     empty, _ = problem_from(tire, config)
-    groups = groups_of(parts, {force: settings_of(of)[1] for force, of in parts.items()}, True)
+    groups = groups_of(parts, {force: settings_of(of).code for force, of in parts.items()}, True)
     lateral, starts = [n for n, part in coefficients_of("6.1").items() if part == "fy"], []
     for values in first_values(groups["fy"][0]):
         named = [name in values for name in empty.names]

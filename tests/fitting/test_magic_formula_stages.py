@@ -18,7 +18,7 @@ from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows, cells_of, groups_of
 from tirefit.fitting.mf.solve import curvature_at
 from tirefit.fitting.mf.stages import problem_of, search
-from tirefit.fitting.noise import beyond_loads, design_effect, noise_law
+from tirefit.fitting.noise import NoiseLaw, beyond_loads, design_effect
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
 from tirefit.models import TireInputs, forces
@@ -254,32 +254,30 @@ def test_bands_beyond_the_loads_know_that_no_formula_follows_the_load(tmp_path):
 
 
 def test_the_error_beyond_the_loads_is_that_of_few_loads():
-    """Two left-out loads predict a third: in more than 95 % of tires as good as the
-    prior, and in 88 % of those that are much worse (Student's t, two draws counted as
-    three)."""
-    errors = np.random.default_rng(4).standard_normal((3, 20_000))
-    least = 2 * t.cdf(t.ppf(0.975, 3) * np.sqrt(2 / 3), 2) - 1
-    for size, low, high in ((0.05, 0.95, 1.0), (0.1, 0.95, 1.0), (10.0, least, least)):
-        found = size * np.sqrt(np.mean(errors[:2] ** 2, axis=0))
-        half = 1.96 * np.array([beyond_of("fx", one, 2) for one in found])
-        share = np.mean(np.abs(size * errors[2]) < half)
-        assert low - 0.006 < share < high + 0.006, size  # 2.5 standard errors
-    assert beyond_of("fx", 0.0, 0) > 2 * beyond_of("fx", 0.0, 2) > 0
+    """Two left-out loads predict a third in 95 % of tires whose variance has the
+    distribution of the prior: its scale over chi-squared of one draw."""
+    count = 20_000
+    generator = np.random.default_rng(4)
+    prior = beyond_of([]) * 1.96 / t.ppf(0.975, 1)
+    scale = prior / np.sqrt(generator.chisquare(1, count))
+    errors = scale * generator.standard_normal((3, count))
+    half = 1.96 * np.array([beyond_of(squares) for squares in (errors[:2].T ** 2).tolist()])
+    share = np.mean(np.abs(errors[2]) < half)
+    # 2.6 standard errors of a binomial share, either side: 1 %.
+    assert share == pytest.approx(0.95, abs=2.6 * np.sqrt(0.95 * 0.05 / count))
 
 
-def test_noise_beyond_the_loads_grows_with_the_ratio_of_loads():
-    generator = np.random.default_rng(5)
-    loads = (1000.0, 4000.0)
-    fz = generator.choice([500.0, 1000.0, 2000.0, 4000.0, 8000.0], 20_000)
-    force = fz * generator.uniform(-1.2, 1.2, len(fz))
-    ratio = {500.0: np.log(2), 8000.0: np.log(2)}
-    distance = np.array([ratio.get(one, 0.0) for one in fz])
-    np.testing.assert_allclose(beyond_loads(fz, loads), distance)
-    std = np.sqrt(20.0**2 + (0.1 * distance * force) ** 2)
-    missed = std * generator.standard_normal(len(fz))
-    found = noise_law(missed, fz, force, beyond=distance)._replace(loads=loads)
-    assert found.beyond == pytest.approx(0.1, rel=0.05)  # of 8,000 rows: 1 %
-    np.testing.assert_allclose(found.std(fz, force), std, rtol=0.1, atol=1.0)
+def test_the_variance_beyond_the_loads_is_that_of_a_random_walk():
+    """The noise below the loads is that of the least load; the error adds as often as the
+    logarithm of the load moves."""
+    law = NoiseLaw(20.0, 0.01, 0.02, 0.1, (1000.0, 4000.0))
+    fz = np.array([250.0, 500.0, 1000.0, 4000.0, 8000.0, 16000.0])
+    steps = np.log(2) * np.array([2, 1, 0, 0, 1, 2])
+    np.testing.assert_allclose(beyond_loads(fz, law.loads), steps)
+    force = np.array([200.0, 400.0, 900.0, 3000.0, 7000.0, 12000.0])
+    noise = 20.0**2 + (0.01 * np.array([1e3, 1e3, 1e3, 4e3, 8e3, 16e3])) ** 2
+    error = (0.02**2 + 0.1**2 * steps) * force**2
+    np.testing.assert_allclose(law.variance(fz, force), noise + error)
 
 
 def test_the_covariance_holds_the_coefficients_that_are_not_identified():

@@ -69,8 +69,9 @@ def test_settings_are_found_if_the_load_follows_the_slip(force, wander):
     assert np.mean(found[held, 1] == (truth[held, 1] > 0)) > 0.95
     inclined = held & (truth[:, 1] == 2)
     assert np.mean(np.abs(found[inclined, 2] - 4 * DEG) < 1e-3) > 0.95
-    labels, same = settings_of(rows_of(force, parts))
+    labels, loads, same = settings_of(rows_of(force, parts))
     assert len(set(labels)) == len(settings) and np.array_equal(same, code)
+    assert loads.tolist() == [s.fz for s in settings]
 
 
 def test_in_a_grid_the_other_slip_is_a_setting():
@@ -100,5 +101,5 @@ def test_runs_are_separate_settings():
     settings, code = rig_settings(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
     assert [s.run for s in settings] == [4, 7]
     assert np.array_equal(code, np.repeat([0, 1], 60))
-    labels, _ = settings_of(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
+    labels = settings_of(rows_of("fy", [part, part], np.repeat([4, 7], 60))).labels
     assert labels == ("1000 N, rolling freely, run 5", "1000 N, rolling freely, run 8")

@@ -15,13 +15,24 @@ def test_no_tire_that_judges_the_bands_had_a_part_in_their_choice():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("case", [CASES[2], CASES[6]], ids=lambda case: case.name)
-@pytest.mark.parametrize("load", [min(LOADS), max(LOADS)])
-def test_bands_hold_at_an_outer_load_of_a_tire_that_no_formula_follows(case, load):
-    """All rows of a load may be wrong alike: 95 % is the mean of many tires."""
-    found, inside = shares(case, load)
-    within = [share.within for share in found.values()]
-    assert min(within) > 0.85 and np.mean(within) > 0.9
-    # The half width stays below the forces (0.4 of the load) and moments.
-    assert found["fx"].width < 0.3 and found["fy"].width < 0.3
-    assert 0.93 < inside < 0.98
+def test_bands_hold_at_the_outer_loads_of_a_tire_that_no_formula_follows():
+    """Friction with a knee over load; the settings of seed 22 have no gaps between their
+    loads that are three times as wide as the gaps within.
+
+    All rows of a load may be wrong alike: a binomial count of the 16 shares, not of the
+    rows. Their mean is 0.958; without the error beyond the loads it is 0.905, with three
+    times the error, or where no load is left out, it is 0.98.
+    """
+    found = {
+        (load, seed): shares(CASES[2], load, seed)[0]
+        for load in (min(LOADS), max(LOADS))
+        for seed in (21, 22)
+    }
+    within = [share.within for one in found.values() for share in one.values()]
+    # 2.6 standard errors of the mean, whose scatter is 0.0055 here: 1 %.
+    assert np.mean(within) == pytest.approx(0.955, abs=0.015)
+    assert min(within) > 0.85
+    for load in (min(LOADS), max(LOADS)):
+        for force in ("fx", "fy", "mz", "mx"):
+            widths = [found[load, seed][force].width for seed in (21, 22)]
+            assert max(widths) / min(widths) < 1.5, (load, force)

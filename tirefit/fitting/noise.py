@@ -16,18 +16,20 @@ _ROUNDS, _SETTLED = 50, 1e-4
 
 class NoiseLaw(NamedTuple):
     """Variance of one value: constant^2 + (share F_z)^2 + (of_force F)^2, and beyond the
-    loads + (beyond x F)^2, x of :func:`beyond_loads`."""
+    loads + beyond^2 x F^2, x of :func:`beyond_loads`: the relative error of the formula is
+    a random walk in log F_z. Below the loads, the noise is that of the least load."""
 
     constant: float  # [N, N m] noise of the sensor
     share: float  # [-, m] proportional to load
     of_force: float = 0.0  # [-] with force, as friction that varies between sweeps
-    beyond: float = 0.0  # [-] error of the formula at e times the largest load
+    beyond: float = 0.0  # [-] std of the formula's error at e times the largest load
     loads: tuple[float, float] = (0.0, np.inf)  # [N] (least, largest) measured
 
     def variance(self, fz, force):
         """Variance at loads fz [N] and forces [N, N m], any shape."""
-        of_force = self.of_force**2 + (self.beyond * beyond_loads(fz, self.loads)) ** 2
-        return self.constant**2 + (self.share * fz) ** 2 + of_force * force**2
+        of_force = self.of_force**2 + self.beyond**2 * beyond_loads(fz, self.loads)
+        of_load = self.share * np.maximum(fz, self.loads[0])
+        return self.constant**2 + of_load**2 + of_force * force**2
 
     def std(self, fz, force):
         """Standard deviation at loads fz [N] and forces [N, N m], any shape."""
@@ -41,7 +43,7 @@ def beyond_loads(fz, loads: tuple[float, float]):
     return np.log(np.maximum(np.maximum(loads[0] / fz, fz / loads[1]), 1.0))
 
 
-def noise_law(residual, fz, force, known=0.0, each=1.0, beyond=0.0) -> NoiseLaw:
+def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
     """Fit the law to the squares of residuals.
 
     The share of force is zero unless it raises the likelihood at the level of 0.1 %.
@@ -51,14 +53,9 @@ def noise_law(residual, fz, force, known=0.0, each=1.0, beyond=0.0) -> NoiseLaw:
         fz, force: load [N] and force of each, (n,).
         known: known part of each variance, (n,) or a number.
         each: number of residuals per independent residual, (n,) or a number.
-        beyond: (n,) of :func:`beyond_loads` for the loads of the fit, or zero.
     """
-    columns = [np.full(len(fz), 1.0), fz**2, force**2]
-    if np.any(beyond):
-        columns.append((beyond * force) ** 2)
-    terms = np.stack(columns, axis=1)
-    without = np.delete(terms, 2, axis=1)
-    plain = np.insert(law_shares(residual, without, known), 2, 0.0)
+    terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
+    plain = np.append(law_shares(residual, terms[:, :2], known), 0.0)
     shares = law_shares(residual, terms, known)
     deviances = [_deviance(residual, terms @ x + known, each) for x in (plain, shares)]
     is_clear = deviances[0] - deviances[1] > _CLEAR_TERM

@@ -1,6 +1,6 @@
 """The report of a fitted Magic Formula as text and as HTML."""
 
-from math import isnan, log
+from math import isnan, log, sqrt
 
 from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.mf.parts import PARTS
@@ -95,7 +95,7 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
             ]
         )
     lines = ["", "FORCES", *table(rows, right=(1, 2, 3, 4, 5, 6))]
-    errors = ", ".join(f"{f} {log(2) * law.beyond:.0%}" for f, law in fit.noise.items())
+    errors = ", ".join(f"{f} {sqrt(log(2)) * law.beyond:.0%}" for f, law in fit.noise.items())
     message = "the measured loads, the bands contain an error of the formula. At twice the"
     message += f" largest load its standard deviation, relative to the force, is {errors}"
     return [*lines, *wrapped("beyond", message)]

@@ -68,15 +68,23 @@ class SlipBins(NamedTuple):
     rows: np.ndarray  # number in the bin
 
 
-def settings_of(rows: ForceRows) -> tuple[tuple[str, ...], np.ndarray]:
-    """A label for each setting of :func:`rig_settings`, and the setting of each row:
-    (labels, code (n,)). A condition that all settings share is omitted from the labels,
-    except the load and the slip that is held."""
+class RigSettings(NamedTuple):
+    """The k settings of the rows of a force."""
+
+    labels: tuple[str, ...]  # (k,)
+    fz: np.ndarray  # (k,) median of the level of load [N]
+    code: np.ndarray  # (n,) setting of each row
+
+
+def settings_of(rows: ForceRows) -> RigSettings:
+    """The settings of :func:`rig_settings`. A condition that all settings share is omitted
+    from the labels, except the load and the slip that is held."""
     found, code = rig_settings(rows)
     several = {k for k in Setting._fields if len({getattr(s, k) for s in found}) > 1}
     several |= {"fz", "held"}
     names = [k for k in ("fz", "gamma", "pressure", "held", "run") if k in several]
-    return tuple(", ".join(one.text(name) for name in names) for one in found), code
+    labels = tuple(", ".join(one.text(name) for name in names) for one in found)
+    return RigSettings(labels, np.array([one.fz for one in found]), code)
 
 
 def _slips(rows: ForceRows) -> dict[str, np.ndarray]:

@@ -129,7 +129,7 @@ def fit_magic_formula(
     notes += [*assumed, *borrowing, *_unused_slip_noise(whole, config)]
     problem, priors = problem_from(tire, config, borrowed)
     settings = {force: settings_of(of_force) for force, of_force in rows.items()}
-    codes = {force: code for force, (_, code) in settings.items()}
+    codes = {force: own.code for force, own in settings.items()}
     start = _start(problem, first) if first else None
     # As many stages as kinds of rows, and about as many parts left out.
     steps, done = 2 * sum(len(set(of.pure)) for of in rows.values()), count()

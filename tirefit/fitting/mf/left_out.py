@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.data.levels import levels
 from tirefit.fitting.inference import half_width_95
+from tirefit.fitting.mf.bins import RigSettings
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
@@ -32,14 +32,18 @@ coefficients that the part determines."""
 _FEWEST_LOADS = 3
 """Smallest number of loads for one to be left out: two others predict it."""
 
+_ONE_LOAD = 1.06
+"""Largest ratio of two neighbouring levels of one load. The levels of a load differ between
+forces, as it varies with the slip: twice the scatter of a load that a rig holds."""
+
 _ENDS = (0.01, 0.99)
 """Quantiles of the loads of fitted rows that are the ends of their range: the load of a
 rig also falls to zero between settings."""
 
-_BEYOND, _WORTH = {"fx": 0.1, "fy": 0.1, "mz": 0.3, "mx": 0.1, "my": 0.1}, 1.0
+_BEYOND, _WORTH = 0.04, 1
 """Error of the formula, relative to the force, at e times the largest load or 1/e of the
 smallest, before any load is left out; and the number of left-out loads that it counts as.
-M_z is a product of two functions of load. ``fits/rig_test/loads.py`` judges both."""
+Chosen on five tires, judged on others (``fits/rig_test/loads.py``)."""
 
 
 class LeftOut(NamedTuple):
@@ -79,6 +83,11 @@ class _Sample(NamedTuple):
         return beyond_loads(self.fz, self.loads)
 
     @property
+    def is_outer(self) -> bool:
+        """Whether its load lies beyond those of the other parts."""
+        return bool(np.median(self.beyond) > 0)
+
+    @property
     def rmse(self) -> float:
         return float(np.sqrt(np.mean(self.residual**2)))
 
@@ -86,14 +95,14 @@ class _Sample(NamedTuple):
 def cross_validated(
     work: Search,
     rows: Mapping[str, ForceRows],
-    settings: Mapping[str, tuple[Sequence[str], np.ndarray]],
+    settings: Mapping[str, RigSettings],
     which: str,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[tuple[LeftOut, ...], dict[str, Band]]:
     """Leave each part out in turn and predict it; the band of each force follows.
 
     Args:
-        settings: by force, the labels of the settings and the setting (n,) of each row.
+        settings: by force.
         which: of :data:`LEAVE_OUT`.
 
     Returns:
@@ -101,7 +110,7 @@ def cross_validated(
         the fitted rows. ``within`` of a single part is NaN.
     """
     samples: dict[str, list[tuple[str, _Sample, _Sample]]] = {f: [] for f in rows}
-    for label, gone in _parts(rows, settings, which).items():
+    for label, gone in _parts(settings, which).items():
         progress(f"left out: {label}")
         keeps = {
             force: [~np.isin(group.cells.setting, gone[force]) for group in groups]
@@ -110,7 +119,7 @@ def cross_validated(
         fitted = without(work, keeps)
         for force in fitted.groups:
             chosen = _chosen(work, rows[force])
-            own = chosen & np.isin(settings[force][1], gone[force])
+            own = chosen & np.isin(settings[force].code, gone[force])
             if np.any(own):
                 part = _sample(fitted, rows[force], own, chosen & ~own)
                 part = part._replace(shift=_shift(fitted, work, force))
@@ -121,11 +130,11 @@ def cross_validated(
         fitted_rows = _sample(work, rows[force], chosen, chosen)
         for label, part, whole in parts:
             others = [other for _, other, _ in parts if other is not part]
-            band = _band(force, others, fitted_rows)
+            band = _band(others, fitted_rows)
             within = _within(part, band) if others else float("nan")
             sizes = part.rmse, whole.rmse
             found.append(LeftOut(label, force, part.rows, *sizes, within))
-        bands[force] = _band(force, [part for _, part, _ in parts], fitted_rows)
+        bands[force] = _band([part for _, part, _ in parts], fitted_rows)
     return tuple(found), bands
 
 
@@ -134,29 +143,22 @@ def _chosen(work: Search, rows: ForceRows) -> np.ndarray:
     return rows.chosen([group.pure for group in work.groups[rows.force]])
 
 
-def _parts(rows, settings, which: str) -> dict[str, dict[str, list[int]]]:
+def _parts(settings: Mapping[str, RigSettings], which: str) -> dict[str, dict[str, list[int]]]:
     """Label of each part -> by force, the settings that are left out together."""
     if which == "none":
         return {}
-    labels = {force: list(own) for force, (own, _) in settings.items()}
+    labels = {force: list(own.labels) for force, own in settings.items()}
     chosen = list(dict.fromkeys(label for own in labels.values() for label in own))
     if which != "bin":
-        loads = {
-            force: [np.median(rows[force].column("fz")[code == k]) for k in range(len(own))]
-            for force, (own, code) in settings.items()
-        }
-        # Each twice: `levels` takes a value that stands alone for no level.
-        center = levels(np.repeat(np.concatenate(list(loads.values())), 2)).center
-        if len(center) < _FEWEST_LOADS:
+        fz = np.unique(np.concatenate([own.fz for own in settings.values()]))
+        loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
+        if len(loads) < _FEWEST_LOADS:
             return {}
-        edges = (center[1:] + center[:-1]) / 2
-        names = [f"F_z = {c:.0f} N" for c in center]
-        labels = {
-            force: [names[k] for k in np.searchsorted(edges, own)] for force, own in loads.items()
-        }
-        chosen = names
+        name_of = {one: f"F_z = {np.median(load):.0f} N" for load in loads for one in load}
+        labels = {force: [name_of[one] for one in own.fz] for force, own in settings.items()}
+        chosen = list(dict.fromkeys(name_of.values()))
         if which == "three":
-            chosen = [names[k] for k in sorted({0, len(names) // 2, len(names) - 1})]
+            chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]
     return {
         label: {
             force: [k for k, name in enumerate(own) if name == label]
@@ -204,54 +206,47 @@ def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
     return float(np.sum(shift**2 / (sizes[determined] - 1))), len(shift)
 
 
-def _band(force: str, parts: Sequence[_Sample], fitted: _Sample) -> Band:
+def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     """The band that rows of left-out parts follow.
 
     Standard errors are widened to the size of the shifts if these are larger than the
-    errors at the level of 5 %. The noise is that of the left-out rows or that of the
-    ``fitted`` rows, whichever is larger on the fitted rows: in a left-out part the
-    errors of the coefficients may account for the whole residual. It is raised if fewer
-    than 95 % of the fitted rows would be in the band, as the rows of one load may scatter
-    more than the law. The error of the formula beyond the loads is estimated from the
-    parts whose loads lie beyond those of the other parts.
+    errors at the level of 5 %. The noise is that of the ``fitted`` rows. It is raised if
+    fewer than 95 % of them would be in the band, as the rows of one load may scatter more
+    than the law. The error of the formula beyond the loads is estimated from the parts
+    whose loads lie beyond those of the other parts.
     """
     squares = sum(part.shift[0] for part in parts)
     count = sum(part.shift[1] for part in parts)
     is_clear = count > 0 and chdtrc(count, squares) < _CHANCE
     wider = float(np.sqrt(squares / count)) if is_clear else 1.0
-    laws = [_law_of(some, wider) for some in (parts, [fitted]) if some]
-    inside = [law._replace(beyond=0.0) for law in laws]
-    sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in inside]
-    law = inside[int(np.argmax(sizes))]
-    needed = (fitted.residual / _IN_95) ** 2 - wider**2 * fitted.variance
+    known = wider**2 * fitted.variance
+    law = noise_law(fitted.residual, fitted.fz, fitted.predicted, known, fitted.each)
+    beyond = beyond_of([_error_beyond(part, law) for part in parts if part.is_outer])
+    needed = (fitted.residual / _IN_95) ** 2 - known
     needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-200)
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
-    outer = sum(bool(np.median(part.beyond) > 0) for part in parts)
-    beyond = beyond_of(force, laws[0].beyond, outer)
     constant, share, of_force = (raised * x for x in law[:3])
     return Band(NoiseLaw(constant, share, of_force, beyond, fitted.loads), wider)
 
 
-def beyond_of(force: str, found: float, outer: int) -> float:
-    """The error of the formula beyond the loads, from that ``found`` in ``outer`` loads.
+def _error_beyond(part: _Sample, law: NoiseLaw) -> float:
+    """Mean square of the relative error of the formula in an outer part, over the distance
+    of its load; without the noise and the standard errors of the coefficients."""
+    law = law._replace(loads=part.loads)
+    excess = part.residual**2 - part.variance - law.variance(part.fz, part.predicted)
+    return max(float(np.mean(excess) / np.mean(part.beyond * part.predicted**2)), 0.0)
+
+
+def beyond_of(squares: Sequence[float]) -> float:
+    """The error of the formula beyond the loads, from its ``squares`` in outer loads.
 
     It is one number per load, as all rows of a load are wrong alike. Its variance is
     therefore that of few draws, to which the prior adds one, and its distribution is
     Student's t: the error is scaled so that 1.96 times it is the interval of 95 %.
     """
-    count = outer + _WORTH
-    variance = (outer * found**2 + _WORTH * _BEYOND[force] ** 2) / count
+    count = len(squares) + _WORTH
+    variance = (sum(squares) + _WORTH * _BEYOND**2) / count
     return float(np.sqrt(variance)) * half_width_95(True, count) / _IN_95
-
-
-def _law_of(parts: Sequence[_Sample], wider: float) -> NoiseLaw:
-    """The noise law of some rows, given the errors of the coefficients."""
-    residual, fz, predicted, variance, beyond = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("residual", "fz", "predicted", "variance", "beyond")
-    )
-    each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
-    return noise_law(residual, fz, predicted, wider**2 * variance, each, beyond)
 
 
 def _within(one: _Sample, band: Band) -> float:
