@@ -28,6 +28,7 @@ from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, 
 from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
 from tirefit.diagnosis.summary.case import Case, Untestable
 from tirefit.diagnosis.summary.document import document_of
+from tirefit.diagnosis.summary.readings import readings_of
 from tirefit.diagnosis.summary.result import Diagnosis, Settings
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import TireLike
@@ -166,7 +167,14 @@ def diagnose(
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
         made = settings, library, others, generator, name, seed
-        return document_of(case, whole, *made)
+        found = document_of(case, whole, *made)
+        if simulated is None:
+            return found
+
+        def study(rows: Prepared, rig: Rig) -> Case:
+            return studied(rows, form, rig, effects, without)
+
+        return replace(found, readings=readings_of(case, some, rig, form, study))
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------

@@ -14,9 +14,11 @@ _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Short names of parameters for sentences."""
 
 
-_MANY_TIMES = 4.0
-"""Ratio of simulated to measured value above which it is printed as a factor and not in
-per cent."""
+_MANY_TIMES = 3.0
+"""Ratio of simulated to measured value above which its number says nothing: the rows hardly
+determine it."""
+
+_FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")
 
 
 class WaterfallBar(NamedTuple):
@@ -35,17 +37,33 @@ def change_texts(result: Diagnosis) -> list[str]:
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
     words = {**result.meanings, **_SHORT}
-    return [_change_text(words.get(name, name), change) for name, change in wrong]
+    lacks = {one.id for one in result.readings.structure} if result.readings else set()
+    if "no_saturation" in lacks:
+        wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
+    used = _used_friction(result)
+    return [_change_text(name, words.get(name, name), change, used) for name, change in wrong]
 
 
-def _change_text(meaning: str, change: Change) -> str:
+def _used_friction(result: Diagnosis) -> float:
+    """The largest force of the simulator over the load."""
+    load = np.asarray(result.table["fz"])
+    return max(
+        float(np.nanmax(np.abs(rows["sim"]) / load))
+        for channel, rows in result.rows.items()
+        if channel != "mz" and "sim" in rows
+    )
+
+
+def _change_text(name: str, meaning: str, change: Change, used: float) -> str:
     off = change.simulated - change.measured
     side = "high" if off > 0 else "low"
     if min(change.simulated, change.measured) > 0:
         ratio = change.simulated / change.measured
         error = ratio * change.std / change.measured
+        if ratio > _MANY_TIMES and name in _FRICTION:
+            return f"no friction limit below {format_number(used, 2)} F_z in these rows"
         if ratio > _MANY_TIMES:
-            return f"{meaning} {format_estimate(ratio, error)} times too high"
+            return f"{meaning} more than {_MANY_TIMES:.0f} times too high"
         share = format_estimate(100 * abs(ratio - 1), 100 * error)
         return f"{meaning} {share} % too {side}"
     return f"{meaning} {format_estimate(abs(off), change.std)} too {side}"

@@ -10,6 +10,7 @@ from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, SizeByGro
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.result import Diagnosis, Each, NextMeasurement, Shrinkage, Status
 from tirefit.report.diagnosis_budget import budget_table, change_texts, channel_name, stand_in_line
+from tirefit.report.diagnosis_readings import readings_section, readings_text
 from tirefit.report.diagnosis_words import (
     amplitude_text,
     closed_text,
@@ -63,7 +64,8 @@ def answer(result: Diagnosis) -> str:
     changes = change_texts(result)
     message = _on_effects(result, beyond="its parameters and " if changes else "")
     message = f"The simulator has {listing(changes)}. {message}" if changes else message
-    return " ".join([message, *_how_much(result), *_no_help(result)])
+    changed = " ".join([message, *_how_much(result), *_no_help(result)])
+    return readings_text(result, changed)
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
@@ -161,7 +163,10 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
-    """A warning if the base explains less than half of the mean square of a force."""
+    """A warning if the base explains less than half of the mean square of a force; not for a
+    simulator, which may be far from rows that are right."""
+    if result.readings is not None:
+        return
     for channel, forces in result.rows.items():
         force = np.asarray(result.table[channel])
         missed = np.nanmean((force - forces["base"]) ** 2)
@@ -398,6 +403,9 @@ def first_screen(result: Diagnosis) -> list[Section]:
     sections = [_ladder(result)]
     if result.simulator:
         sections += [_budget(result, channel) for channel in result.budgets]
+    if result.readings:
+        unit = FORCE_UNIT[result.data.channels[0]]
+        sections.insert(0, readings_section(result.readings, unit))
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)

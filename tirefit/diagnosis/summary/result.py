@@ -22,6 +22,7 @@ from tirefit.diagnosis.extended import SCHEMA, Extension
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.summary.case import Untestable
+from tirefit.diagnosis.summary.readings import Readings
 from tirefit.diagnosis.summary.views import (
     Comparison,
     DataSummary,
@@ -269,6 +270,7 @@ class Diagnosis(Record):
     data: DataSummary
     model: str
     simulator: SimulatorSummary | None
+    readings: Readings | None = None
     n: int
     n_effective: float
     noise: NoiseSummary
