@@ -12,6 +12,7 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.structure import structures_of
 from tirefit.report.diagnosis_text import diagnosis_text
+from tirefit.results import DataError
 
 LOAD, CPA2, MU = 4000.0, 4e4, 0.9
 STIFFNESS = 2 * CPA2
@@ -76,6 +77,17 @@ def test_an_own_delay_is_found(delay):
     assert abs(float(found["own_delay"].means.split()[4]) - 1000 * delay) < 3
 
 
+def test_degrees_for_radians_slide_in_nearly_all_rows():
+    assert list(shown(brush(np.clip(np.rad2deg(SLIP), -1.5, 1.5)))) == ["always_sliding"]
+
+
+def test_a_refused_simulator_is_told_what_its_forces_show():
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
+    late = brush(np.interp(TIME - 0.4, TIME, SLIP))
+    with pytest.raises(DataError, match="it follows the slip 400 ms late"):
+        diagnose(data, "brush", sim={"fy": late})
+
+
 def test_an_own_lag_is_found():
     late, keep = SLIP.copy(), np.exp(-0.05 / 0.15)
     for k in range(1, len(SLIP)):
@@ -91,7 +103,7 @@ def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
     found = diagnose(
         data, sim={"fy": 1.2 * STIFFNESS * SLIP}, effects=few, rig=Rig(noise={"fy": 40.0})
     )
-    both = found.readings
+    both = found.simulator.readings
     assert both.first == "described" and both.gain > both.gain_std
     assert [one.id for one in both.structure] == ["no_saturation"] and both.simulator is None
     slope = both.measured.parameters["slope at zero slip"]
@@ -100,7 +112,7 @@ def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
     assert "has no friction limit" not in text.split("HOW FAR")[1]
     assert "so it has no friction limit: here it uses up to" in text
     assert "times too high" not in text and "check columns" not in text
-    written = json.loads(found.to_json())["readings"]
+    written = json.loads(found.to_json())["simulator"]["readings"]
     assert written["structure"][0]["id"] == "no_saturation"
 
 
@@ -109,7 +121,9 @@ def test_a_surplus_effect_of_a_simulator_is_its_own():
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
     few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
     simulated = {"fy": brush(SLIP + 0.02, mu=1.2 * MU)}
-    both = diagnose(data, sim=simulated, effects=few, rig=Rig(noise={"fy": 40.0})).readings
+    both = diagnose(
+        data, sim=simulated, effects=few, rig=Rig(noise={"fy": 40.0})
+    ).simulator.readings
     own = both.simulator
     np.testing.assert_allclose(own.parameters["mu"].value, 1.2 * MU, rtol=0.005)
     np.testing.assert_allclose(own.parameters["cpa2"].value, CPA2, rtol=0.005)

@@ -168,13 +168,14 @@ def diagnose(
             name = simulated.stand_in if given.tire is None else given.source
         made = settings, library, others, generator, name, seed
         found = document_of(case, whole, *made)
-        if simulated is None:
+        if found.simulator is None:
             return found
 
         def study(rows: Prepared, rig: Rig) -> Case:
             return studied(rows, form, rig, effects, without)
 
-        return replace(found, readings=readings_of(case, some, rig, form, study))
+        both = readings_of(case, some, rig, form, study)
+        return replace(found, simulator=found.simulator._replace(readings=both))
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------

@@ -37,21 +37,19 @@ def change_texts(result: Diagnosis) -> list[str]:
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
     words = {**result.meanings, **_SHORT}
-    lacks = {one.id for one in result.readings.structure} if result.readings else set()
+    both = result.simulator.readings if result.simulator else None
+    lacks = {one.id for one in both.structure} if both else set()
     if "no_saturation" in lacks:
         wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
-    used = _used_friction(result)
+    used = _used_friction(result) if wrong else 0.0
     return [_change_text(name, words.get(name, name), change, used) for name, change in wrong]
 
 
 def _used_friction(result: Diagnosis) -> float:
     """The largest force of the simulator over the load."""
     load = np.asarray(result.table["fz"])
-    return max(
-        float(np.nanmax(np.abs(rows["sim"]) / load))
-        for channel, rows in result.rows.items()
-        if channel != "mz" and "sim" in rows
-    )
+    every = [rows["sim"] for channel, rows in result.rows.items() if channel != "mz"]
+    return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
 
 
 def _change_text(name: str, meaning: str, change: Change, used: float) -> str:

@@ -23,14 +23,16 @@ def readings_text(result: Diagnosis, changed: str) -> str:
     Args:
         changed: the answer that the simulator with its parameters and effects changed gives.
     """
-    both = result.readings
+    both = result.simulator.readings if result.simulator else None
     if both is None:
         return changed
     unit = FORCE_UNIT[result.data.channels[0]]
     own, of_it = (format_number(x, 3) for x in (both.measured.rms_left_out, both.rms_changed))
     parts = [f"{channel_name(s.channel)} of the simulator: {s.means}." for s in both.structure]
     own_effects = both.simulator.effects if both.simulator else {}
-    sure = [_amount(e, one) for e, one in own_effects.items() if one.probability >= _LIKELY]
+    sure = [
+        _amount(e, one) for e, one in own_effects.items() if (one.probability or 0.0) >= _LIKELY
+    ]
     if sure:
         parts.append(f"The simulator's own forces show {listing(sure)}.")
     if both.first == "changed":
@@ -80,7 +82,7 @@ def _simulated(both: Readings, name: str) -> Estimate | None:
 
 def readings_section(both: Readings, unit: str) -> Section:
     """Both described by one model: parameters, effects that help, error on data left out."""
-    table = [(f"{both.model} with effects", "simulator", "measured")]
+    table: list[tuple[str, ...]] = [(f"{both.model} with effects", "simulator", "measured")]
     for name, own in both.measured.parameters.items():
         table.append((_label(name, own), _cell(_simulated(both, name)), _cell(own)))
     sides = [side.effects if side else {} for side in (both.simulator, both.measured)]

@@ -165,7 +165,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
 def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
     """A warning if the base explains less than half of the mean square of a force; not for a
     simulator, which may be far from rows that are right."""
-    if result.readings is not None:
+    if result.simulator and result.simulator.readings:
         return
     for channel, forces in result.rows.items():
         force = np.asarray(result.table[channel])
@@ -403,9 +403,9 @@ def first_screen(result: Diagnosis) -> list[Section]:
     sections = [_ladder(result)]
     if result.simulator:
         sections += [_budget(result, channel) for channel in result.budgets]
-    if result.readings:
-        unit = FORCE_UNIT[result.data.channels[0]]
-        sections.insert(0, readings_section(result.readings, unit))
+        if result.simulator.readings:
+            unit = FORCE_UNIT[result.data.channels[0]]
+            sections.insert(0, readings_section(result.simulator.readings, unit))
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)

@@ -19,13 +19,17 @@ a structure, below which the simulator has that structure."""
 
 _STEPS = 0.2  # distinct forces per distinct slip, below which a simulator has steps
 
+_NEAR_LIMIT, _NEARLY_ALL = 0.95, 0.8
+"""Force over its largest that counts as sliding, and share of rows that slide, above which a
+simulator always slides."""
+
 _LOADS = 0.05  # standard deviation over mean of a load that varies
 
 _LOG_DELAYS = np.linspace(np.log(0.005), np.log(0.5), 25)
 """Logarithms of the own delays and time constants that are tried [s]."""
 
 
-UNLIKE = ("no_saturation", "clipped", "steps")
+UNLIKE = ("no_saturation", "clipped", "steps", "always_sliding")
 """Structures that no tire model of the library has: its parameters would mislead."""
 
 
@@ -83,6 +87,15 @@ def _structures(prepared: Prepared, channel: str, name: str, slip, force):
                 float(slope * np.mean(scale)),
             )
             return
+    at_limit = np.abs(force) / load
+    if np.mean(at_limit > _NEAR_LIMIT * at_limit.max()) > _NEARLY_ALL:
+        yield Structure(
+            "always_sliding",
+            channel,
+            f"it is at its limit of {at_limit.max():.2f} F_z in nearly all rows",
+            f"check the unit of its {what}: degrees where radians are expected, or per cent",
+        )
+        return
     distinct = len(np.unique(np.round(force, 9))) / max(len(np.unique(slip)), 1)
     if distinct < _STEPS:
         yield Structure(

@@ -152,4 +152,4 @@ def _slope(case: Case, z) -> float:
     state = {c: float(np.mean(rows.column(c))) for c in ("fz", "v") if c in rows.data}
     state["sigma_x" if along else "alpha"] = small
     force = forces(with_values(tire.model, tire.layout.natural(z)), TireInputs(**state))
-    return float(force.fx if along else force.fy) / small
+    return float(np.asarray(force.fx if along else force.fy)) / small

@@ -183,6 +183,7 @@ class SimulatorSummary(NamedTuple):
     source: str
     sha256: str | None
     surrogate: Surrogate
+    readings: Readings | None = None
 
 
 class Amplitude(NamedTuple):
@@ -270,7 +271,6 @@ class Diagnosis(Record):
     data: DataSummary
     model: str
     simulator: SimulatorSummary | None
-    readings: Readings | None = None
     n: int
     n_effective: float
     noise: NoiseSummary
