@@ -46,9 +46,9 @@ def change_texts(result: Diagnosis) -> list[str]:
 
 
 def _used_friction(result: Diagnosis) -> float:
-    """The largest force of the simulator over the load."""
+    """The largest force of the simulator, which is the base of the gap, over the load."""
     load = np.asarray(result.table["fz"])
-    every = [rows["sim"] for channel, rows in result.rows.items() if channel != "mz"]
+    every = [rows["base"] for channel, rows in result.rows.items() if channel != "mz"]
     return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
 
 
