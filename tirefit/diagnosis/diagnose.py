@@ -27,6 +27,7 @@ from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, 
 from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of
+from tirefit.diagnosis.summary.readings import readings_of
 from tirefit.diagnosis.summary.result import Diagnosis, Settings
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import TireLike
@@ -131,7 +132,8 @@ def diagnose(
     _are_others(data, others)
     data, others = without_far(data), [without_far(other) for other in others]
     _are_known(without, {effect.id for effect in effects})
-    if model in MAGIC_FORMULAS and sim is None:
+    is_fitted = sim is None
+    if model in MAGIC_FORMULAS and is_fitted:
         # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
         sim = fit_magic_formula(data, model)
     plain = STAND_INS[0] if model is None else model
@@ -165,7 +167,15 @@ def diagnose(
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
         made = settings, library, others, generator, name, seed
-        return document_of(case, whole, *made)
+        found = document_of(case, whole, *made)
+        if found.simulator is None or is_fitted:
+            return found
+
+        def study(rows: Prepared, rig: Rig) -> Case:
+            return studied(rows, form, rig, effects, without)
+
+        both = readings_of(case, some, rig, form, study)
+        return replace(found, simulator=found.simulator._replace(readings=both))
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------

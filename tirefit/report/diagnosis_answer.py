@@ -6,6 +6,7 @@ from itertools import pairwise
 from tirefit.diagnosis.summary.closure import PARAMETERS
 from tirefit.diagnosis.summary.result import Diagnosis, Status
 from tirefit.report.diagnosis_budget import change_texts
+from tirefit.report.diagnosis_readings import readings_text
 from tirefit.report.diagnosis_words import amount_text, listing, name_of, share_text, words_on
 from tirefit.report.numbers import format_number
 
@@ -29,7 +30,8 @@ def answer(result: Diagnosis) -> str:
         largest = max((shares.get(effect, 0.0) for effect in verdict.effects), default=0.0)
         first = not verdict.names_an_effect or own >= largest
         sentences.insert(0 if first else 1, f"The simulator has {listing(changes)}{of_error}.")
-    return " ".join([*sentences, *_how_much(result), *_no_help(result)])
+    changed = " ".join([*sentences, *_how_much(result), *_no_help(result)])
+    return readings_text(result, changed)
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:

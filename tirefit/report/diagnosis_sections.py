@@ -17,6 +17,7 @@ from tirefit.diagnosis.summary.result import (
 )
 from tirefit.report.diagnosis_answer import worse_steps
 from tirefit.report.diagnosis_budget import budget_table, channel_name, stand_in_line
+from tirefit.report.diagnosis_readings import readings_section
 from tirefit.report.diagnosis_words import (
     amplitude_text,
     closed_text,
@@ -86,7 +87,10 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
-    """A warning if the base explains less than half of the mean square of a force."""
+    """A warning if the base explains less than half of the mean square of a force; not for a
+    simulator, which may be far from rows that are right."""
+    if result.simulator and result.simulator.readings:
+        return
     for channel, forces in result.rows.items():
         force = np.asarray(result.table[channel]) if result.table else np.nan
         missed = np.nanmean((force - forces["base"]) ** 2)
@@ -320,6 +324,8 @@ def first_screen(result: Diagnosis) -> list[Section]:
     sections = [_ladder(result)]
     if result.simulator or result.verdict.helping:
         sections += [_budget(result, channel) for channel in result.budgets]
+    if result.simulator and result.simulator.readings:
+        sections.insert(0, readings_section(result.simulator.readings, result.unit))
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)

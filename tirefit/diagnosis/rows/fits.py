@@ -17,6 +17,7 @@ from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given
 from tirefit.diagnosis.rows.slips import slip_nodes
+from tirefit.diagnosis.rows.structure import structures_of
 from tirefit.fitting.across_files import HUBER
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH
@@ -239,6 +240,8 @@ def check_followed(prepared, missed: dict, name: str) -> None:
             )
             remedy = "choose a base model closer to the simulator with --model, and check"
             remedy += f" sign, unit and row order of {c}_sim"
+            for one in structures_of(prepared):
+                remedy += f"; the simulator's {one.channel} shows that {one.means}: {one.remedy}"
             raise unfit(prepared.data, reason, remedy)
 
 

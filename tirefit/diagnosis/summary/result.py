@@ -22,6 +22,7 @@ from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.summary.case import Untestable
+from tirefit.diagnosis.summary.readings import Readings
 from tirefit.diagnosis.summary.views import (
     Comparison,
     DataSummary,
@@ -182,6 +183,7 @@ class SimulatorSummary(NamedTuple):
     source: str
     sha256: str | None
     surrogate: Surrogate
+    readings: Readings | None = None
 
 
 class Amplitude(NamedTuple):

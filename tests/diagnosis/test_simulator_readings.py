@@ -1,0 +1,132 @@
+"""What a simulator's own forces show, and both readings of a simulator."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tirefit.data.accept import as_data
+from tirefit.diagnosis.diagnose import diagnose
+from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.structure import structures_of
+from tirefit.report.diagnosis_text import diagnosis_text
+from tirefit.results import DataError
+
+LOAD, CPA2, MU = 4000.0, 4e4, 0.9
+STIFFNESS = 2 * CPA2
+TIME = np.arange(240) * 0.05
+SLIP = 0.15 * np.sin(2 * np.pi * TIME / 4.0) * np.sin(2 * np.pi * TIME / 23.0)
+
+
+def brush(alpha, load=LOAD, cpa2=CPA2, mu=MU):
+    """Force of the parabolic brush, written out."""
+    limit = mu * load
+    share = np.minimum(2 * cpa2 * np.abs(np.tan(alpha)) / (3 * limit), 1.0)
+    return np.sign(alpha) * limit * (3 * share - 3 * share**2 + share**3)
+
+
+def shown(simulated, load=LOAD):
+    """Structures of simulated forces over the slip of this file."""
+    load = np.broadcast_to(load, SLIP.shape)
+    data = {"time": TIME, "alpha": SLIP, "fz": load, "fy": brush(SLIP, load), "v": 15.0 + 0 * TIME}
+    table = as_data(data | {"fy_sim": simulated})
+    return {one.id: one for one in structures_of(prepare(table, Rig(), ("fy",)))}
+
+
+def test_a_brush_has_no_structure_of_its_own():
+    assert shown(brush(SLIP)) == {}
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.01])
+def test_a_proportional_force_has_no_saturation(offset):
+    found = shown(95e3 * (SLIP - offset))
+    assert list(found) == ["no_saturation"]
+    np.testing.assert_allclose(found["no_saturation"].slope, 95e3, rtol=1e-6)
+
+
+def test_a_clipped_force_is_told_with_its_slope_and_limit():
+    found = shown(np.clip(70e3 * SLIP, -3000.0, 3000.0))
+    assert list(found) == ["clipped"]
+    np.testing.assert_allclose(found["clipped"].slope, 70e3, rtol=1e-6)
+    assert "3000 N" in found["clipped"].means
+
+
+def test_a_proportional_force_may_follow_the_load():
+    load = LOAD * (1 + 0.4 * np.sin(TIME))
+    found = shown(20 * load * SLIP, load)
+    assert list(found) == ["no_saturation"] and "and the load" in found["no_saturation"].means
+
+
+def test_the_nearest_entry_of_a_table_has_steps():
+    table = np.linspace(-0.15, 0.15, 13)
+    assert list(shown(brush(table[np.argmin(abs(SLIP[:, None] - table), axis=1)]))) == ["steps"]
+
+
+def test_a_force_without_load_is_told_only_where_the_load_varies():
+    load = LOAD * (1 + 0.4 * np.sin(TIME))
+    assert list(shown(brush(SLIP), load)) == ["no_load"]
+    assert shown(brush(SLIP, load), load) == {}
+
+
+@pytest.mark.parametrize("delay", [0.04, 0.12])
+def test_an_own_delay_is_found(delay):
+    found = shown(brush(np.interp(TIME - delay, TIME, SLIP)))
+    assert list(found) == ["own_delay"]
+    assert abs(float(found["own_delay"].means.split()[4]) - 1000 * delay) < 3
+
+
+def test_degrees_for_radians_slide_in_nearly_all_rows():
+    assert list(shown(brush(np.clip(np.rad2deg(SLIP), -1.5, 1.5)))) == ["always_sliding"]
+
+
+def test_a_refused_simulator_is_told_what_its_forces_show():
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
+    late = brush(np.interp(TIME - 0.4, TIME, SLIP))
+    with pytest.raises(DataError, match="it follows the slip 400 ms late"):
+        diagnose(data, "brush", sim={"fy": late})
+
+
+def test_an_own_lag_is_found():
+    late, keep = SLIP.copy(), np.exp(-0.05 / 0.15)
+    for k in range(1, len(SLIP)):
+        late[k] = keep * late[k - 1] + (1 - keep) * SLIP[k]
+    found = shown(brush(late))
+    assert list(found) == ["own_lag"] and "150 ms" in found["own_lag"].means
+
+
+def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
+    noise = np.random.default_rng(3).normal(0, 40, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
+    few = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "kinetic_friction")]
+    found = diagnose(
+        data, sim={"fy": 1.2 * STIFFNESS * SLIP}, effects=few, rig=Rig(noise={"fy": 40.0})
+    )
+    both = found.simulator.readings
+    assert both.first == "described" and both.gain > both.gain_std
+    assert [one.id for one in both.structure] == ["no_saturation"] and both.simulator is None
+    slope = both.measured.parameters["slope at zero slip"]
+    assert abs(slope.value - STIFFNESS) < 3 * slope.std < 0.2 * STIFFNESS
+    text = " ".join(diagnosis_text(found).split())
+    assert "has no friction limit" not in text.split("HOW FAR")[1]
+    assert "so it has no friction limit: here it uses up to" in text
+    assert "times too high" not in text and "check columns" not in text
+    written = json.loads(found.to_json())["simulator"]["readings"]
+    assert written["structure"][0]["id"] == "no_saturation"
+
+
+def test_a_surplus_effect_of_a_simulator_is_its_own():
+    noise = np.random.default_rng(4).normal(0, 40, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
+    few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
+    simulated = {"fy": brush(SLIP + 0.02, mu=1.2 * MU)}
+    both = diagnose(
+        data, sim=simulated, effects=few, rig=Rig(noise={"fy": 40.0})
+    ).simulator.readings
+    own = both.simulator
+    np.testing.assert_allclose(own.parameters["mu"].value, 1.2 * MU, rtol=0.005)
+    np.testing.assert_allclose(own.parameters["cpa2"].value, CPA2, rtol=0.005)
+    np.testing.assert_allclose(abs(own.effects["slip_offset"].value), 0.02, rtol=0.02)
+    assert "slip_offset" not in both.measured.effects
+    assert abs(both.measured.parameters["mu"].value - MU) < 0.1

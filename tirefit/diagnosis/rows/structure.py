@@ -1,0 +1,204 @@
+"""What a simulator lacks, from its forces alone: they have no noise, so a structure that
+explains them does so to their last digits."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+
+from tirefit.data.table import CANONICAL
+from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.rows.prepared import Prepared
+
+_EXPLAINED = 0.005
+"""Largest rms error of a structure over the simulated force (rms)."""
+
+_RATHER = 0.1
+"""Scatter of a simulated force about a curve, over that without the own delay, lag or load of
+a structure, below which the simulator has that structure."""
+
+_STEPS = 0.2  # distinct forces per distinct slip, below which a simulator has steps
+
+_NEAR_LIMIT, _NEARLY_ALL = 0.95, 0.8
+"""Force over its largest that counts as sliding, and share of rows that slide, above which a
+simulator always slides."""
+
+_LOADS = 0.05  # standard deviation over mean of a load that varies
+
+_LOG_DELAYS = np.linspace(np.log(0.005), np.log(0.5), 25)
+"""Logarithms of the own delays and time constants that are tried [s]."""
+
+
+UNLIKE = ("no_saturation", "clipped", "steps", "always_sliding")
+"""Structures that no tire model of the library has: its parameters would mislead."""
+
+
+class Structure(NamedTuple):
+    """A structure of a simulator's force ``channel``: its id, what it means, a remedy, and its
+    slope over the slip at zero slip and the mean load, if known."""
+
+    id: str
+    channel: str
+    means: str
+    remedy: str
+    slope: float | None = None
+
+
+def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
+    """The structures of the simulated forces over their own slip, most important first."""
+    found = []
+    for channel in prepared.channels:
+        if channel in ("fx", "fy"):
+            name = "alpha" if channel == "fy" else "sigma_x"
+            slip, force = prepared.column(name), prepared.column(f"{channel}_sim")
+            found += _structures(prepared, channel, name, slip, force)
+    return tuple(found)
+
+
+def _structures(prepared: Prepared, channel: str, name: str, slip, force):
+    load, (unit, *_) = prepared.column("fz"), CANONICAL[name]
+    per = "" if unit == "-" else f"/{unit}"
+    size = max(float(np.sqrt(np.mean(force**2))), NONZERO)
+    used = np.max(np.abs(force) / np.maximum(load, NONZERO))
+    what = "slip angle" if name == "alpha" else "slip"
+    varies = np.std(load) > _LOADS * np.mean(load)
+    for scale, of_load in ((np.ones_like(load), ""), (load, " and the load")):
+        slope, offset = np.polynomial.polynomial.polyfit(slip, force / scale, 1)[::-1]
+        if _rms(force - scale * (slope * slip + offset)) < _EXPLAINED * size:
+            steep = slope * np.mean(scale)
+            yield Structure(
+                "no_saturation",
+                channel,
+                f"it is proportional to the {what}{of_load} ({steep:.4g} N{per}), so it has no"
+                f" friction limit: here it uses up to {used:.2f} F_z",
+                "give the tire a friction limit: fit a brush to the measured rows"
+                " (tirefit fit), and export it to the simulator",
+                float(steep),
+            )
+            return
+        if (clipped := _clipped(slip, force, scale)) is not None:
+            limit, slope = clipped
+            of_what = f"{limit:.4g} of the load" if of_load else f"{limit:.4g} N"
+            yield Structure(
+                "clipped",
+                channel,
+                f"it is proportional to the {what} up to a limit of {of_what}, with a sharp corner",
+                "give the tire a smooth transition to sliding: fit a brush to the measured rows",
+                float(slope * np.mean(scale)),
+            )
+            return
+    at_limit = np.abs(force) / load
+    if np.mean(at_limit > _NEAR_LIMIT * at_limit.max()) > _NEARLY_ALL:
+        yield Structure(
+            "always_sliding",
+            channel,
+            f"it is at its limit of {at_limit.max():.2f} F_z in nearly all rows",
+            f"check the unit of its {what}: degrees where radians are expected, or per cent",
+        )
+        return
+    distinct = len(np.unique(np.round(force, 9))) / max(len(np.unique(slip)), 1)
+    if distinct < _STEPS:
+        yield Structure(
+            "steps",
+            channel,
+            f"it has only {len(np.unique(np.round(force, 9)))} different values",
+            "interpolate the simulator's table instead of taking the nearest entry",
+        )
+        return
+    per_load, plain = _scatter(slip, force / load), _scatter(slip, force)
+    if varies and plain < _RATHER * per_load * np.mean(load):
+        yield Structure(
+            "no_load",
+            channel,
+            "it does not depend on the load",
+            "give the simulator the load of each row, and a tire that depends on it",
+        )
+    yield from _own_time(prepared, channel, slip, force / load)
+
+
+def _clipped(slip, force, scale) -> tuple[float, float] | None:
+    """Limit and slope, over ``scale``, of a force that is proportional to the slip up to the
+    limit; None for another."""
+    share = force / scale
+    top = float(np.max(np.abs(share)))
+    if np.mean(np.abs(share) > 0.999 * top) < 3 / len(slip):
+        return None
+
+    def missed(values):
+        slope, offset = values
+        return np.clip(slope * slip + offset, -top, top) - share
+
+    inner = np.abs(share) < 0.9 * top
+    if inner.sum() < 3:
+        return None
+    start = np.polynomial.polynomial.polyfit(slip[inner], share[inner], 1)[::-1]
+    found = least_squares(missed, start)
+    if _rms(missed(found.x)) > _EXPLAINED * _rms(share):
+        return None
+    return top, float(found.x[0])
+
+
+def _own_time(prepared: Prepared, channel: str, slip, share):
+    """A delay or a time constant by which the force follows the slip."""
+    if "time" not in prepared.data:
+        return
+    time = prepared.column("time")
+    plain, best = _scatter(slip, share), None
+    for kind, moved in (("own_delay", _delayed), ("own_lag", _lagged)):
+
+        def left(log, moved=moved):
+            return _scatter(moved(slip, time, prepared.run, np.exp(log)), share)
+
+        near = min(_LOG_DELAYS, key=left)
+        step = _LOG_DELAYS[1] - _LOG_DELAYS[0]
+        found = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
+        if found.fun < _RATHER * plain and (best is None or found.fun < best[0]):
+            best = found.fun, kind, float(np.exp(found.x))
+    if best is None:
+        return
+    _, kind, constant = best
+    late = f"{1000 * constant:.0f} ms"
+    means = f"it follows the slip {late} late" if kind == "own_delay" else ""
+    yield Structure(
+        kind,
+        channel,
+        means or f"it follows the slip with a time constant of about {late}",
+        "take this delay out of the simulator, unless the car has it too"
+        " (see channel delay and relaxation length among the effects)",
+    )
+
+
+def _runs(run, time):
+    for number in np.unique(run):
+        rows = np.flatnonzero(run == number)
+        yield rows[np.argsort(time[rows], kind="stable")]
+
+
+def _delayed(slip, time, run, delay):
+    moved = np.array(slip, float)
+    for rows in _runs(run, time):
+        moved[rows] = np.interp(time[rows] - delay, time[rows], slip[rows])
+    return moved
+
+
+def _lagged(slip, time, run, constant):
+    moved = np.array(slip, float)
+    for rows in _runs(run, time):
+        decay = np.exp(-np.diff(time[rows]) / constant)
+        for before, row, keep in zip(rows[:-1], rows[1:], decay, strict=True):
+            moved[row] = keep * moved[before] + (1 - keep) * slip[row]
+    return moved
+
+
+def _scatter(slip, force) -> float:
+    """Rms scatter of a force about a curve over the slip: each value against the line
+    through its two neighbours."""
+    order = np.argsort(slip, kind="stable")
+    x, y = slip[order], force[order]
+    wide = np.maximum(x[2:] - x[:-2], NONZERO)
+    share = np.where(x[2:] > x[:-2], (x[1:-1] - x[:-2]) / wide, 0.5)
+    return _rms(y[1:-1] - (1 - share) * y[:-2] - share * y[2:])
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

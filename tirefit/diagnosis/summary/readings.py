@@ -1,0 +1,158 @@
+"""Two readings of a simulator: the simulator, changed; and both described, the measured rows and
+the simulator's forces, by the same model with effects. A simulator that is far from the rows keeps
+its structure in every prediction of the first; the second does not need it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.diagnosis.engine.left_out import predicted
+from tirefit.diagnosis.rows.fits import as_measured
+from tirefit.diagnosis.rows.prepared import Prepared, prepare
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.structure import UNLIKE, Structure, structures_of
+from tirefit.diagnosis.summary.case import Case
+from tirefit.models import TireInputs, forces
+from tirefit.params import with_values
+from tirefit.results import DataError
+
+SLOPE = "slope at zero slip"
+"""Name of the slope of the force over the slip in a description."""
+
+_STEP, _SMALL = 1e-4, 1e-3
+"""Steps of a parameter z, and of the slip over its standard deviation, for slopes."""
+
+_EXACT = 0.005
+"""Noise given to simulated forces, over their rms: the error of a description that is exact."""
+
+
+class Estimate(NamedTuple):
+    """A value with its standard error, and of an effect the probability to be the cause."""
+
+    value: float
+    std: float
+    unit: str
+    probability: float | None = None
+
+
+class Described(NamedTuple):
+    """Forces described by a model with effects.
+
+    ``parameters`` include the slope at zero slip, ``effects`` are those that help,
+    ``rms_left_out`` is the error on data left out [N].
+    """
+
+    parameters: Mapping[str, Estimate]
+    effects: Mapping[str, Estimate]
+    rms_left_out: float
+
+
+class Readings(NamedTuple):
+    """Both readings of a simulator.
+
+    Attributes:
+        first: "changed" if the simulator, with its parameters and effects changed, predicts
+            measured rows left out as well as the ``model`` with effects does, else "described".
+        gain: mean square by which the model predicts them better; ``gain_std`` its standard error.
+        rms_changed: rms on data left out of the changed simulator.
+        model: that describes both.
+        measured: description of the measured forces.
+        simulator: that of the simulator's; None if it has a structure that the model lacks.
+        structure: what the simulator's forces show of it.
+    """
+
+    first: str
+    gain: float
+    gain_std: float
+    rms_changed: float
+    model: str
+    measured: Described
+    simulator: Described | None
+    structure: tuple[Structure, ...]
+
+
+def readings_of(
+    case: Case, whole: Prepared, rig: Rig, model: str, study: Callable[[Prepared, Rig], Case]
+) -> Readings | None:
+    """Both readings of a simulator that was diagnosed; None if the model cannot be fitted.
+
+    Args:
+        case: the simulator, changed.
+        whole: rows of the case.
+        model: that describes both; ``study`` diagnoses rows with it.
+    """
+    try:
+        own = study(whole, rig)
+    except DataError:
+        return None
+    folds = case.base.folds(case.weighed.best)
+    changed, described = (
+        predicted(one.search.subject, [one.chosen], one.search.null, folds) for one in (case, own)
+    )
+    share = changed.rows / changed.rows.sum()
+    gains = share * (changed.loss[:, 0] - described.loss[:, 0])
+    gain, error = float(gains.sum()), float(np.sqrt(len(gains)) * np.std(gains, ddof=1))
+    structure = structures_of(whole)
+    lacking = any(one.id in UNLIKE for one in structure)
+    itself = None if lacking else _of_simulator(whole, rig, study)
+    return Readings(
+        "described" if gain > error else "changed",
+        gain,
+        error,
+        float(np.sqrt(share @ changed.loss[:, 0])),
+        model,
+        _described(own, float(np.sqrt(share @ described.loss[:, 0]))),
+        itself,
+        structure,
+    )
+
+
+def _of_simulator(whole: Prepared, rig: Rig, study) -> Described | None:
+    """The description of the simulator's own forces, which have next to no noise."""
+    data = as_measured(whole.data, whole.channels)
+    generator, noise, columns = np.random.default_rng(0), {}, dict(data.columns)
+    for channel in whole.channels:
+        noise[channel] = _EXACT * float(np.sqrt(np.nanmean(data.usable(channel) ** 2)))
+        columns[channel] = columns[channel] + noise[channel] * generator.standard_normal(len(data))
+    rig = replace(rig, noise=noise)
+    try:
+        case = study(prepare(replace(data, columns=columns), rig, whole.channels), rig)
+    except DataError:
+        return None
+    loss, rows = case.predicted, case.predicted.rows
+    left = loss.loss[:, loss.effects.index(case.verdict.key)]
+    return _described(case, float(np.sqrt(rows @ left / rows.sum())))
+
+
+def _described(case: Case, rms: float) -> Described:
+    base, p, (z, spread) = case.base, len(case.chosen.z), case.parameters
+    layout = base.tire.layout
+    errors = np.abs(layout.vector(z + spread) - layout.vector(z - spread)) / 2
+    values = zip(layout.labels, layout.vector(z), errors, strict=True)
+    units = {one.name: one.spec.unit for one in layout.free}
+    parameters = {k: Estimate(float(v), float(e), units.get(k, "")) for k, v, e in values}
+    steps = _STEP * np.eye(p)
+    slope = np.array([_slope(case, z + step) - _slope(case, z - step) for step in steps])
+    covariance = case.widening * case.chosen.covariance[:p, :p]
+    error = np.sqrt(slope @ covariance @ slope) / (2 * _STEP)
+    unit = "N" if base.rows.mode == "x" else "N/rad"
+    parameters[SLOPE] = Estimate(_slope(case, z), float(error), unit)
+    effects = {}
+    for atom, size, std in zip(case.chosen.atoms, *case.sizes, strict=True):
+        effect, scale = base.atoms[atom].effect, float(base.priors.scale[atom])
+        if (each := case.verdict.each.get(effect.id)) is not None:
+            found = float(size) * scale, float(std) * scale
+            effects[effect.id] = Estimate(*found, effect.unit, each.probability)
+    return Described(parameters, effects, rms)
+
+
+def _slope(case: Case, z) -> float:
+    """Slope of the force over the slip at zero slip and the mean load."""
+    tire, rows = case.base.tire, case.base.rows
+    along, small = rows.mode == "x", _SMALL * float(np.std(rows.slip))
+    state = {c: float(np.mean(rows.column(c))) for c in ("fz", "v") if c in rows.data}
+    state["sigma_x" if along else "alpha"] = small
+    force = forces(with_values(tire.model, tire.layout.natural(z)), TireInputs(**state))
+    return float(np.asarray(force.fx if along else force.fy)) / small
