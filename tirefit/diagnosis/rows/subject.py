@@ -34,7 +34,7 @@ from tirefit.diagnosis.rows.prepared import (
 )
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
-from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
+from tirefit.diagnosis.rows.slips import slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
@@ -77,14 +77,6 @@ class Base:
         return atoms_of(self.tire.effects)
 
     @cached_property
-    def doubt(self) -> np.ndarray:
-        """Error of the residual that rows share through the unknown true slips: columns
-        (m, k), each times an independent unit normal number."""
-        rows = self.rows
-        off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, rows.path)
-        return np.concatenate([self._forces_of(off), self._proxies], axis=1)
-
-    @cached_property
     def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
         """Orthonormal directions (m, k) of the slip uncertainty, and the share (k,) of
         the residual along each that is removed."""
@@ -97,13 +89,16 @@ class Base:
         return values - (along * unknown) @ (along.T @ values)
 
     @cached_property
-    def _proxies(self) -> np.ndarray:
-        """Columns (m, k) of the residual that no effect explains: :func:`slip_proxies`
-        and :func:`fits.not_followed`."""
+    def doubt(self) -> np.ndarray:
+        """Error of the residual that rows share through the unknown true slips and the error
+        of a stand-in (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k), each
+        times an independent unit normal number."""
         rows = self.rows
         given = rows.slip_law, rows.slip, rows.slip_std, rows.moving
-        off = slip_proxies(*given, rows.path, rows.past)
-        return np.concatenate([self._forces_of(off), self._not_followed], axis=1)
+        slips = slip_proxies(*given, rows.path, rows.past)
+        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
+        off = steep[:, None] * np.tile(slips, (len(rows.channels), 1))
+        return np.concatenate([off, self._not_followed], axis=1)
 
     @cached_property
     def _not_followed(self) -> np.ndarray:
@@ -121,11 +116,6 @@ class Base:
             blocks.append(off * weight[:n, None])
         found = block_diag(*blocks)
         return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
-
-    def _forces_of(self, slips) -> np.ndarray:
-        """Whitened forces (m, k) of small changes of the slips (n, k)."""
-        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
 
     @cached_property
     def at_null(self) -> Linear:
