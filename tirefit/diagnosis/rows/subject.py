@@ -41,20 +41,22 @@ _SMALL = 1e-3
 """Step of the slip, in standard deviations of its noise, for the slope of a force."""
 
 
+_ON_BOUND = 6.0
+"""Parameter z within 0.25 % of its interval from a bound."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Base:
     """The subject "rows": a tire fitted to rows without effects, with the estimated noise, by
-    channel. Parameters z, the first ``guess`` of them, and the slip over that of full sliding
-    (n,). With a ``simulator``, the fit adapts its parameters to the data. Whitened values are
-    over the used rows of all channels, (m, ...). ``linear`` caches the last linearised fits,
-    by (z, amplitudes).
+    channel. Parameters z, and the slip over that of full sliding (n,). With a ``simulator``,
+    the fit adapts its parameters to the data. Whitened values are over the used rows of all
+    channels, (m, ...). ``linear`` caches the last linearised fits, by (z, amplitudes).
     """
 
     rows: Prepared
     tire: Tire
     design: Design
     z: np.ndarray
-    guess: np.ndarray
     slip_fraction: np.ndarray
     simulator: Simulated | None = None
     noise: Mapping[str, NoiseLevel] = field(default_factory=dict)
@@ -65,12 +67,6 @@ class Base:
     def as_given(self) -> np.ndarray:
         """Parameters z that define the gap: those of the simulator, else of the fit."""
         return self.z if self.simulator is None else self.simulator.z
-
-    def off_bounds(self, z) -> np.ndarray:
-        """Parameters z, with the first guess for those at a bound, where the slope is
-        zero and a refit could not leave the bound."""
-        on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
-        return np.where(on_bound, self.guess, z)
 
     @cached_property
     def atoms(self) -> tuple[Atom, ...]:
@@ -219,8 +215,11 @@ class Base:
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
-        begin = [(self.off_bounds(s.z) if a else s.z, s.amplitude)
-                 for s, a in zip(starts, sets, strict=True)]  # fmt: skip
+        # A parameter at a bound has no slope there: a refit with effects begins in the middle.
+        begin = [
+            (np.where(np.abs(s.z) > _ON_BOUND, 0.0, s.z) if a else s.z, s.amplitude)
+            for s, a in zip(starts, sets, strict=True)
+        ]
         found = fits.refit(self.tire, begin, sets, self.design)
         points = np.concatenate([found.z, found.amplitude], axis=1)
         n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
@@ -285,13 +284,13 @@ def fit_base(
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        fitted = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
-        begun = fits.begin(prepared, *fitted, rig, False)
+        tire, z = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
+        design, missed = fits.design_of(prepared, effects, rig), {}
     elif given.tire is None:
-        begun, stand_in = fits.standing_in(prepared, name, effects, rig, given)
+        (tire, z, design, missed), stand_in = fits.standing_in(prepared, name, effects, rig, given)
     else:
-        begun = fits.begin(prepared, *given.tire_for(prepared, effects), rig, True)
-    tire, design, z, guess, missed = begun
+        tire, z = given.tire_for(prepared, effects)
+        design, missed = fits.beside_tire(prepared, tire, z, rig)
     if given is not None:
         fits.check_followed(prepared, missed, stand_in)
         doubt = check_signs(prepared, tire, z, given)
@@ -302,7 +301,6 @@ def fit_base(
         tire=tire,
         design=design,
         z=z,
-        guess=guess,
         simulator=simulator,
         slip_fraction=_slip_fraction(prepared, tire, z, design),
     )
@@ -321,7 +319,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | Non
     known = prepared.slip_source != NOT_STATED and not sweeps
     if known or prepared.derived is not None or (prepared.mode == "xy" and not sweeps):
         return None
-    tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
+    tire, z = fits.first_fit(prepared, name, prepared.data, effects, rig)
     channel, design = prepared.channels[0], fits.design_of(prepared, effects, rig)
 
     def force(off: float):
@@ -366,9 +364,10 @@ def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit on other rows, for its forces; the noise is that of its own rows."""
     tire, prepared = base.tire, on_scale_of(prepared, base.rows)
-    design = fits.design_of(prepared, tire.effects, rig)
-    if base.simulator is not None:
-        design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
+    if base.simulator is None:
+        design = fits.design_of(prepared, tire.effects, rig)
+    else:
+        design, _ = fits.beside_tire(prepared, tire, base.simulator.z, rig)
     return base.on(with_force(prepared, tire, design, base.z), prepared)
 
 
