@@ -7,7 +7,7 @@ from conftest_diagnosis import brush
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.rows.noise import correlation, judge_noise
+from tirefit.diagnosis.rows.noise import correlation, judge_noise, rows_each
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import fit_base
@@ -108,6 +108,43 @@ def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
     assert np.mean([np.mean(one.std) for one in found]) == pytest.approx(40, rel=0.13)
     each = np.median([one.inflation for one in found])
     assert each == pytest.approx((1 + fade) / (1 - fade), rel=0.25)
+
+
+def without_waves(values, count):
+    """Values without their parts along slow waves, and these waves, orthonormal."""
+    angle = np.linspace(0, 1, ROWS)[:, None] * 2 * np.pi * np.arange(1, count // 2 + 1)
+    unit = np.linalg.qr(np.concatenate([np.sin(angle), np.cos(angle)], axis=1))[0]
+    return values - unit @ (unit.T @ values), unit
+
+
+@pytest.mark.parametrize("count", [4, 200])
+@pytest.mark.parametrize("fade", [0.0, 0.5, 0.65])
+def test_a_correlation_is_found_after_any_fit(fade, count):
+    """First-order noise has (1 + fade) / (1 - fade) rows for each independent one, whatever
+    smooth functions were removed; of 20 white records at most two seem correlated."""
+    records = (without_waves(first_order(fade, seed) / 40, count) for seed in range(20))
+    found = [rows_each(*record, [np.arange(ROWS)]) for record in records]
+    # With 200 functions of 900 rows the slow part is extrapolated: the scatter is a third.
+    assert np.median(found) == pytest.approx((1 + fade) / (1 - fade), rel=0.4)
+    assert fade > 0 or sum(each > 1 for each in found) <= 2
+
+
+def test_breaks_end_the_correlation():
+    values = np.repeat(np.random.default_rng(3).standard_normal(ROWS // 2), 2)
+    record, pairs = without_waves(values, 4), np.arange(ROWS).reshape(-1, 2)
+    assert rows_each(*record, [np.arange(ROWS)]) > 1
+    assert rows_each(*record, list(pairs)) == 1
+
+
+def test_with_known_noise_a_slow_gap_is_not_taken_for_correlation():
+    """With a correlation of 0.9, neighbours would differ by a third of the stated noise."""
+    generator, rows = np.random.default_rng(1), [np.arange(ROWS)]
+    walk = np.cumsum(generator.standard_normal(ROWS)) / 12
+    gap = without_waves(generator.standard_normal(ROWS) + walk, 4)
+    assert rows_each(*gap, rows, 1.0) < rows_each(*gap, rows)
+    # Noise that is as large as it was stated has the same correlation.
+    own = without_waves(first_order(0.6, 3) / 40, 4)
+    assert rows_each(*own, rows, 1.3) == pytest.approx(rows_each(*own, rows), rel=0.01)
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.6, 0.8])

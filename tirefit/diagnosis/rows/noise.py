@@ -8,19 +8,66 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
-from scipy.special import chdtr, chdtrc
+from scipy.special import chdtr, chdtrc, softmax
 
-from tirefit.diagnosis.engine import NONZERO, ROUNDING, UNSEEN
+from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
 from tirefit.fitting.noise import MAD, autocorrelation_time
 
 CORRELATED = 2.5
 """Significant score, in standard errors: one white record in 160."""
 
-_FACTS = 20
+_FADES = np.arange(20) / 20
+"""Correlations of neighbours that are compared."""
+
+_FACTS = len(_FADES)
 """Smallest number of independent rows; stronger correlation is treated as a gap."""
+
+
+def rows_each(white, unit, stretches: Sequence[np.ndarray], most: float = np.inf) -> float:
+    """Rows per independent row of first-order autoregressive noise, averaged over its
+    correlation; 1 where the correlation of neighbours is not significant.
+
+    Smooth functions absorb slow noise, so the correlation of the remainder is biased
+    downwards; the restricted likelihood corrects that.
+
+    Args:
+        white: (n,) remainder after smooth functions, zero for excluded rows.
+        unit: (n, q) those functions, orthonormal.
+        stretches: rows in the order of time (index arrays), which share no row.
+        most: largest variance of the noise, so that a slow gap with noise of a known
+            level is not treated as correlated noise.
+    """
+    stretches = [rows for rows in stretches if len(rows) > 2]
+    if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
+        return 1.0
+    both = np.concatenate([unit, white[:, None]], axis=1)
+    heads, tails = (
+        np.concatenate([rows[part] for rows in stretches])
+        for part in (slice(None, -1), slice(1, None))
+    )
+    starts, before, after = both[[rows[0] for rows in stretches]], both[heads], both[tails]
+    across = after.T @ before
+    starts, before, after = (x.T @ x for x in (starts, before, after))
+    variance = float(white @ white) / max(len(white) - unit.shape[1], 1)
+    lag_one = across[-1, -1] / variance + np.trace(across[:-1, :-1])
+    if lag_one < CORRELATED * len(white) / np.sqrt(len(heads) + len(stretches)):
+        return 1.0
+    freedom, logs = len(heads) + len(stretches) - unit.shape[1], []
+    for fade in _FADES:
+        # The products of the innovations x_t - fade x_(t-1) are sums of the same three.
+        left = 1 - fade**2
+        products = starts + (after - fade * (across + across.T) + fade**2 * before) / left
+        smooth, score = products[:-1, :-1], products[:-1, -1]
+        factor = cho_factor(smooth + ROUNDING * np.eye(len(smooth)))
+        rest = max(float(products[-1, -1] - score @ cho_solve(factor, score)), NONZERO)
+        size = min(rest / freedom, most)
+        log = -0.5 * (freedom * np.log(size) + rest / size + len(heads) * np.log(left))
+        logs.append(log - float(np.sum(np.log(np.diag(factor[0])))))
+    return float(softmax(logs) @ ((1 + _FADES) / (1 - _FADES)))
 
 
 def in_order(time, run) -> list[np.ndarray]:
@@ -134,7 +181,7 @@ def judge_noise(
         std = std * times
     else:
         std, source = np.maximum(level(), floor), "differences"
-    inflation = correlation(np.where(keep, rest, 0) / std, time, run)
+    inflation = smooth.rows_each(rest / std, in_time)
     if not stated:
         apart = _CLEAR * inflation * (inflation > 1)
         local = _between(residual / std, groups, keep, apart, in_time)
@@ -153,6 +200,8 @@ def judge_noise(
         flags.append("outliers")
     if inflation > 1:
         flags.append("autocorrelated")
+        left = correlation(np.where(keep, rest, 0) / std, time, run)
+        inflation = max(min(inflation, len(rest) / _FACTS), left)
     # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source, ratio)
@@ -244,6 +293,12 @@ class _Smooth:
         """Residual less its smooth part, (n,)."""
         score = self.root.T @ (self.basis.T @ (residual * self.keep))
         return residual - self.basis @ (self.root @ score)
+
+    def rows_each(self, white, in_time) -> float:
+        """:func:`rows_each` of a remainder (n,) of unit variance."""
+        unit = (self.basis * self.keep[:, None]) @ self.root
+        kept = np.where(self.keep, white, 0.0)
+        return rows_each(kept, unit, in_time, (1 + _MISSTATED) ** 2)
 
 
 def _shares(white, fz, force, keep) -> list[np.ndarray]:
