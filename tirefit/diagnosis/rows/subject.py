@@ -386,7 +386,7 @@ def _noise(fit: Base, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLeve
     rows, fz = fit.rows, fit.rows.inputs.fz
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
     typical, most = fz / np.mean(fz), rows.n // 6
-    basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
+    basis = smooth_basis(rows, fit.slip_fraction, typical, most)
     groups, levels = neighbours(rows), {}
     for c in rows.channels:
         given = rig.force_noise(c, fz)
