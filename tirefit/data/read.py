@@ -464,9 +464,11 @@ def _all_assumptions(reading: _Reading) -> list[str]:
 
 
 def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
-    good = ~reading.bad()
+    # A prediction keeps rows without a force, which tell nothing of signs and units.
+    whole = [np.isfinite(values) for values in reading.columns.values()]
+    good = ~reading.bad() & np.all(whole, axis=0)
     if not good.any():
-        return ()
+        return tuple(reading.unread + reading.doubts)
     used = {name: values[good] for name, values in reading.columns.items()}
     lines = reading.table.lines[good]
     read_as = reading.signs
