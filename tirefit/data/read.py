@@ -464,9 +464,8 @@ def _all_assumptions(reading: _Reading) -> list[str]:
 
 
 def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
-    # A prediction keeps rows without a force, which tell nothing of signs and units.
-    whole = [np.isfinite(values) for values in reading.columns.values()]
-    good = ~reading.bad() & np.all(whole, axis=0)
+    """Warnings by the rows that are complete: a prediction keeps others, without a force."""
+    good = ~reading.bad() & np.all([np.isfinite(v) for v in reading.columns.values()], axis=0)
     if not good.any():
         return tuple(reading.unread + reading.doubts)
     used = {name: values[good] for name, values in reading.columns.items()}
