@@ -9,8 +9,9 @@ class Killed(BaseException):
 
 
 def killed_at(step, work):
-    """Whether ``work`` was killed in place of a renaming or removal of a file: the one
-    after ``step`` others. Once dead, it changes no file more, not even in ``finally``."""
+    """Whether ``work`` was killed in place of a step: to rename or remove a file or to make
+    a folder, after ``step`` others. Once dead, it changes no file more, not even in
+    ``finally``."""
     left = [step]
 
     def dying(of):
@@ -22,7 +23,7 @@ def killed_at(step, work):
 
         return once
 
-    names = ("replace", "rename", "unlink", "remove", "rmdir")
+    names = ("mkdir", "replace", "rename", "unlink", "remove", "rmdir")
     try:
         with patch.multiple(os, **{name: dying(getattr(os, name)) for name in names}):
             work()

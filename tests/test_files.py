@@ -2,13 +2,13 @@
 
 import json
 import os
+import shutil
 import time
 
 import numpy as np
 import pytest
 
-from tests.killed import steps_of
-from tirefit.data.write import write_csv
+from tests.killed import killed_at, steps_of
 from tirefit.files import (
     json_safe,
     json_text,
@@ -62,8 +62,6 @@ def test_an_error_of_another_file_keeps_its_name(tmp_path):
 def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "a.csv"
     path.write_text("old")
-    with pytest.raises(ValueError, match="shorter"):
-        write_csv(path, {"a": [1.0, 2.0], "b": [1.0]})
 
     def fail(name, *_):
         raise OSError(28, "disk full", name)
@@ -97,31 +95,58 @@ def test_files_that_belong_together_are_written_together(tmp_path):
     assert (one.read_text(), two.read_text()) == ("new", "newer")
 
 
-def test_a_killed_process_leaves_no_mixture_of_files(tmp_path):
-    """Of three files, or two of them, written together: those that are there are of one
-    result if the last is there."""
+def written(path, text, days=0.0):
+    """Write a file of some days ago."""
+    path.write_text(text)
+    os.utime(path, (0, time.time() - 86_400 * days))
+
+
+@pytest.mark.parametrize("earlier", ["abcd", "acd", "abd", "d"])
+@pytest.mark.parametrize("days", [0, 2])
+def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, earlier, days):
+    """Where the last of several files is, all are of its result. The next command finds the
+    earlier files, however old they are, or the new ones, wholly."""
     paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
+    before = {name: "old" for name in ("a.png", "b.csv", "c.json", "d.txt") if name[0] in earlier}
+    after = {**dict.fromkeys([path.name for path in paths], "new"), "d.txt": "old"}
 
     def restore():
-        for path in tmp_path.iterdir():
-            path.unlink()
-        for path in (*paths, tmp_path / "notes.txt"):
-            path.write_text("old")
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        for name, text in before.items():
+            written(tmp_path / name, text, days)
 
-    killed = 0
+    def found():
+        return {path.name: path.read_text() for path in tmp_path.iterdir() if path.is_file()}
+
+    states = []
     for _ in steps_of(lambda: write_texts(dict.fromkeys(paths, "new")), restore):
-        killed += 1
-        there = [path.read_text() for path in paths if path.exists()]
+        visible = {name: text for name, text in found().items() if name[0] != "."}
         if paths[-1].exists():
-            assert len(there) == 3 and len(set(there)) == 1
-        assert (tmp_path / "notes.txt").read_text() == "old"
-    assert killed >= 6
+            assert visible in (before, after)
+        remove_left(tmp_path)
+        assert not list(tmp_path.glob(".*.earlier*"))
+        states.append({name: text for name, text in found().items() if name[0] != "."})
+        assert states[-1] in (before, after)
+    assert before in states and after in states and len(states) >= 6
     restore()
     write_texts(dict.fromkeys(paths, "new"))
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
-        **dict.fromkeys([path.name for path in paths], "new"),
-        "notes.txt": "old",
-    }
+    assert found() == after and len([*tmp_path.iterdir()]) == 4
+
+
+def test_a_recovery_that_is_killed_can_be_repeated(tmp_path):
+    """And it keeps a file that was written after the kill."""
+    paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
+    for path in paths:
+        written(path, "old", days=2)
+    # It has made a folder, moved three earlier files there and put one new file in place.
+    assert killed_at(5, lambda: write_texts(dict.fromkeys(paths, "new")))
+    assert not paths[2].exists() and not paths[1].exists()
+    written(paths[1], "mine", days=-0.01)
+    for _ in steps_of(lambda: remove_left(tmp_path), lambda: None):
+        assert paths[1].read_text() == "mine"
+    remaining = {p.name: p.read_text() for p in tmp_path.iterdir() if p.name[0] != "."}
+    assert remaining == {"a.png": "old", "b.csv": "mine", "c.json": "old"}
 
 
 def test_old_temporary_files_are_removed_and_no_others(tmp_path):

@@ -148,7 +148,9 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         if odd is None:
             return content
         reason = f"{odd[0]}: {odd[1]}"
-    raise UsageError(reason, "correct the file", str(path))
+    is_other = Path(path).suffix.lower() not in (".toml", "")
+    remedy = "give a TOML file of settings here" if is_other else "correct the file"
+    raise UsageError(reason, remedy, str(path))
 
 
 # --- our own files --------------------------------------------------------------
@@ -181,7 +183,8 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
     except RecursionError:
         raise refused("not JSON that tirefit wrote: it is nested too deeply") from None
     except ValueError as error:
-        what = "JSON with comments or a fault" if raw.lstrip().startswith(b"{") else "not JSON"
+        is_json = raw.lstrip().startswith((b"{", b"[", b"//", b"/*"))
+        what = "JSON with comments or a fault" if is_json else "not JSON"
         raise refused(f"{what}, which tirefit did not write: {str(error)[:200]}") from None
     if not isinstance(content, dict) or content.get("schema") != schema:
         raise refused(f"its schema is not {schema}")

@@ -75,9 +75,12 @@ def files_of_at_most(size):
     """A quota: writing more into a file fails, as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    # Python would store the first part of a module's code and fail to load it later.
+    stores, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     try:
         yield
     finally:
+        sys.dont_write_bytecode = stores
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
@@ -304,17 +307,21 @@ needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/
 
 
 @needs_full
-def test_a_full_standard_output_is_reported(inputs):
-    """Also for output before any command runs; a full stderr keeps the exit code."""
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_standard_output_is_reported(inputs, unbuffered):
+    """Also for output before any command runs; a full stderr keeps the exit code. Python
+    writes buffered output again at its end, which must not change the exit code."""
     program = [sys.executable, "-m", "tirefit"]
+    env = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
     with open("/dev/full", "w") as full:
-        said = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
+        said = {"stdout": full, "stderr": subprocess.PIPE, "text": True, "env": env}
         helped = subprocess.run([*program, "--help"], **said)
         looked = subprocess.run([*program, "inspect", "rig.csv", "--no-gate"], **said)
-        silent = subprocess.run([*program, "inspect", "none.csv"], stderr=full)
-    assert helped.returncode == looked.returncode == silent.returncode - 1 == 2
+        silent = subprocess.run([*program, "inspect", "none.csv"], stderr=full, env=env)
+    assert (helped.returncode, looked.returncode, silent.returncode) == (2, 2, 3)
     assert helped.stderr == "error: output: No space left on device\n"
     assert "standard output: cannot be written: No space left" in looked.stderr
+    assert "Traceback" not in looked.stderr
 
 
 def test_a_closed_standard_input_is_an_error():

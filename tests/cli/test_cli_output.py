@@ -116,8 +116,7 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
 
 
 def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
-    """Where there is a document, it is of the earlier result or of the new one, with its
-    figures only."""
+    """The next command finds the earlier result or the new one, with its figures only."""
     old = ["fit.json", "fit.png", "corner.png", "posterior.nc"]
     new = ["fit.json", "fit.png", "trace.png"]
     known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]
@@ -138,10 +137,10 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
         with claimed(tmp_path):
             pass
         there = {name: text for name, text in files_of(tmp_path).items() if name[0] != "."}
-        if (state := there.get("fit.json")) is not None:
-            assert there == dict.fromkeys(old if state == b"old" else new, state)
+        state = there["fit.json"]
+        assert there == dict.fromkeys(old if state == b"old" else new, state)
         states.add(state)
-    assert states == {b"old", None, b"new"}
+    assert states == {b"old", b"new"}
 
 
 def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):

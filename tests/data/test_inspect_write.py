@@ -13,15 +13,19 @@ from tirefit.data.read import read, read_frame
 from tirefit.data.vehicle import load_vehicle
 from tirefit.data.vehicle_log import vehicle_log
 from tirefit.data.write import (
+    csv_text,
     output_problems,
     prediction_table,
     simulated_table,
     to_convention,
-    write_csv,
 )
 from tirefit.results import DataError
 
 RNG = np.random.default_rng(11)
+
+
+def write_csv(path, columns):
+    path.write_bytes(csv_text(columns).encode())
 
 
 def sweep(repeats=1, loads=(2000.0, 4000.0), **others):
@@ -136,6 +140,11 @@ def test_to_convention_restores_the_file(tmp_path, convention, definition):
     again = read(tmp_path / "back.csv", **options)
     for name in data.columns:
         np.testing.assert_allclose(again[name], data[name], rtol=1e-10, err_msg=name)
+
+
+def test_columns_that_are_not_equally_long_are_refused():
+    with pytest.raises(ValueError, match="shorter"):
+        csv_text({"a": [1.0, 2.0], "b": [1.0]})
 
 
 def test_canonical_columns_are_written_and_read_exactly(tmp_path):

@@ -155,6 +155,13 @@ def test_a_prediction_keeps_the_rows_and_needs_no_force():
     np.testing.assert_array_equal(predicted[30:], whole[30:])
 
 
+def test_rows_without_a_force_cause_no_warning_of_units():
+    """Their forces are no part of the percentiles, which would not be numbers."""
+    given = read_frame(holed({"fy": np.arange(10, 50)}), forces=False)
+    assert np.isnan(given["fy"]).sum() == 40
+    assert not [one for one in given.source.warnings if "nan" in one or "unit" in one]
+
+
 def test_the_name_of_a_run_may_be_missing():
     names = np.array(["a"] * 40 + [""] + ["b"] * 39)
     data = read_frame(COLUMNS | {"run": names})

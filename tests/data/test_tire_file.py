@@ -9,6 +9,7 @@ import pytest
 from tirefit.data.read import read
 from tirefit.data.tir import notes_on, read_tir
 from tirefit.data.tire_file import tire_kind
+from tirefit.door import read_toml
 from tirefit.fitting.predict import predict
 from tirefit.fitting.source import given_tire
 from tirefit.results import DataError, UsageError
@@ -59,11 +60,47 @@ def test_the_json_of_a_pac02_tire_points_to_its_tir(tmp_path):
         given_tire(path)
 
 
-def test_json_with_comments_is_not_called_no_json(tmp_path):
+@pytest.mark.parametrize("above", ["", "// mine\n", "/* mine */ "])
+def test_json_with_comments_is_not_called_no_json(tmp_path, above):
     path = tmp_path / "fit.json"
-    path.write_text('{\n  // mine\n  "schema": "tirefit.fit/1"\n}\n')
+    path.write_text(above + '{\n  // mine\n  "schema": "tirefit.fit/1"\n}\n')
     with pytest.raises(DataError, match="JSON with comments or a fault, which tirefit did not"):
         given_tire(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("log.csv", "alpha,fy,fz\n0.1,800,4000\n"),
+        ("fit.json", '{\n "schema": "tirefit.fit/1",\n "model": "brush"\n}\n'),
+        ("vehicle.toml", "mass = 1500\n[columns]\ntime = 't'\n"),
+    ],
+)
+def test_another_file_in_the_place_of_a_tir_gets_no_advice_to_add_coefficients(
+    tmp_path, name, text
+):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(DataError) as caught:
+        read_tir(path)
+    (problem,) = caught.value.problems
+    assert problem.reason.startswith("this is no .tir file") and "add" not in problem.remedy
+
+
+def test_settings_in_the_place_of_data_are_named(tmp_path):
+    path = tmp_path / "vehicle.toml"
+    path.write_text("mass = 1500\n[columns]\ntime = 't'\n")
+    with pytest.raises(DataError, match="this is a file of settings, and no table"):
+        read(path)
+
+
+@pytest.mark.parametrize(("name", "remedy"), [("fit.json", "give a TOML"), ("a.toml", "correct")])
+def test_another_file_in_the_place_of_settings_is_named(tmp_path, name, remedy):
+    path = tmp_path / name
+    path.write_text('{"schema": "tirefit.fit/1"}')
+    with pytest.raises(UsageError) as caught:
+        read_toml(path)
+    assert caught.value.problems[0].remedy.startswith(remedy)
 
 
 def test_a_tir_in_the_place_of_data_is_named(tmp_path):

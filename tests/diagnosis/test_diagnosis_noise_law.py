@@ -52,10 +52,13 @@ def test_excess_noise_is_found_in_quiet_rows():
 
 
 def test_the_noise_by_the_slip_is_beside_that_of_the_force():
-    """Of 20 N where the force is steep, beside an unknown one of 10 N."""
-    found = np.mean([judged(np.full(ROWS, 10.0), None, seed).std for seed in range(5)], axis=0)
-    for part, right in ((SPREAD > 0, np.hypot(10, 20)), (SPREAD == 0, 10.0)):
-        assert np.mean(found[part]) == pytest.approx(right, rel=0.1)
+    """Of 20 N where the force is steep, beside an unknown one of 10 N. The ratio of the two
+    levels scatters by 0.6 %; it was 2.8 % too low when the noise by the slip, which is known,
+    was not subtracted before the unknown one was estimated."""
+    found = np.mean([judged(np.full(ROWS, 10.0), None, seed).std for seed in range(40)], axis=0)
+    steep, flat = np.mean(found[SPREAD > 0]), np.mean(found[SPREAD == 0])
+    assert flat == pytest.approx(10.0, rel=0.03)
+    assert steep / flat == pytest.approx(np.hypot(10, 20) / 10, rel=0.018)
 
 
 def test_uniform_noise_keeps_the_stated_level():

@@ -75,6 +75,19 @@ def main() -> None:
         if not came or (isinstance(end, SystemExit) and end.code != 130):
             raise
         _end_interrupted()
+    finally:
+        _drop_unwritten()
+
+
+def _drop_unwritten() -> None:
+    """Discard output that could not be written, for example to a full disk: Python would
+    try again at its end, print a traceback and change the exit code to 120."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:  # closed before Python began
+                stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _end_interrupted() -> NoReturn:

@@ -104,6 +104,9 @@ def _read(path: Place, declared: Collection[str]) -> Table:
     DataError.raise_for(other_tire(text, file))
     if describes_tir(text):
         raise DataError(_of_tire("a file of Magic Formula coefficients", file))
+    if file.lower().endswith(".toml"):
+        reason = "this is a file of settings, and no table of measurements"
+        raise DataError(reason, "give the measurements here, and this file as --config", file)
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
     return table_of_text(text, path, digest, declared, notes)

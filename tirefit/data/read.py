@@ -464,9 +464,10 @@ def _all_assumptions(reading: _Reading) -> list[str]:
 
 
 def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
-    good = ~reading.bad()
+    """Warnings by the rows that are complete: a prediction keeps others, without a force."""
+    good = ~reading.bad() & np.all([np.isfinite(v) for v in reading.columns.values()], axis=0)
     if not good.any():
-        return ()
+        return tuple(reading.unread + reading.doubts)
     used = {name: values[good] for name, values in reading.columns.items()}
     lines = reading.table.lines[good]
     read_as = reading.signs

@@ -172,6 +172,10 @@ def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
 
 def _missing(tir: TirFile) -> Iterator[InputProblem]:
     there = tir.numbers
+    if not {"FNOMIN", *COEFFICIENTS} & set(there):
+        reason = "this is no .tir file: it has no coefficient of a Magic Formula"
+        yield InputProblem(reason, "give a tire of Magic Formula 5.2, 6.1 or 6.2", tir.path)
+        return
     if "FNOMIN" not in there:
         reason = "FNOMIN is missing: the nominal load of all forces"
         yield InputProblem(reason, "add it to [VERTICAL]", tir.path)

@@ -254,7 +254,9 @@ class Vehicle(Section):
     drag: NonNegativeFloat | None = None  # over v^2 [kg/m]; None: 0, with a large uncertainty
     wheel_radius: PositiveFloat | None = None  # [m]; wavelengths are compared with it
     clock: PositiveFloat | None = None
-    columns: Columns
+    columns: Columns = Field(
+        description="add the headers of the log: `tirefit inspect LOG` prints this table"
+    )
     units: dict[str, str] = {}
     filter: Filter = Filter()
     keep: Keep = Keep()

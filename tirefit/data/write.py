@@ -10,7 +10,6 @@ import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.units import base_column, resolve_unit, sigma_derivative, sign_of, slip_from_sigma
-from tirefit.files import write_text_atomic
 from tirefit.results import InputProblem
 
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
@@ -39,11 +38,6 @@ def output_problems(path, ending: str = "") -> list[InputProblem]:
     else:
         return []
     return [InputProblem(reason, remedy, str(path))]
-
-
-def write_csv(path, columns: Mapping[str, object], above: str = "") -> None:
-    """Write columns as CSV below the line ``above``, completely or not at all."""
-    write_text_atomic(path, above + csv_text(columns))
 
 
 def csv_text(columns: Mapping[str, object], delimiter: str = ",") -> str:
