@@ -7,11 +7,10 @@ from conftest_diagnosis import brush
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.rows.noise import correlation, judge_noise, rows_each
+from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import fit_base
-from tirefit.fitting.noise import effective_inflation
 
 ROWS = 900
 SLIP = np.random.default_rng(0).uniform(0, 1, ROWS)
@@ -25,11 +24,12 @@ def judged(std, given=40.0, seed=1):
     generator = np.random.default_rng(seed)
     residual = np.hypot(std, np.sqrt(SPREAD)) * generator.standard_normal(ROWS)
     basis = np.stack([SLIP**k for k in range(5)], axis=1)
+    waves = np.stack([f(40 * SLIP) for f in (np.sin, np.cos)], axis=1)
     zero = np.zeros(ROWS, int)
     order = [np.argsort(SLIP)]
     level = None if given is None else np.full(ROWS, given)
     return judge_noise(
-        residual, SPREAD, LOAD, FORCE, level, basis, order, np.arange(float(ROWS)), zero
+        residual, SPREAD, LOAD, FORCE, level, basis, waves, order, np.arange(float(ROWS)), zero
     )
 
 
@@ -76,9 +76,10 @@ def test_noise_that_falls_with_the_force_is_not_modelled():
 def alike(residual, given, slip=SLIP, groups=None):
     """The noise of records with a constant force, in the order of time."""
     basis = np.stack([slip**k for k in range(5)], axis=1)
+    waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
     level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
     return judge_noise(
-        residual, zero, LOAD, LOAD, level, basis,
+        residual, zero, LOAD, LOAD, level, basis, waves,
         [np.argsort(slip)] if groups is None else groups,
         np.arange(float(ROWS)), zero.astype(int),
     )  # fmt: skip
@@ -111,59 +112,6 @@ def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
     assert np.mean([np.mean(one.std) for one in found]) == pytest.approx(40, rel=0.13)
     each = np.median([one.inflation for one in found])
     assert each == pytest.approx((1 + fade) / (1 - fade), rel=0.25)
-
-
-def without_waves(values, count):
-    """Values without their parts along slow waves, and these waves, orthonormal."""
-    angle = np.linspace(0, 1, ROWS)[:, None] * 2 * np.pi * np.arange(1, count // 2 + 1)
-    unit = np.linalg.qr(np.concatenate([np.sin(angle), np.cos(angle)], axis=1))[0]
-    return values - unit @ (unit.T @ values), unit
-
-
-@pytest.mark.parametrize("count", [4, 200])
-@pytest.mark.parametrize("fade", [0.0, 0.5, 0.65])
-def test_a_correlation_is_found_after_any_fit(fade, count):
-    """First-order noise has (1 + fade) / (1 - fade) rows for each independent one, whatever
-    smooth functions were removed; of 20 white records at most two seem correlated."""
-    records = (without_waves(first_order(fade, seed) / 40, count) for seed in range(20))
-    found = [rows_each(*record, [np.arange(ROWS)]) for record in records]
-    # With 200 functions of 900 rows the slow part is extrapolated: the scatter is a third.
-    assert np.median(found) == pytest.approx((1 + fade) / (1 - fade), rel=0.4)
-    assert fade > 0 or sum(each > 1 for each in found) <= 2
-
-
-def test_breaks_end_the_correlation():
-    values = np.repeat(np.random.default_rng(3).standard_normal(ROWS // 2), 2)
-    record, pairs = without_waves(values, 4), np.arange(ROWS).reshape(-1, 2)
-    assert rows_each(*record, [np.arange(ROWS)]) > 1
-    assert rows_each(*record, list(pairs)) == 1
-
-
-def test_with_known_noise_a_slow_gap_is_not_taken_for_correlation():
-    """With a correlation of 0.9, neighbours would differ by a third of the stated noise."""
-    generator, rows = np.random.default_rng(1), [np.arange(ROWS)]
-    walk = np.cumsum(generator.standard_normal(ROWS)) / 12
-    gap = without_waves(generator.standard_normal(ROWS) + walk, 4)
-    assert rows_each(*gap, rows, 1.0) < rows_each(*gap, rows)
-    # Noise that is as large as it was stated has the same correlation.
-    own = without_waves(first_order(0.6, 3) / 40, 4)
-    assert rows_each(*own, rows, 1.3) == pytest.approx(rows_each(*own, rows), rel=0.01)
-
-
-@pytest.mark.parametrize("fade", [0.0, 0.6, 0.8])
-def test_intervals_by_the_number_of_independent_rows_hold(fade):
-    """By the contributions to a gradient, as a fit counts, and by the noise alone, as a
-    diagnosis weighs; the number itself has an error, which widens some intervals more. 400
-    intervals hold in 95 % with a standard error of 1.1 %."""
-    generator, held, time = np.random.default_rng(6), np.zeros(2), np.linspace(0, 1, ROWS)
-    for seed in range(400):
-        x = np.sin(12 * np.pi * time + generator.uniform(0, 2 * np.pi))
-        values = first_order(fade, seed)
-        slope = x @ values / (x @ x)
-        rest, run = values - slope * x, np.zeros(ROWS, int)
-        each = effective_inflation((rest * x)[:, None], run, time), correlation(rest, time, run)
-        held += abs(slope) < 1.96 * np.sqrt(np.array(each) * np.var(rest) / (x @ x))
-    assert np.all((held / 400 > 0.915) & (held / 400 < 0.99))
 
 
 def test_drift_does_not_override_a_stated_noise():

@@ -22,7 +22,7 @@ from tirefit.diagnosis.effects.state import force_of_state, null_state
 from tirefit.diagnosis.engine.discrepancy import Cell, Found
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, waves_within
 from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
@@ -309,6 +309,17 @@ def test_segments_break_at_pauses_and_runs():
     assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
 
 
+def test_one_wave_among_many_is_found():
+    generator = np.random.default_rng(0)
+    x = np.linspace(0, 1, 400)
+    angle = 2 * np.pi * x[:, None] * np.arange(1, 13)
+    waves = np.stack([np.sin(angle), np.cos(angle)], 2).reshape(400, -1) / np.sqrt(200)
+    residual = generator.standard_normal(400) + 0.5 * np.sin(2 * np.pi * 7 * x + 1)
+    chi2 = waves_within(waves, np.ones((400, 1)), residual)
+    assert int(np.argmax(chi2)) == 6
+    assert chi2[6] > 30 and np.median(chi2) < 4
+
+
 def test_shares_do_not_depend_on_the_order():
     """Compared with the mean over all orders."""
     worth = {(): 0.0, (1,): 2.0, (2,): 3.0, (3,): 0.0, (1, 2): 4.0, (1, 3): 2.5,
@@ -396,11 +407,12 @@ def test_the_noise_is_estimated_despite_a_gap():
     level = 0.01 * fz
     residual = 300 * x**3 + level * generator.standard_normal(1500)
     zero = np.zeros(1500)
+    waves = np.stack([f(k * x) for k in (20, 33) for f in (np.sin, np.cos)], axis=1)
     groups = [np.arange(0, 1500, 2), np.arange(1, 1500, 2)]
     order = (np.arange(1500.0), zero.astype(int))
 
     def judged(residual, given, force=zero + 1.0):
-        return judge_noise(residual, zero, fz, force, given, basis, groups, *order)
+        return judge_noise(residual, zero, fz, force, given, basis, waves, groups, *order)
 
     found = judged(residual, None)
     np.testing.assert_allclose(found.std, level, rtol=0.1)
@@ -408,8 +420,9 @@ def test_the_noise_is_estimated_despite_a_gap():
     wrong = judged(residual, level / 2)
     assert "noise_misstated" in wrong.flags
     np.testing.assert_allclose(wrong.std, level, rtol=0.1)
-    # A ripple finer than the smooth functions does not override a stated noise.
+    # A ripple finer than the smooth functions is a gap, not noise.
     ripple = judged(residual + 80 * np.sin(33 * x), level)
+    assert ripple.flags == ()
     np.testing.assert_allclose(ripple.std, level)
     slow = np.empty(1500)
     slow[0] = 0

@@ -1,6 +1,6 @@
 """The unlisted effect of rows of forces: a parameter of the tire, its slip or its force as a
-function of one covariate; and the smooth functions that represent any gap while the
-noise is estimated."""
+function of one covariate; and the smooth functions and waves that represent any gap while
+the noise is estimated."""
 
 from typing import TYPE_CHECKING
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from tirefit.data.levels import Levels, levels
 from tirefit.diagnosis.effects.state import State
-from tirefit.diagnosis.engine import FLAT, UNSEEN
+from tirefit.diagnosis.engine import FLAT, ROUNDING, UNSEEN
 from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, Wave, places_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slips import segments
@@ -141,6 +141,9 @@ def _clock(values: np.ndarray) -> tuple[np.ndarray, float]:
     return (places if places.max() < _FINER * len(values) else np.full(len(values), -1)), step
 
 
+WAVES, ROWS_OF_A_WAVE = 96, 5
+"""Largest number of waves in a record, and smallest number of rows of a wave."""
+
 _BUMPS = (4, 8)  # smallest and largest number of functions of the slip for each sign
 _LEVELS = 4  # largest number of settings of a covariate with a coefficient each
 
@@ -212,3 +215,53 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
         own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
         factors[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
     return _by_side(slip_fraction, factors, scale, most)
+
+
+def wave_basis(prepared, scale) -> np.ndarray:
+    """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
+    slip = prepared.slip
+    span = max(np.ptp(slip), FLAT)
+    most = int(np.clip(prepared.n // ROWS_OF_A_WAVE, 2 * _BUMPS[0], WAVES))
+    most_over_slip = min(most // 2, WAVES // 4)
+    waves = [turns((slip - slip.min()) / span, np.arange(1.0, most_over_slip + 1))]
+    if "time" in prepared.has:
+        # With half waves: between two whole numbers of waves a third of the energy is lost.
+        counts = np.arange(1, most + 0.1, 0.5)
+        waves.append(turns(prepared.covariates.time, counts))
+    columns = np.concatenate(waves, axis=1) * scale[:, None]
+    size = np.sqrt(np.einsum("nk,nk->k", columns, columns))
+    return columns / np.maximum(size, ROUNDING)
+
+
+def turns(share, counts) -> np.ndarray:
+    """Sine and cosine, in turn, of evenly spaced numbers of turns (k,): (n, 2 k)."""
+    # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
+    step = counts[1] - counts[0] if len(counts) > 1 else 0.0
+    parts = np.empty((len(share), len(counts)), complex)
+    parts[:, :1] = 1j * np.exp(-2j * np.pi * counts[:1] * share[:, None])
+    parts[:, 1:] = np.exp(-2j * np.pi * step * share)[:, None]
+    return np.cumprod(parts, axis=1).view(float)
+
+
+def _in_pairs(gram, score, ridge):
+    """chi-squared and determinant of each wave, from the products ``gram`` (K, 3) of
+    :func:`_pairs` and ``score`` (K, 2) with the residual; ``ridge`` adds to squares."""
+    a, b, c = gram[:, 0] + ridge, gram[:, 1], gram[:, 2] + ridge
+    sine, cosine = score.T
+    size = a * c - b * b
+    return (c * sine**2 - 2 * b * sine * cosine + a * cosine**2) / size, size
+
+
+def _pairs(columns) -> np.ndarray:
+    """Products sine-sine, sine-cosine, cosine-cosine of waves (m, 2 K): (K, 3)."""
+    sine, cosine = columns[:, ::2], columns[:, 1::2]
+    each = ((sine, sine), (sine, cosine), (cosine, cosine))
+    return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)
+
+
+def waves_within(waves, against, residual):
+    """chi-squared (K,), two degrees of freedom each, of every wave."""
+    unit, _ = np.linalg.qr(against)
+    rest = residual - unit @ (unit.T @ residual)
+    gram, score = _pairs(waves) - _pairs(unit.T @ waves), waves.T @ rest
+    return _in_pairs(gram, score.reshape(-1, 2), FLAT)[0]

@@ -11,25 +11,48 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
-from scipy.special import chdtr, chdtrc, softmax
+from scipy.special import chdtr, chdtrc
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
+from tirefit.diagnosis.rows.discrepancy import waves_within
 from tirefit.fitting.noise import MAD, autocorrelation_time
 
-CORRELATED = 2.5
-"""Significant score, in standard errors: one white record in 160."""
+
+class Memory(NamedTuple):
+    """A first-order autoregressive noise, or with a ``share`` of 0 independent noise.
+
+    ``fade`` is the correlation of neighbours, ``chance`` the probability of this one.
+    """
+
+    fade: float = 0.0
+    share: float = 0.0
+    chance: float = 1.0
+
+    @property
+    def rows_each(self) -> float:
+        """Number of rows per independent row."""
+        return 1 + 2 * self.share * self.fade / (1 - self.fade)
+
+
+FORGETFUL = Memory()
+"""Independent rows."""
 
 _FADES = np.arange(20) / 20
 """Correlations of neighbours that are compared."""
+
+CORRELATED = 2.5
+"""Significant lag-one correlation, in standard errors: one white record in 160."""
 
 _FACTS = len(_FADES)
 """Smallest number of independent rows; stronger correlation is treated as a gap."""
 
 
-def rows_each(white, unit, stretches: Sequence[np.ndarray], most: float = np.inf) -> float:
-    """Rows per independent row of first-order autoregressive noise, averaged over its
-    correlation; 1 where the correlation of neighbours is not significant.
+def memory_of(
+    white, unit, stretches: Sequence[np.ndarray], most: float = np.inf
+) -> tuple[Memory, ...]:
+    """Correlations of a noise of 2 % probability or more, the most probable first;
+    :data:`FORGETFUL` where the correlation of neighbours is not significant.
 
     Smooth functions absorb slow noise, so the correlation of the remainder is biased
     downwards; the restricted likelihood corrects that.
@@ -43,31 +66,49 @@ def rows_each(white, unit, stretches: Sequence[np.ndarray], most: float = np.inf
     """
     stretches = [rows for rows in stretches if len(rows) > 2]
     if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
-        return 1.0
+        return (FORGETFUL,)
+    rows, q = unit.shape
+    variance = float(white @ white) / max(rows - q, 1)
+    together = sum(float(white[s][1:] @ white[s][:-1]) for s in stretches)
+    taken = sum(float(np.sum(unit[s][1:] * unit[s][:-1])) for s in stretches)
+    lag_one = (together + variance * taken) / max(variance * rows, NONZERO)
+    if lag_one < CORRELATED / np.sqrt(sum(len(rows) for rows in stretches)):
+        return (FORGETFUL,)
+    logs = _log_likelihoods(white, unit, stretches, most)
+    chance = np.exp(logs - logs.max())
+    chance[chance < 0.02 * chance.sum()] = 0.0
+    chance /= chance.sum()
+    ranked = np.argsort(-chance)[: np.count_nonzero(chance)]
+    return tuple(Memory(float(_FADES[k]), float(_FADES[k] > 0), float(chance[k])) for k in ranked)
+
+
+def _log_likelihoods(white, unit, stretches, most: float) -> np.ndarray:
+    """Restricted log likelihood of each of the correlations.
+
+    The innovation of a row is x_t - fade x_(t-1): the products of the innovations of
+    all correlations are sums of the same three.
+    """
     both = np.concatenate([unit, white[:, None]], axis=1)
     heads, tails = (
         np.concatenate([rows[part] for rows in stretches])
         for part in (slice(None, -1), slice(1, None))
     )
-    starts, before, after = both[[rows[0] for rows in stretches]], both[heads], both[tails]
+    starts, before, after = both[[s[0] for s in stretches]], both[heads], both[tails]
     across = after.T @ before
     starts, before, after = (x.T @ x for x in (starts, before, after))
-    variance = float(white @ white) / max(len(white) - unit.shape[1], 1)
-    lag_one = across[-1, -1] / variance + np.trace(across[:-1, :-1])
-    if lag_one < CORRELATED * len(white) / np.sqrt(len(heads) + len(stretches)):
-        return 1.0
     freedom, logs = len(heads) + len(stretches) - unit.shape[1], []
     for fade in _FADES:
-        # The products of the innovations x_t - fade x_(t-1) are sums of the same three.
         left = 1 - fade**2
-        products = starts + (after - fade * (across + across.T) + fade**2 * before) / left
+        new = after - fade * (across + across.T) + fade**2 * before
+        products = starts + new / left
         smooth, score = products[:-1, :-1], products[:-1, -1]
         factor = cho_factor(smooth + ROUNDING * np.eye(len(smooth)))
-        rest = max(float(products[-1, -1] - score @ cho_solve(factor, score)), NONZERO)
-        size = min(rest / freedom, most)
-        log = -0.5 * (freedom * np.log(size) + rest / size + len(heads) * np.log(left))
+        rest = float(products[-1, -1] - score @ cho_solve(factor, score))
+        variance = min(max(rest, NONZERO) / freedom, most)
+        log = -0.5 * (freedom * np.log(variance) + rest / variance)
+        log -= 0.5 * len(heads) * np.log(left)
         logs.append(log - float(np.sum(np.log(np.diag(factor[0])))))
-    return float(softmax(logs) @ ((1 + _FADES) / (1 - _FADES)))
+    return np.array(logs)
 
 
 def in_order(time, run) -> list[np.ndarray]:
@@ -135,7 +176,7 @@ class NoiseLevel(NamedTuple):
 
 
 def judge_noise(
-    residual, spread, fz, force, given, basis, groups, time, run, refine=True
+    residual, spread, fz, force, given, basis, waves, groups, time, run, refine=True
 ) -> NoiseLevel:
     """Noise of one channel.
 
@@ -145,6 +186,7 @@ def judge_noise(
         fz, force: (n,) load, and force of the fit.
         given: (n,) stated standard deviation, or None.
         basis: (n, m) smooth functions that represent any gap (unit columns, in N).
+        waves: (n, 2 x waves), of which the significant ones are removed too.
         groups: index arrays of rows whose neighbours differ only by noise.
         time, run: order of the rows (time may be None).
         refine: exclude rows by the smooth remainder of a fit without a gross gap.
@@ -154,7 +196,7 @@ def judge_noise(
     std = np.sqrt(base**2 + spread) if stated else base
     white, in_time = residual / std, in_order(time, run)
     keep = ~_stray(residual, groups)
-    smooth = _Smooth(basis / std[:, None], keep)
+    smooth = _smooth(white, basis / std[:, None], waves / std[:, None], keep, in_time)
     rest, floor = smooth.remainder(white) * std, _FINEST * np.mean(fz)
 
     def level() -> np.ndarray:
@@ -172,7 +214,7 @@ def judge_noise(
         keep, smooth = good, _Smooth(smooth.basis, good)
         rest = smooth.remainder(white) * std
     shares, flags, source = _shares(rest / std, fz, force, keep), [], "given"
-    size = _scale(rest / std, smooth)
+    size, local = _scale(rest / std, smooth), np.inf
     grows = stated and len(shares) > 2
     if grows:
         std, source = level(), "estimated: grows with the force, unlike the stated"
@@ -181,16 +223,18 @@ def judge_noise(
         std = std * times
     else:
         std, source = np.maximum(level(), floor), "differences"
-    inflation = smooth.rows_each(rest / std, in_time)
+    memory = smooth.memory(rest / std, in_time)
     if not stated:
-        apart = _CLEAR * inflation * (inflation > 1)
+        apart = _CLEAR * max(one.rows_each for one in memory) * (memory[0].fade > 0)
         local = _between(residual / std, groups, keep, apart, in_time)
-        std = np.maximum(std * min(local, 1.0), floor)
+        if local < 1:
+            std = np.maximum(std * local, floor)
+            memory = smooth.memory(rest / std, in_time)
         most = np.sqrt(np.mean(residual[keep] ** 2) / np.mean(std[keep] ** 2))
         std = std * min(float(most), 1.0)  # the noise is a part of the residual
     std = np.maximum(std, floor)
     if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
-        inflation = 1.0
+        memory = (FORGETFUL,)
     if grows or (not stated and np.max(std) > (1 + _MISSTATED) ** 2 * np.min(std)):
         flags.append("heteroscedastic")
     elif stated and np.std(fz) > LOADS * np.mean(fz):
@@ -198,6 +242,7 @@ def judge_noise(
             flags.append("heteroscedastic")
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
+    inflation = sum(one.chance * one.rows_each for one in memory)
     if inflation > 1:
         flags.append("autocorrelated")
         left = correlation(np.where(keep, rest, 0) / std, time, run)
@@ -278,6 +323,29 @@ def _between(white, groups, keep, apart: float = 0.0, in_time=()) -> float:
     return _huber(second) * (1 + 2 * float(error))
 
 
+def _smooth(white, basis, waves, keep, in_time) -> "_Smooth":
+    """Smooth functions and the few significant waves.
+
+    A wave counts beyond what the correlation of the remainder without it explains.
+    """
+    smooth, kept = _Smooth(basis, keep), waves * keep[:, None]
+    least = np.log(waves.shape[1] // 2) + 6.0  # log odds of 400 to 1
+    for _ in range(_FEW):
+        rest = np.where(keep, smooth.remainder(white), 0.0)
+        chi2 = waves_within(kept, smooth.basis * keep[:, None], rest)
+        best = 2 * int(np.argmax(chi2))
+        columns = np.concatenate([smooth.basis, waves[:, best : best + 2]], axis=1)
+        more = _Smooth(columns, keep)
+        left = np.where(keep, more.remainder(white), 0.0)
+        unit = max(_scale(rest, smooth) ** 2, NONZERO)
+        memory = more.memory(left / np.sqrt(unit), in_time)
+        each = max(one.rows_each for one in memory)
+        if np.max(chi2) / unit < 2 * least * each:
+            break
+        smooth = more
+    return smooth
+
+
 class _Smooth:
     """Least squares on a basis by its normal equations."""
 
@@ -294,11 +362,11 @@ class _Smooth:
         score = self.root.T @ (self.basis.T @ (residual * self.keep))
         return residual - self.basis @ (self.root @ score)
 
-    def rows_each(self, white, in_time) -> float:
-        """:func:`rows_each` of a remainder (n,) of unit variance."""
+    def memory(self, white, in_time) -> tuple[Memory, ...]:
+        """Possible correlations of a remainder (n,) of unit variance."""
         unit = (self.basis * self.keep[:, None]) @ self.root
         kept = np.where(self.keep, white, 0.0)
-        return rows_each(kept, unit, in_time, (1 + _MISSTATED) ** 2)
+        return memory_of(kept, unit, in_time, (1 + _MISSTATED) ** 2)
 
 
 def _shares(white, fz, force, keep) -> list[np.ndarray]:

@@ -13,7 +13,7 @@ from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.rows import fits
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
 from tirefit.diagnosis.rows.noise import (
     NoiseLevel,
@@ -387,7 +387,7 @@ def _noise(fit: Base, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLeve
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
     typical, most = fz / np.mean(fz), rows.n // 6
     basis = smooth_basis(rows, fit.slip_fraction, typical, most)
-    groups, levels = neighbours(rows), {}
+    waves, groups, levels = wave_basis(rows, typical), neighbours(rows), {}
     for c in rows.channels:
         given = rig.force_noise(c, fz)
         if f"{c}_std" in rows.data:
@@ -395,7 +395,7 @@ def _noise(fit: Base, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLeve
         common = spread[c] * rows.common
         level = judge_noise(
             rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
-            groups, rows.time, rows.run, outliers,
+            waves, groups, rows.time, rows.run, outliers,
         )  # fmt: skip
         levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
     return levels
