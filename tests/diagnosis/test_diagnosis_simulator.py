@@ -150,7 +150,7 @@ def test_parameters_and_sizes_are_those_of_the_mixture_of_the_sets():
         amplitude=(np.array([[2.0], [2.0], [2.0]]),),
     )
     weighed = SimpleNamespace(best_of=fits, log_weight={key: np.log(3), twin: 0.0, (): 9.0})
-    case = Case(base, None, weighed, out, verdict, [])
+    case = Case(SimpleNamespace(subject=base), weighed, out, verdict, ())
     vars(case)["widening"] = 4.0
     assert case.parts == pytest.approx({key: 0.6, twin: 0.2, (): 0.2})
     generator = np.random.default_rng(0)
@@ -190,7 +190,7 @@ def test_an_effect_that_acts_like_a_cause_keeps_the_size_with_which_it_helps():
         )
     out = SimpleNamespace(effects=(("a", "b"),), amplitude=(np.array([[1.0, 3.0]] * 3),))
     weighed = SimpleNamespace(best_of=fits, log_weight=dict.fromkeys(fits, 0.0))
-    case = Case(None, None, weighed, out, verdict, [])
+    case = Case(None, weighed, out, verdict, ())
     vars(case)["widening"] = 1.0
     # Of the sets with a half have b as well; of those with b nine in ten have a.
     np.testing.assert_allclose(case.sizes, [[1.5, 3.0], [0.5, np.sqrt(0.1)]], rtol=1e-6)

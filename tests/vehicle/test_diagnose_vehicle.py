@@ -277,12 +277,18 @@ def _leaves(setting, name=""):
 @pytest.mark.parametrize("spread", [0.01, 1.0])
 def test_the_error_of_an_amplitude_is_at_least_that_between_parts(spread):
     """The jackknife gives root(F - 1) times the scatter over F parts."""
-    fit = SimpleNamespace(key=("one",), errors=np.array([0.2]))
+    key = ("one",)
+    fit = SimpleNamespace(
+        key=key, effects=key, amplitude=np.ones(1), errors=np.array([0.2]), z=np.zeros(0)
+    )
     each = 1 + spread * np.array([[-1.0], [0.0], [1.0], [0.0]])
-    out = SimpleNamespace(effects=((), ("one",)), amplitude=(None, each))
-    case = Concluded(None, None, out, SimpleNamespace(key=()), ())
-    right = max(0.2, np.sqrt(3) * spread * np.sqrt(0.5))
-    assert case.errors(fit) == pytest.approx(right)
+    out = SimpleNamespace(effects=(key,), amplitude=(each,))
+    weighed = SimpleNamespace(best_of={key: fit}, log_weight={key: 0.0})
+    verdict = SimpleNamespace(
+        key=key, effects=key, each={"one": SimpleNamespace(probability=1.0, twins=())}
+    )
+    _, std = Concluded(None, weighed, out, verdict, ()).sizes
+    assert std == pytest.approx(max(0.2, np.sqrt(3) * spread * np.sqrt(0.5)))
 
 
 def test_a_log_is_corrected_for_its_errors(late):

@@ -10,12 +10,6 @@ from tirefit.report.diagnosis_readings import readings_text
 from tirefit.report.diagnosis_words import amount_text, listing, name_of, share_text, words_on
 from tirefit.report.numbers import format_number
 
-_OF_VEHICLE = (
-    "subtract it from yaw_offset of vehicle.toml (log of rates: add it to sideslip_offset)"
-)
-"""Remedy of a slip offset of the rear axle in a derived file; the front has that of the steering
-as well."""
-
 
 def answer(result: Diagnosis) -> str:
     """The answer: the largest part of the error first, what to do about it, what else there
@@ -99,9 +93,7 @@ def _cause_text(result: Diagnosis, effect: str, shares: Mapping[str, float]) -> 
     if effect in shares:
         text += f", {share_text(shares[effect])} of the error's mean square"
     # The first remedy; all are under the effects.
-    remedy = words_on(effect, result.library)[1].partition(";")[0]
-    if result.data.motion and effect == "slip_offset":
-        remedy = _OF_VEHICLE
+    remedy = words_on(effect, result.library, bool(result.data.motion))[1].partition(";")[0]
     return f"{text}: {remedy}" if remedy and not twins else text
 
 

@@ -76,15 +76,18 @@ NAMED_VALUES = {
 }
 
 
-def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
+def words_on(effect: str, library: Sequence[Effect] = (), derived: bool = False) -> tuple[str, str]:
     """Meaning and remedy of an effect; empty for an unknown one.
 
     Args:
         effect: its id.
         library: effects that were searched, including a user's own.
+        derived: whether ``tirefit derive`` wrote the rows.
     """
     record = effects_by_id((*EFFECTS, *NOISE_EFFECTS, *library)).get(effect)
-    return (record.means, record.remedy) if record else ("", "")
+    if record is None:
+        return "", ""
+    return record.means, (derived and record.remedy_derived) or record.remedy
 
 
 def needs_text(needs: Sequence[str], derived: bool = False) -> str:
