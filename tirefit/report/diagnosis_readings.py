@@ -34,6 +34,8 @@ def readings_text(result: Diagnosis, changed: str) -> str:
     ]
     if sure:
         parts.append(f"The simulator's own forces show {listing(sure)}.")
+    if both.first == "changed" and own == of_it:
+        return " ".join([*parts, changed])
     if both.first == "changed":
         parts += [changed, f"(A {both.model} of its own predicts data left out to {own} {unit},"]
         parts += [f"the changed simulator to {of_it} {unit}.)"]

@@ -75,8 +75,8 @@ class Effect:
         per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
             ``center`` and ``bounds``: one for all variants or one for each.
         unit: unit of the amplitude.
-        formula, means, remedy: for the report: the law, its meaning, what to do about it;
-            ``remedy_derived`` instead for a file written by ``tirefit derive``.
+        formula, means, remedy, remedy_derived: for the report: the law, its meaning, what to
+            do about it, and that in a file written by ``tirefit derive``, if another.
         parameter: name of the amplitude.
         bounds: of the amplitude, one pair for all variants or one for each; physical,
             else about 20 scales.

@@ -135,7 +135,9 @@ def _described(case: Case, rms: float) -> Described:
     parameters = {k: Estimate(float(v), float(e), units.get(k, "")) for k, v, e in values}
     steps = _STEP * np.eye(p)
     slope = np.array([_slope(case, z + step) - _slope(case, z - step) for step in steps])
-    covariance = case.widening * case.chosen.covariance[:p, :p]
+    covariance = case.chosen.covariance[:p, :p]
+    wider = spread / np.sqrt(np.diag(covariance))
+    covariance = wider[:, None] * covariance * wider
     error = np.sqrt(slope @ covariance @ slope) / (2 * _STEP)
     unit = "N" if base.rows.mode == "x" else "N/rad"
     parameters[SLOPE] = Estimate(_slope(case, z), float(error), unit)
