@@ -47,7 +47,7 @@ def weighed_of(alone, beside=None, **known):
     log, more = ({key: float(np.log(p)) for key, p in of.items()} for of in (alone, beside or {}))
     given = {"best_of": {key: bare(key) for key in log}, "log_weight": log}
     given |= {"log_beside": more, "evidence": {key: 9.0 * len(key) for key in log}}
-    return Weighed(**given | {"log_total": 0.0} | known)
+    return Weighed(**given | {"log_total": 0.0, "hidden": 0.0} | known)
 
 
 class Toy:

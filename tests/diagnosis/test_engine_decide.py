@@ -186,6 +186,7 @@ def test_no_gap_is_reported_if_no_significant_set_is_probable():
     assert not no_gap_shows(weighed_of({A: 0.6, (): 0.3}))
     # Sets whose evidence does not reach 20 to 1 say as little as none.
     assert no_gap_shows(weighed_of({A: 0.6, (): 0.3}, evidence={A: 2.9, (): 0.0}))
+    assert no_gap_shows(weighed_of({A: 0.3, (): 0.3}, hidden=0.3))
     assert not no_gap_shows(weighed_of({A: 0.01, (): 0.6}, {(): 0.55}))
 
 

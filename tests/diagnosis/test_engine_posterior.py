@@ -107,6 +107,15 @@ def test_posterior_probabilities_sum_to_one():
     assert weighed_of({(): 1.0}).best == () and weighed_of({(): 1.0}).ranked == []
 
 
+def test_sets_without_a_refit_that_the_data_could_not_show_are_hidden():
+    """Of two sets only the one below 20 to 1 may hide an effect."""
+    found = searched(subject(listed))
+    whole = weighed(found).log_total
+    found.guessed |= {(7,): (whole - 1.0, 2.9), (8,): (whole - 2.0, 3.1)}
+    weak, clear = np.exp([-1.0, -2.0])
+    assert weighed(found).hidden == pytest.approx(weak / (1 + weak + clear), rel=1e-3)
+
+
 def test_variants_of_an_effect_share_its_probability():
     """One effect with two equal variants is as probable as with one."""
     generator = np.random.default_rng(2)

@@ -57,7 +57,7 @@ def rows_of(columns, given: Given, **declared):
 def doubt(columns, given: Given, stand_in: Given | None = None, **declared):
     """The message about the signs, without the fit that follows it."""
     prepared = rows_of(columns, given, **declared)
-    tire, z = (stand_in or given).tire_for(prepared, FEW)
+    tire, z, _ = (stand_in or given).tire_for(prepared, FEW)
     return check_signs(prepared, tire, z, given)
 
 

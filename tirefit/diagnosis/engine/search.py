@@ -52,7 +52,7 @@ _WORTH_A_REFIT = 4.0
 less than a fiftieth of its weight."""
 
 _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
-"""Starts of a refit, in prior scales: largest amplitude, second start of a pair, and smallest
+"""Starts of a refit, in prior scales: largest amplitude, second start, and smallest
 amplitude of an effect with one sign."""
 
 
@@ -82,7 +82,8 @@ def log_bayes(gram, score, center, sign, sets) -> np.ndarray:
 
 
 class Search:
-    """The search on one subject. ``fits`` holds every refitted set of atoms."""
+    """The search on one subject. ``fits`` holds every refitted set of atoms, ``guessed`` the
+    log weight and log evidence of sets that are too improbable to refit."""
 
     def __init__(self, subject: Forward, effort: Effort = Effort()):
         self.subject, self.effort = subject, effort
@@ -93,6 +94,7 @@ class Search:
         self.forms = Counter(family for family, _ in kinds)
         self.sign = subject.priors.sign
         self.fits: dict[tuple[int, ...], Fit] = {}
+        self.guessed: dict[tuple[int, ...], tuple[float, float]] = {}
         self.fits[()] = subject.refit([subject.start], [()])[0]
         self.gram, self.scores, self.projected = self.further(self.null)
 
@@ -171,17 +173,25 @@ class Search:
         priors, index = self.subject.priors, list(atoms)
         return np.clip(amplitude, priors.low[index], priors.high[index])
 
-    def _with(self, fit: Fit, k: int, gram, score) -> tuple[tuple[int, ...], Start]:
-        """A set with one more atom, and the start of its refit: the step that the linear
-        score suggests."""
+    def _with(self, fit: Fit, k: int, gram, score) -> tuple[tuple[int, ...], list[Start]]:
+        """A set with one more atom, and the starts of its refit: the step that the linear
+        score suggests, and a small one of the other sign for a tangent that misleads."""
         center = self.subject.priors.center[k]
         shift = (score[k] - gram[k, k] * center) / (gram[k, k] + 1)
         first = float(np.clip(center + shift, -_FAR, _FAR))
         if self.sign[k]:  # a start at zero would stay there
             first = self.sign[k] * max(self.sign[k] * first, _TINY)
         atoms = tuple(sorted((*fit.atoms, k)))
-        sizes = np.append(fit.amplitude, self._clipped((k,), [first]))
-        return atoms, Start(fit.z, sizes[np.argsort((*fit.atoms, k))], fit.state)
+        order = np.argsort((*fit.atoms, k))
+
+        def start(size: float) -> Start:
+            sizes = np.append(fit.amplitude, self._clipped((k,), [size]))[order]
+            return Start(fit.z, sizes, fit.state)
+
+        starts = [start(first)]
+        if any(self.effects[j].far for j in atoms):
+            starts.append(start(center or _SMALL * (self.sign[k] or -1.0)))
+        return atoms, starts
 
     def singles(self) -> None:
         """Refit the likeliest single effects, and those whose tangent misleads."""
@@ -191,7 +201,7 @@ class Search:
             if rank < self.effort.singles or near or self.effects[variants[0][1]].far:
                 for _, k in variants[: self.effort.variants]:
                     atoms, begin = self._with(self.null, k, self.gram, self.scores)
-                    starts[atoms] = [begin]
+                    starts[atoms] = begin
         self.refit(list(starts), starts)
 
     def pairs(self) -> None:
@@ -222,7 +232,7 @@ class Search:
         """Extend the best sets of this size by the effects that their remainders suggest."""
         leading = [fit for fit in self.ranked if len(fit.atoms) == size][: self.effort.beam]
         starts: dict[tuple[int, ...], list[Start]] = {}
-        top = self.weight(self.ranked[0])
+        top = max(self.weight(self.ranked[0]), *[w for w, _ in self.guessed.values()], -np.inf)
         for fit in leading:
             if self.weight(fit) < top - 2 * _WITHIN and fit is not leading[0]:
                 continue
@@ -230,9 +240,12 @@ class Search:
             ranked = self.best_variants(gram, score, fit.effects)
             for value, k in [variants[0] for variants in ranked[: self.effort.width]]:
                 atoms, begin = self._with(fit, k, gram, score)
-                weight = self.evidence(fit) + value + self.log_prior(atoms)
+                evidence = self.evidence(fit) + value
+                weight = evidence + self.log_prior(atoms)
                 if weight > top - _WORTH_A_REFIT:
-                    starts.setdefault(atoms, [begin])
+                    starts.setdefault(atoms, begin)
+                elif atoms not in self.fits:
+                    self.guessed.setdefault(atoms, (weight, evidence))
         self.refit(list(starts), starts)
 
     def refit_parts(self, fit: Fit) -> None:
@@ -242,6 +255,10 @@ class Search:
             kept = [fit.atoms.index(k) for k in part]
             starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
         self.refit(sets, starts)
+
+    def rest(self) -> list[tuple[float, float]]:
+        """(log weight, log evidence) of the sets that were not refitted."""
+        return [both for atoms, both in self.guessed.items() if atoms not in self.fits]
 
 
 def searched(subject: Forward, effort: Effort = Effort()) -> Search:
@@ -271,13 +288,16 @@ also weighed beside an unlisted one."""
 @dataclass(frozen=True)
 class Weighed:
     """Every refitted set of effects: its best fit; log evidence over no effect plus log
-    prior; the same beside an unlisted effect (leading sets only); log evidence."""
+    prior; the same beside an unlisted effect (leading sets only); log evidence.
+    ``hidden`` is the probability of sets that were not refitted and that these data could
+    not show."""
 
     best_of: Mapping[Key, Fit]
     log_weight: Mapping[Key, float]
     log_beside: Mapping[Key, float]
     evidence: Mapping[Key, float]
     log_total: float
+    hidden: float
 
     @property
     def best(self) -> Key:
@@ -333,7 +353,7 @@ class Weighed:
     def nothing_shown(self) -> float:
         """Probability of the sets that these data could not show."""
         weak = (p for k, p in self.sets.items() if self.evidence[k] < _SHOWS)
-        return min(sum(weak), 1.0)
+        return min(self.hidden + sum(weak), 1.0)
 
 
 def _holding(sets: Mapping[Key, float], effects) -> float:
@@ -357,10 +377,14 @@ def weighed(search: Search) -> Weighed:
         + float(np.log(PRIOR_OF_UNKNOWN))
         for key in dict.fromkeys([*ranked[:_LEADING], *singles[:_LEADING], ()])
     }
+    rest = search.rest()
+    everything = float(logsumexp([*total.values(), *beside.values(), *(w for w, _ in rest)]))
+    weak = [weight for weight, evidence in rest if evidence < _SHOWS]
     return Weighed(
         best_of=best,
         log_weight=total,
         log_beside=beside,
         evidence={key: search.evidence(fit) for key, fit in best.items()},
-        log_total=float(logsumexp([*total.values(), *beside.values()])),
+        log_total=everything,
+        hidden=float(np.sum(np.exp(np.array(weak) - everything))),
     )

@@ -202,16 +202,17 @@ def _scaled(columns, scale):
     return basis @ vectors[:, values > UNSEEN * values.max()]
 
 
-def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
-    """Smooth functions of slip, times load, speed, run, time and direction (n, b).
+def smooth_basis(prepared, slip_fraction, scale, most: int, runs: bool = False) -> np.ndarray:
+    """Smooth functions of slip, times load, speed, time and direction (n, b).
 
     Args:
         slip_fraction: signed slip over that of full sliding, (n,).
         scale: (n,) typical force over the noise of each row.
         most: approximate number of columns.
+        runs: whether each run has functions of its own too.
     """
     factors = _modulations(prepared)
-    if "runs" in prepared.has:
+    if runs and "runs" in prepared.has:
         own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
         factors[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
     return _by_side(slip_fraction, factors, scale, most)

@@ -155,18 +155,19 @@ def measured_slips(design: Design, prepared: Prepared) -> Design:
     return design._replace(slip=pad_rows(slips, len(design.keep)))
 
 
-def beside_tire(prepared: Prepared, tire: Tire, z, rig):
-    """The design of rows with the offset of a simulator from its tire at the measured slips;
+def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
+    """The design with the offset of a simulator from its tire at the measured slips;
     that offset by channel (n,)."""
-    design = design_of(prepared, tire.effects, rig)
     own = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
     missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
     offset = {c: pad_rows(values, len(design.keep)) for c, values in missed.items()}
     return design._replace(offset=offset), missed
 
 
-def first_fit(prepared: Prepared, name: str, data, effects, rig) -> tuple[Tire, np.ndarray]:
-    """(tire, z) by least squares with Huber's loss at the measured slips."""
+def first_fit(
+    prepared: Prepared, name: str, data, effects, rig
+) -> tuple[Tire, np.ndarray, np.ndarray]:
+    """(tire, z, first guess of z) by least squares with Huber's loss at the measured slips."""
     if prepared.n < data.n:  # a large file is diagnosed on some of its rows
         used = np.zeros(len(data), bool)
         used[np.flatnonzero(data.used)[prepared.kept]] = True
@@ -199,7 +200,15 @@ def first_fit(prepared: Prepared, name: str, data, effects, rig) -> tuple[Tire, 
     starts = np.asarray(starting_points(task, config.starts, 0))
     bounds = np.full_like(starts, -REACH), np.full_like(starts, REACH)
     z, costs = minimised(at, starts, bounds, NormalEquations(), MAX_STEPS)
-    return tire, z[int(np.argmin(costs))]
+    return tire, z[int(np.argmin(costs))], starts[0]
+
+
+def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool):
+    """(tire, design of the rows, z, guess, offset of a simulator by channel (n,))."""
+    design, missed = design_of(prepared, tire.effects, rig), {}
+    if simulated:
+        design, missed = with_offset(prepared, tire, design, z)
+    return tire, design, z, guess, missed
 
 
 def as_measured(data: TireData, channels) -> TireData:
@@ -237,18 +246,18 @@ def check_followed(prepared, missed: dict, name: str) -> None:
 
 
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):
-    """(tire, z, *:func:`beside_tire`) of a tire fitted to a simulator's forces, and its model:
-    ``name``, or the first of :data:`STAND_INS` that follows closely, else the better one."""
+    """:func:`begin` of a tire fitted to a simulator's forces, and its model: ``name``, or
+    the first of :data:`STAND_INS` that follows closely, else the better one."""
     simulated = as_measured(prepared.data, prepared.channels)
 
     def tried(model: str):
         if model in MAGIC_FORMULAS:
             # Its coefficients follow the simulator; only scaling factors are adapted.
             own = replace(given, tire=fit_magic_formula(simulated, model).tire)
-            tire, z = own.tire_for(prepared, effects)
+            fitted = own.tire_for(prepared, effects)
         else:
-            tire, z = first_fit(prepared, model, simulated, effects, rig)
-        return (tire, z, *beside_tire(prepared, tire, z, rig)), model
+            fitted = first_fit(prepared, model, simulated, effects, rig)
+        return begin(prepared, *fitted, rig, True), model
 
     if name is not None:
         return tried(name)

@@ -133,8 +133,9 @@ class Given:
         # A tire without coefficients of M_z has no moment.
         return {k: v for k, v in found.items() if k not in silent}
 
-    def tire_for(self, prepared: Prepared, effects) -> tuple[Tire, np.ndarray]:
-        """Its tire with a layout of the parameters that may be adapted; their values as z."""
+    def tire_for(self, prepared: Prepared, effects) -> tuple[Tire, np.ndarray, Any]:
+        """Its tire with a layout of the parameters that may be adapted; their values as
+        z, and the same as the first guess."""
         tire, layout, z = self.tire, self.layout, self.z
         assert tire is not None, "only its forces are known: no tire to adapt"
         if layout is None:
@@ -153,7 +154,8 @@ class Given:
                 own = choose_layout(tire, config, ("run",), prepared.channels)
                 tire, layout = own[:2]
             z = layout.unconstrained(values)
-        return Tire(tire, layout, tuple(effects), prepared.mode), np.asarray(z)
+        z = np.asarray(z)
+        return Tire(tire, layout, tuple(effects), prepared.mode), z, z
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,29 +34,27 @@ from tirefit.diagnosis.rows.prepared import (
 )
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
-from tirefit.diagnosis.rows.slips import slip_proxies
+from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
 """Step of the slip, in standard deviations of its noise, for the slope of a force."""
 
 
-_ON_BOUND = 6.0
-"""Parameter z within 0.25 % of its interval from a bound."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Base:
     """The subject "rows": a tire fitted to rows without effects, with the estimated noise, by
-    channel. Parameters z, and the slip over that of full sliding (n,). With a ``simulator``,
-    the fit adapts its parameters to the data. Whitened values are over the used rows of all
-    channels, (m, ...). ``linear`` caches the last linearised fits, by (z, amplitudes).
+    channel. Parameters z, the first ``guess`` of them, and the slip over that of full sliding
+    (n,). With a ``simulator``, the fit adapts its parameters to the data. Whitened values are
+    over the used rows of all channels, (m, ...). ``linear`` caches the last linearised fits,
+    by (z, amplitudes).
     """
 
     rows: Prepared
     tire: Tire
     design: Design
     z: np.ndarray
+    guess: np.ndarray
     slip_fraction: np.ndarray
     simulator: Simulated | None = None
     noise: Mapping[str, NoiseLevel] = field(default_factory=dict)
@@ -68,9 +66,23 @@ class Base:
         """Parameters z that define the gap: those of the simulator, else of the fit."""
         return self.z if self.simulator is None else self.simulator.z
 
+    def off_bounds(self, z) -> np.ndarray:
+        """Parameters z, with the first guess for those at a bound, where the slope is
+        zero and a refit could not leave the bound."""
+        on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
+        return np.where(on_bound, self.guess, z)
+
     @cached_property
     def atoms(self) -> tuple[Atom, ...]:
         return atoms_of(self.tire.effects)
+
+    @cached_property
+    def doubt(self) -> np.ndarray:
+        """Error of the residual that rows share through the unknown true slips: columns
+        (m, k), each times an independent unit normal number."""
+        rows = self.rows
+        off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, rows.path)
+        return np.concatenate([self._forces_of(off), self._proxies], axis=1)
 
     @cached_property
     def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
@@ -85,16 +97,13 @@ class Base:
         return values - (along * unknown) @ (along.T @ values)
 
     @cached_property
-    def doubt(self) -> np.ndarray:
-        """Error of the residual that rows share through the unknown true slips and the error
-        of a stand-in (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k), each
-        times an independent unit normal number."""
+    def _proxies(self) -> np.ndarray:
+        """Columns (m, k) of the residual that no effect explains: :func:`slip_proxies`
+        and :func:`fits.not_followed`."""
         rows = self.rows
         given = rows.slip_law, rows.slip, rows.slip_std, rows.moving
-        slips = slip_proxies(*given, rows.path, rows.past)
-        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        off = steep[:, None] * np.tile(slips, (len(rows.channels), 1))
-        return np.concatenate([off, self._not_followed], axis=1)
+        off = slip_proxies(*given, rows.path, rows.past)
+        return np.concatenate([self._forces_of(off), self._not_followed], axis=1)
 
     @cached_property
     def _not_followed(self) -> np.ndarray:
@@ -112,6 +121,11 @@ class Base:
             blocks.append(off * weight[:n, None])
         found = block_diag(*blocks)
         return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
+
+    def _forces_of(self, slips) -> np.ndarray:
+        """Whitened forces (m, k) of small changes of the slips (n, k)."""
+        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
+        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
 
     @cached_property
     def at_null(self) -> Linear:
@@ -215,11 +229,8 @@ class Base:
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
-        # A parameter at a bound has no slope there: a refit with effects begins in the middle.
-        begin = [
-            (np.where(np.abs(s.z) > _ON_BOUND, 0.0, s.z) if a else s.z, s.amplitude)
-            for s, a in zip(starts, sets, strict=True)
-        ]
+        begin = [(self.off_bounds(s.z) if a else s.z, s.amplitude)
+                 for s, a in zip(starts, sets, strict=True)]  # fmt: skip
         found = fits.refit(self.tire, begin, sets, self.design)
         points = np.concatenate([found.z, found.amplitude], axis=1)
         n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
@@ -284,13 +295,13 @@ def fit_base(
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        tire, z = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
-        design, missed = fits.design_of(prepared, effects, rig), {}
+        fitted = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
+        begun = fits.begin(prepared, *fitted, rig, False)
     elif given.tire is None:
-        (tire, z, design, missed), stand_in = fits.standing_in(prepared, name, effects, rig, given)
+        begun, stand_in = fits.standing_in(prepared, name, effects, rig, given)
     else:
-        tire, z = given.tire_for(prepared, effects)
-        design, missed = fits.beside_tire(prepared, tire, z, rig)
+        begun = fits.begin(prepared, *given.tire_for(prepared, effects), rig, True)
+    tire, design, z, guess, missed = begun
     if given is not None:
         fits.check_followed(prepared, missed, stand_in)
         doubt = check_signs(prepared, tire, z, given)
@@ -301,6 +312,7 @@ def fit_base(
         tire=tire,
         design=design,
         z=z,
+        guess=guess,
         simulator=simulator,
         slip_fraction=_slip_fraction(prepared, tire, z, design),
     )
@@ -319,7 +331,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | Non
     known = prepared.slip_source != NOT_STATED and not sweeps
     if known or prepared.derived is not None or (prepared.mode == "xy" and not sweeps):
         return None
-    tire, z = fits.first_fit(prepared, name, prepared.data, effects, rig)
+    tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
     channel, design = prepared.channels[0], fits.design_of(prepared, effects, rig)
 
     def force(off: float):
@@ -364,10 +376,9 @@ def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit on other rows, for its forces; the noise is that of its own rows."""
     tire, prepared = base.tire, on_scale_of(prepared, base.rows)
-    if base.simulator is None:
-        design = fits.design_of(prepared, tire.effects, rig)
-    else:
-        design, _ = fits.beside_tire(prepared, tire, base.simulator.z, rig)
+    design = fits.design_of(prepared, tire.effects, rig)
+    if base.simulator is not None:
+        design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
     return base.on(with_force(prepared, tire, design, base.z), prepared)
 
 
@@ -386,7 +397,7 @@ def _noise(fit: Base, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLeve
     rows, fz = fit.rows, fit.rows.inputs.fz
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
     typical, most = fz / np.mean(fz), rows.n // 6
-    basis = smooth_basis(rows, fit.slip_fraction, typical, most)
+    basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
     waves, groups, levels = wave_basis(rows, typical), neighbours(rows), {}
     for c in rows.channels:
         given = rig.force_noise(c, fz)
