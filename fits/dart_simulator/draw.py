@@ -45,7 +45,7 @@ def properties() -> dict:
         values[f"rms of measured less {name}"] = float(np.sqrt(np.nanmean(missed**2)))
     for name, change in changes.items():
         values[f"{name}: simulated"] = change.simulated
-        values[f"{name}: measured"] = change.measured
+        values[f"{name}: with the effect"] = found.extended_parameters[name]
         values[f"{name}: interval"] = [
             change.measured - 2 * change.std,
             change.measured + 2 * change.std,
