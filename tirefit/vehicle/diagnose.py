@@ -101,7 +101,7 @@ def diagnose_vehicle(
         >>> few = [one for one in CAR_EFFECTS if one.id == "steering_delay"]
         >>> found = diagnose_vehicle([log], car, effects=few)
         >>> str(found.verdict.status), found.data.channels
-        ('none', ('all', 'v_y', 'yaw_rate'))
+        ('none', ('all', 'heading', 'x', 'y'))
     """
     require_x64("a diagnosis")
     stated, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
