@@ -27,7 +27,9 @@ def readings_text(result: Diagnosis, changed: str) -> str:
         return changed
     unit = result.unit
     own, of_it = (format_number(x, 3) for x in (both.measured.rms_left_out, both.rms_changed))
-    parts = [f"{channel_name(s.channel)} of the simulator: {s.means}." for s in both.structure]
+    parts = [
+        f"The simulator's {channel_name(s.channel)} shows that {s.means}." for s in both.structure
+    ]
     own_effects = both.simulator.effects if both.simulator else {}
     sure = [
         _amount(e, one) for e, one in own_effects.items() if (one.probability or 0.0) >= _LIKELY
@@ -37,12 +39,17 @@ def readings_text(result: Diagnosis, changed: str) -> str:
     if both.first == "changed" and own == of_it:
         return " ".join([*parts, changed])
     if both.first == "changed":
-        parts += [changed, f"(A {both.model} of its own predicts data left out to {own} {unit},"]
-        parts += [f"the changed simulator to {of_it} {unit}.)"]
+        parts += [
+            changed,
+            f"(A {both.model} with effects, fitted to the measured rows, predicts rows",
+        ]
+        parts += [f"left out to {own} {unit}, the changed simulator to {of_it} {unit}.)"]
         return " ".join(parts)
-    parts += [f"A {both.model} of its own predicts the measured rows left out to {own} {unit}, the"]
-    parts += [f"simulator with any change of its parameters and effects to {of_it} {unit}:"]
-    parts += ["so both are described by this model and compared.", *_differences(both)]
+    parts += [f"A {both.model} with effects, fitted to the measured rows, predicts rows left out"]
+    parts += [
+        f"to {own} {unit}; the simulator, with parameters and effects changed, to {of_it} {unit}."
+    ]
+    parts += ["So this model describes both, and the answer compares them.", *_differences(both)]
     return " ".join(parts)
 
 
@@ -58,9 +65,9 @@ def _differences(both: Readings) -> Iterator[str]:
         error = ratio * np.hypot(own.std / own.value, simulated.std / simulated.value)
         if abs(ratio - 1) > _DIFFERS * error:
             share = format_estimate(100 * abs(ratio - 1), 100 * float(error))
-            wrong.append(f"{name} {share} % too {'high' if ratio > 1 else 'low'}")
+            wrong.append(f"{name} is {share} % too {'high' if ratio > 1 else 'low'}")
     if wrong:
-        yield f"The simulator has {listing(wrong)}."
+        yield f"Of the simulator, {listing(wrong)}."
     lacks = [
         f"{_amount(effect, one)} ({one.probability:.2f} that this is the cause)"
         for effect, one in here.effects.items()

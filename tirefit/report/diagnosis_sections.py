@@ -292,6 +292,7 @@ def step_lines(result: Diagnosis) -> list[str]:
         for effect in (*result.verdict.helping, *result.verdict.also_possible):
             why = why.replace(effect, name_of(effect))
         return [why]
+    # Without a forecast (NaN) every measurement is listed.
     worth = [step for step in steps if not step.p_after - step.p_now < _TELLS_MORE]
     if not worth:
         best = max(steps, key=lambda step: step.p_after - step.p_now)

@@ -17,6 +17,11 @@ _RATHER = 0.1
 """Scatter of a simulated force about a curve, over that without the own delay, lag or load of
 a structure, below which the simulator has that structure."""
 
+_AT_TOP, _BELOW_TOP = 0.999, 0.9
+"""Force over its largest above which it is clipped, and below which it is surely not."""
+
+_FEWEST = 3  # rows on either side of a corner
+
 _STEPS = 0.2  # distinct forces per distinct slip, below which a simulator has steps
 
 _NEAR_LIMIT, _NEARLY_ALL = 0.95, 0.8
@@ -58,7 +63,7 @@ def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
 def _structures(prepared: Prepared, channel: str, name: str, slip, force):
     load, (unit, *_) = prepared.column("fz"), CANONICAL[name]
     per = "" if unit == "-" else f"/{unit}"
-    size = max(float(np.sqrt(np.mean(force**2))), NONZERO)
+    size = max(_rms(force), NONZERO)
     used = np.max(np.abs(force) / np.maximum(load, NONZERO))
     what = "slip angle" if name == "alpha" else "slip"
     varies = np.std(load) > _LOADS * np.mean(load)
@@ -96,12 +101,12 @@ def _structures(prepared: Prepared, channel: str, name: str, slip, force):
             f"check the unit of its {what}: degrees where radians are expected, or per cent",
         )
         return
-    distinct = len(np.unique(np.round(force, 9))) / max(len(np.unique(slip)), 1)
-    if distinct < _STEPS:
+    values = len(np.unique(np.round(force, 9)))
+    if values < _STEPS * len(np.unique(slip)):
         yield Structure(
             "steps",
             channel,
-            f"it has only {len(np.unique(np.round(force, 9)))} different values",
+            f"it has only {values} different values",
             "interpolate the simulator's table instead of taking the nearest entry",
         )
         return
@@ -121,15 +126,15 @@ def _clipped(slip, force, scale) -> tuple[float, float] | None:
     limit; None for another."""
     share = force / scale
     top = float(np.max(np.abs(share)))
-    if np.mean(np.abs(share) > 0.999 * top) < 3 / len(slip):
+    if np.sum(np.abs(share) > _AT_TOP * top) < _FEWEST:
         return None
 
     def missed(values):
         slope, offset = values
         return np.clip(slope * slip + offset, -top, top) - share
 
-    inner = np.abs(share) < 0.9 * top
-    if inner.sum() < 3:
+    inner = np.abs(share) < _BELOW_TOP * top
+    if inner.sum() < _FEWEST:
         return None
     start = np.polynomial.polynomial.polyfit(slip[inner], share[inner], 1)[::-1]
     found = least_squares(missed, start)
@@ -158,11 +163,11 @@ def _own_time(prepared: Prepared, channel: str, slip, share):
         return
     _, kind, constant = best
     late = f"{1000 * constant:.0f} ms"
-    means = f"it follows the slip {late} late" if kind == "own_delay" else ""
+    how = f"{late} late" if kind == "own_delay" else f"with a time constant of about {late}"
     yield Structure(
         kind,
         channel,
-        means or f"it follows the slip with a time constant of about {late}",
+        f"it follows the slip {how}",
         "take this delay out of the simulator, unless the car has it too"
         " (see channel delay and relaxation length among the effects)",
     )

@@ -87,12 +87,11 @@ def readings_of(
         own = study(whole, rig)
     except DataError:
         return None
+    # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
-    changed, described = (
-        predicted(one.search.subject, [one.chosen], one.search.null, folds) for one in (case, own)
-    )
-    share = changed.rows / changed.rows.sum()
-    gains = share * (changed.loss[:, 0] - described.loss[:, 0])
+    left = predicted(own.search.subject, [own.chosen], own.search.null, folds).loss[:, 0]
+    changed, share = _loss(case), case.predicted.rows / case.predicted.rows.sum()
+    gains = share * (changed - left)
     gain, error = float(gains.sum()), float(np.sqrt(len(gains)) * np.std(gains, ddof=1))
     structure = structures_of(whole)
     lacking = any(one.id in UNLIKE for one in structure)
@@ -101,9 +100,9 @@ def readings_of(
         "described" if gain > error else "changed",
         gain,
         error,
-        float(np.sqrt(share @ changed.loss[:, 0])),
+        float(np.sqrt(share @ changed)),
         model,
-        _described(own, float(np.sqrt(share @ described.loss[:, 0]))),
+        _described(own, float(np.sqrt(share @ left))),
         itself,
         structure,
     )
@@ -121,9 +120,13 @@ def _of_simulator(whole: Prepared, rig: Rig, study) -> Described | None:
         case = study(prepare(replace(data, columns=columns), rig, whole.channels), rig)
     except DataError:
         return None
-    loss, rows = case.predicted, case.predicted.rows
-    left = loss.loss[:, loss.effects.index(case.verdict.key)]
-    return _described(case, float(np.sqrt(rows @ left / rows.sum())))
+    rows = case.predicted.rows
+    return _described(case, float(np.sqrt(rows @ _loss(case) / rows.sum())))
+
+
+def _loss(case: Case) -> np.ndarray:
+    """Mean square error (F,) of the effects that help on each part that was left out."""
+    return case.predicted.loss[:, case.predicted.effects.index(case.verdict.key)]
 
 
 def _described(case: Case, rms: float) -> Described:
