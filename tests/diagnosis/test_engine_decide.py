@@ -18,8 +18,9 @@ from tirefit.diagnosis.engine.decide import (
     decide,
     helping,
     no_gap_shows,
+    swaps_of,
 )
-from tirefit.diagnosis.engine.left_out import Gain
+from tirefit.diagnosis.engine.left_out import Gain, Predicted
 from tirefit.diagnosis.engine.search import parts_of
 
 A, B = ("a",), ("b",)
@@ -107,6 +108,39 @@ def test_twins_count_together_beside_an_unlisted_effect_too():
     assert verdict.each["a"].probability == pytest.approx(0.6 / 0.8)
     assert verdict.status == Status.INCOMPLETE
     assert verdict.probability == pytest.approx(0.75 * 0.8)
+
+
+@pytest.mark.parametrize(
+    ("lacks", "error", "unlisted", "is_twin"),
+    [
+        (9.0, 9.1, 0.1, True),  # within a standard error of the difference
+        (9.1, 9.0, 0.1, False),
+        (9.9, 0.0, 0.6, True),  # a tenth of the gain of 100, which something unlisted may have
+        (10.1, 0.0, 0.6, False),
+        (9.9, 0.0, 0.4, False),
+        (-5.0, 1.0, 0.1, True),  # it predicts better
+    ],
+)
+def test_an_effect_that_predicts_data_left_out_as_well_is_a_twin(lacks, error, unlisted, is_twin):
+    found = findings({A: 0.99, B: 1e-9, (): 1e-6}, unlisted=unlisted)
+    found = replace(found, swaps={"a": {"b": Gain(lacks, error, 0.0, 0.0)}})
+    verdict = decided(found)
+    assert (verdict.each["a"].twins == B) is is_twin is (verdict.also_possible == B)
+
+
+def test_swaps_are_gains_over_sets_with_another_effect_in_the_place_of_one():
+    rng = np.random.default_rng(3)
+    effects = ((), A, B, AB, ("a", "c"), ("c", "d"), ("b", "c"))
+    loss = rng.uniform(1, 2, (5, len(effects)))
+    out = Predicted(
+        "parts", effects, loss, 10 * loss, np.full(5, 10), (), (), loss[:, 0], loss[:, 0]
+    )
+    swaps = swaps_of(out, AB, 0.1)
+    assert {e: {*others} for e, others in swaps.items()} == {"b": {"c"}, "a": {"c"}}
+    parts = 10 * (loss[:, 4] - loss[:, 3])
+    assert swaps["b"]["c"].gain == pytest.approx(parts.sum())
+    assert swaps["b"]["c"].std == pytest.approx(np.sqrt(5 * parts.var(ddof=1)))
+    assert {*swaps_of(out, A, 0.1)["a"]} == {"b"} and swaps_of(out, (), 0.1) == {}
 
 
 def test_an_effect_that_helps_but_is_hardly_the_cause_acts_like_one():

@@ -76,11 +76,14 @@ class Policy:
         perhaps: probability above which something is possible: no gap, if no effect can
             be named, or an effect that is not named; and probability of a set over that
             of the best above which it is a rival.
+        alike: share of the gain of an effect that another one in its place may lack, where
+            an unlisted effect is likely, which may have it.
     """
 
     likely: float = 0.5
     gain: float = 1.0
     perhaps: float = 0.1
+    alike: float = 0.1
 
 
 POLICY = Policy()
@@ -129,13 +132,15 @@ class Findings:
     """All inputs of a verdict: the posterior over sets; by set (empty if no gap is found,
     of the leading sets first the one that predicts data left out best, then its subsets,
     the largest and most probable first) the gain of each effect on data left out in
-    addition to the others, and the features of each; and the probability of an unlisted
-    effect, not calibrated."""
+    addition to the others, and the features of each; for the first of them its gain over the
+    sets with another effect in the place of one, {effect: {other: gain}}; and the probability
+    of an unlisted effect, not calibrated."""
 
     weighed: Weighed
     gains: Mapping[Key, Mapping[str, Gain]]
     features: Mapping[Key, Mapping[str, Features]]
     unlisted: float
+    swaps: Mapping[str, Mapping[str, Gain]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,6 +252,7 @@ def findings_of(
         features={
             part: _features(subject, found, part, each, unlisted) for part, each in gains.items()
         },
+        swaps=swaps_of(out, next(iter(gains), ()), floor),
         unlisted=unlisted,
     )
 
@@ -292,6 +298,17 @@ def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
     return gains
 
 
+def swaps_of(out: Predicted, key: Key, floor: float) -> dict[str, dict[str, Gain]]:
+    """The gain of a set over each set with another effect in the place of one of its own."""
+    at, swaps = {one: k for k, one in enumerate(out.effects)}, dict[str, dict[str, Gain]]()
+    for other in out.effects:
+        new, old = set(other) - set(key), set(key) - set(other)
+        if len(new) == len(old) == 1:
+            gain = gained(out, at[key], at[other], floor)
+            swaps.setdefault(old.pop(), {})[new.pop()] = gain
+    return swaps
+
+
 def no_gap_shows(found: Weighed, policy: Policy = POLICY) -> bool:
     """Whether the residuals of the model without effects may be noise."""
     return found.nothing_shown > policy.likely >= found.unlisted or not found.best
@@ -315,7 +332,7 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
 
     key = helping(found, policy)
     best = next(iter(found.gains), ())
-    rivals = _rivals(sets, best, policy) if best else {}
+    rivals = _rivals(found, best, policy, more) if best else {}
     also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
     gains, each = found.gains.get(key, {}), {}
     for e in sorted(key, key=lambda e: -gains[e].gain):
@@ -359,10 +376,17 @@ def _with_twins(sets: Weighed, features: Features, alike: Sequence[str]) -> Feat
     return features._replace(listed=_odds(listed), beside=_odds(beside))
 
 
-def _rivals(sets: Weighed, best: Key, policy: Policy) -> dict[str, tuple[str, ...]]:
-    """Effects of other sets that are nearly as probable, by the effect that they replace;
-    those in addition to the whole set have the empty name."""
-    found: dict[str, list[str]] = {}
+def _rivals(
+    findings: Findings, best: Key, policy: Policy, more: bool
+) -> dict[str, tuple[str, ...]]:
+    """Effects of other sets that are nearly as probable, or predict data left out nearly as
+    well, by the effect that they replace; those in addition to the whole set have the empty
+    name.
+
+    Args:
+        more: whether an unlisted effect is likely.
+    """
+    sets, found = findings.weighed, dict[str, list[str]]()
     least = policy.perhaps * sets.listed[sets.best]
     ranked = sorted(sets.listed, key=sets.listed.__getitem__, reverse=True)
     for key in ranked:
@@ -372,4 +396,9 @@ def _rivals(sets: Weighed, best: Key, policy: Policy) -> dict[str, tuple[str, ..
         if len(key) <= len(best) or not old:
             place = min(old) if len(old) == len(new) == 1 else ""
             found.setdefault(place, []).extend(sorted(new))
+    for effect, swapped in findings.swaps.items():
+        lacks = policy.alike * findings.gains[best][effect].gain * more
+        for other, swap in sorted(swapped.items(), key=lambda one: one[1].gain):
+            if swap.gain < max(policy.gain * swap.std, lacks):
+                found.setdefault(effect, []).append(other)
     return {place: tuple(dict.fromkeys(of)) for place, of in found.items()}
