@@ -11,12 +11,19 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from tirefit.files import json_text, write_texts
-from tirefit.results import Outcome
+from tirefit.results import Outcome, did_you_mean
 
 
 def _made_by(place: str, *given, **named) -> Any:
     module, _, function = place.partition(":")
     return getattr(importlib.import_module(module), function)(*given, **named)
+
+
+class ByName(dict):
+    """Records by name; the error for an unknown name suggests a known one."""
+
+    def __missing__(self, name: object):
+        raise KeyError(f"{name}: {did_you_mean(str(name), self)}known: {', '.join(self)}")
 
 
 class Displayed:
@@ -47,6 +54,12 @@ class Record(Displayed):
     plot_by: ClassVar[str]
     page_by: ClassVar[str] = "tirefit.report.html:record_page"
     save_by: ClassVar[str] = "tirefit.display:save_files"
+    internal: ClassVar[tuple[str, ...]] = ()
+    """Attributes that completion does not offer."""
+
+    def __dir__(self):
+        hidden = {*self.internal, "internal"}
+        return [n for n in super().__dir__() if not n.endswith("_by") and n not in hidden]
 
     @property
     def limits(self) -> Mapping[Outcome, str]:

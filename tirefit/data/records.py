@@ -38,6 +38,15 @@ class Row(NamedTuple):
     identified: bool = True
 
 
+def frame(rows: Sequence[Row]):
+    """The numbers as a pandas data frame, a row for each.
+
+    Raises:
+        DataError: pandas is missing.
+    """
+    return extra("pandas", "a data frame", "", doing="making").DataFrame(rows, columns=Row._fields)
+
+
 @dataclass(frozen=True)
 class FileRecord:
     """The results of one file; ``outcomes`` are those of a fit, in lower case."""

@@ -201,7 +201,10 @@ def fit(
         data: a result of ``tirefit.read``, or data that it reads with its defaults: a
             path, a frame, a mapping of column -> (n,) array.
         model: a name of ``tirefit.MODELS``; by default that of ``config``, or ``brush``.
-        config: content of ``fit.toml`` as a dict or a ``FitConfig``.
+        config: content of ``fit.toml`` as a dict or a ``FitConfig``: ``force`` (fx, fy, mz),
+            ``starts``, ``parameters`` ({"mu": {...}} with value, free, lower, upper, prior,
+            per_run, tied, factor), ``noise`` ({"fx": 20.0} in N, fx_relative, sigma_x,
+            loss, ...) and ``posterior`` (sampler, effective_samples, ...).
         solver: ``gauss-newton``; to check it, ``optimistix``, ``jaxopt`` or a least-squares
             solver of optimistix. Profiles are by ``gauss-newton``.
         seed: of the random starts and of all sampling.

@@ -8,8 +8,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from tirefit.data.accept import DataLike
+from tirefit.data.records import frame
 from tirefit.data.table import TireData
-from tirefit.display import Record
+from tirefit.display import ByName, Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.far_rows import FarRow
@@ -18,7 +20,7 @@ from tirefit.fitting.likelihood import FitProblem
 from tirefit.fitting.solve import Solved
 from tirefit.models import AbstractTire
 from tirefit.params import parameter_values
-from tirefit.results import Outcome
+from tirefit.results import Outcome, UsageError
 
 SCHEMA = "tirefit.fit/1"
 
@@ -207,6 +209,12 @@ class FitResult(Record):
     chains: np.ndarray | None = field(default=None, repr=False)
     walkers: np.ndarray | None = field(default=None, repr=False)
 
+    internal: ClassVar[tuple[str, ...]] = ("asked", "problem", "solved", "walkers")
+
+    def __post_init__(self):
+        for name in ("parameters", "least_squares", "derived"):
+            object.__setattr__(self, name, ByName(getattr(self, name)))
+
     def __repr__(self) -> str:
         return f"FitResult({self.model!r}, {self.data['file']!r}, {str(self.status)!r})"
 
@@ -226,6 +234,54 @@ class FitResult(Record):
         if self.posterior is not None:
             return "posterior median and central 95 %"
         return "least squares, profile likelihood"
+
+    @property
+    def samples(self):
+        """The posterior samples as an xarray DataTree, as in ``posterior.nc``.
+
+        ArviZ 1.x reads it: ``arviz.summary(fit.samples)``; earlier ones read its part
+        ``fit.samples["posterior"].to_dataset()``.
+
+        Raises:
+            UsageError: the fit was not sampled.
+
+        Example:
+            >>> swept = simulate("rig", values={"mu": 0.9}, seed=1)
+            >>> found = sample(fit(swept.columns, "brush"))
+            >>> bool(abs(found.samples["posterior"]["mu"].mean() - 0.9) < 0.01)
+            True
+        """
+        from tirefit.fitting.store import posterior_tree  # it imports this module
+
+        if self.walkers is None:
+            raise UsageError("the fit was not sampled", "samples = tirefit.sample(fit).samples")
+        return posterior_tree(self)
+
+    def predict(self, data: DataLike) -> dict[str, np.ndarray]:
+        """Forces row by row with their standard deviations, as :func:`tirefit.predict`.
+
+        Example:
+            >>> swept = simulate("rig", values={"mu": 0.9}, seed=1)
+            >>> found = fit(swept.columns, "brush")
+            >>> found.predict({"sigma_x": [0.5], "fz": [4000.0]})["fx"].round(-1)
+            array([3600.])
+        """
+        from tirefit.fitting.predict import predict  # it imports this module
+
+        return predict(self, data)
+
+    def to_frame(self):
+        """The parameters, derived values and statistics as a pandas data frame: columns kind,
+        name, value, std, low and high (95 % interval), unit, identified.
+
+        Example:
+            >>> found = fit(samples / "circles.csv", "brush")
+            >>> found.to_frame().query("kind == 'parameter'")["name"].tolist()
+            ['cpa2', 'mu']
+        """
+        from tirefit.fitting.store import record_of_fit  # it imports this module
+
+        return frame(record_of_fit(self.to_dict(), "").rows)
 
     def plot(self, what: str = "fit", **how):
         """Return a figure of the measured points with the fitted curve, or another one.

@@ -251,8 +251,8 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     )
 
 
-def posterior_content(result: FitResult) -> bytes:
-    """The posterior as netCDF: an xarray DataTree in the InferenceData layout.
+def posterior_tree(result: FitResult):
+    """The posterior as an xarray DataTree in the InferenceData layout.
 
     Every walker is a chain, as tools take the draws of a chain for a sequence.
     """
@@ -288,12 +288,15 @@ def posterior_content(result: FitResult) -> bytes:
     constant = xr.Dataset(
         {k: ("row", problem.used(v)) for k, v in problem.rows.inputs._asdict().items()}, rows
     )
-    tree = xr.DataTree.from_dict(
+    return xr.DataTree.from_dict(
         {"posterior": posterior, "observed_data": observed, "constant_data": constant}
     )
+
+
+def posterior_content(result: FitResult) -> bytes:
+    """The posterior as netCDF."""
     # Made in memory, as HDF5 ends the process if the disk is full.
-    content = tree.to_netcdf(None, engine="h5netcdf")
-    return bytes(content)
+    return bytes(posterior_tree(result).to_netcdf(None, engine="h5netcdf"))
 
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:

@@ -22,6 +22,7 @@ import numpy as np
 from tirefit import __version__
 from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, road_wheel, with_noise
+from tirefit.data.records import Row, frame
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -143,6 +144,17 @@ class Replay(Record):
             "held": self.held,
             "notes": self.notes,
         }
+
+    def to_frame(self):
+        """The rms errors as a pandas data frame: columns kind (the model), name (the
+        quantity and the horizon in s), value, unit."""
+        rows = [
+            Row(model, f"{name} {horizon:g}", value, unit=QUANTITIES[name])
+            for model, errors in self.models.items()
+            for name, values in errors.rms().items()
+            for horizon, value in zip(self.horizons, values, strict=True)
+        ]
+        return frame(rows)[["kind", "name", "value", "unit"]]
 
     def files(self, name: str = "") -> dict[str, str]:
         """``replay.json``."""

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from tirefit.data.records import FileRecord, Row
+from tirefit.data.records import FileRecord, Row, frame
 from tirefit.data.table import TireData
 from tirefit.data.write import csv_text, to_convention
 from tirefit.diagnosis.effects import NOISE_EFFECTS, Effect
@@ -327,6 +327,11 @@ class Diagnosis(Record):
         helping = {*self.verdict.helping}
         return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
 
+    def to_frame(self):
+        """The base parameters, the gap and the sizes of the effects that help as a pandas data
+        frame: columns kind, name, value, std, unit."""
+        return frame(record_of(self.to_dict()).rows).drop(columns=["low", "high", "identified"])
+
     @property
     def limits(self) -> dict[Outcome, str]:
         """Where the answer of ``verdict`` is open."""
@@ -382,9 +387,13 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
 
 
 def record_of_document(path: Path) -> FileRecord:
-    """Row of the table of all results for a diagnosis on disk: base parameters, gap,
-    probability of the verdict, and amplitudes of the named effects."""
-    content = json.loads(path.read_text(encoding="utf-8"))
+    """Row of the table of all results for a diagnosis on disk."""
+    return record_of(json.loads(path.read_text(encoding="utf-8")), str(path))
+
+
+def record_of(content: Mapping[str, Any], path: str = "") -> FileRecord:
+    """Row of the table of all results for the document of a diagnosis: base parameters,
+    gap, probability of the verdict, and amplitudes of the effects that help."""
     data, gap, verdict = content["data"], content["gap"], content["verdict"]
     unit = UNITS[data["channels"][0]]
     template = MODELS.get(content["model"])
@@ -401,7 +410,7 @@ def record_of_document(path: Path) -> FileRecord:
     status = ": ".join(filter(None, [verdict["status"], ", ".join(verdict["effects"])]))
     return FileRecord(
         data["path"],
-        str(path),
+        path,
         content["model"],
         status,
         tuple(rows),

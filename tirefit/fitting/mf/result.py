@@ -8,9 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tirefit.data.accept import DataLike
+from tirefit.data.records import Row, frame
 from tirefit.data.tir import new_tir
 from tirefit.data.tir_file import TirFile
-from tirefit.display import Record
+from tirefit.display import ByName, Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text, write_texts
 from tirefit.fitting.layout import FreeParameter, Layout
@@ -91,8 +93,26 @@ class MagicFormulaFit(Record):
     binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
     warmth: FrictionTemperature | None = None  # with ``friction_temperature``
 
+    def __post_init__(self):
+        object.__setattr__(self, "coefficients", ByName(self.coefficients))
+
     def __repr__(self) -> str:
         return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"
+
+    def predict(self, data: DataLike) -> dict[str, np.ndarray]:
+        """Forces row by row with their standard deviations, as :func:`tirefit.predict`."""
+        from tirefit.fitting.predict import predict  # it imports this module
+
+        return predict(self, data)
+
+    def to_frame(self):
+        """The coefficients as a pandas data frame: columns name, value, std, identified
+        (whether the data determine it more than its prior)."""
+        each = self.coefficients.items()
+        rows = [
+            Row("parameter", k, c.value, c.std, identified=c.origin == "fitted") for k, c in each
+        ]
+        return frame(rows).drop(columns=["low", "high", "unit"])
 
     @property
     def limits(self) -> dict[Outcome, str]:
