@@ -133,6 +133,18 @@ def test_the_best_start_states_leave_nothing_that_they_explain(small):
     assert np.max(along) < 1e-3 * np.max(np.linalg.norm(left, axis=1))
 
 
+def test_start_states_far_off_do_not_diverge(small):
+    """A car that spins on rear tires of little friction: whole steps lead far away, but no
+    window may end worse than it was."""
+    z = small.coefficients(z=(0.0, 0.0, 0.0, np.log(0.3)))
+
+    def squares(motion):
+        return np.sum((motion.missed / small.noise) ** 2, axis=(1, 2))
+
+    given = squares(small.linear(z, np.asarray(small.cut.data.start))[0].motion)
+    assert np.all(squares(small.at_best_starts(z).motion) <= given * (1 + 1e-9))
+
+
 def test_the_noise_of_a_fit_is_that_of_a_ridge_with_explicit_start_states(small):
     """Of all effects and unlisted forces, of twice their usual size, with the degrees of
     freedom of its hat matrix."""

@@ -31,8 +31,9 @@ _TOLERANCE, _STEPS = 1e-4, 10
 """Relative gain in cost of a step below which a refit ends, one unit of chi square at ten
 thousand residuals; largest number of its steps."""
 
-_STARTS = 3
-"""Number of steps to the best start states of a car without a refit."""
+_STARTS, _SHORTER = 5, 4.0
+"""Number of trials of the best start states of a car without a refit; a step that makes a
+window worse is divided by the second number."""
 
 _MOST_OFF = 1.5
 """Largest logarithm of a factor on a tire."""
@@ -157,15 +158,22 @@ class Windows:
         return -self.projected(now, now.motion.missed[..., None])[:, 0]
 
     def at_best_starts(self, z: np.ndarray) -> Linear:
-        """:meth:`linear` without a refit, from the best start states."""
-        starts, weight = np.asarray(self.cut.data.start), (1 / self.noise)[:, None]
+        """:meth:`linear` without a refit, from the best start states found: a window that a
+        step makes worse goes back and tries a shorter one."""
+        best, weight = np.asarray(self.cut.data.start), (1 / self.noise)[:, None]
+        least, step = np.full(len(best), np.inf), np.zeros(best.shape)
         for _ in range(_STARTS):
-            now, w = self.linear(z, starts)[0], len(starts)
+            now, w = self.linear(z, best - step)[0], len(best)
+            rest = (now.motion.missed * weight[:, 0]).reshape(w, -1)
+            squares = np.sum(rest**2, axis=1)
+            better = squares < least
             slopes = (now.by_start(self._states) * weight).reshape(w, -1, self._states)
             unit, size = np.linalg.qr(slopes)
-            rest = (now.motion.missed * weight[:, 0]).reshape(w, -1, 1)
-            starts = starts - np.linalg.solve(size, np.swapaxes(unit, 1, 2) @ rest)[..., 0]
-        return self.linear(z, starts)[0]
+            onward = np.linalg.solve(size, np.swapaxes(unit, 1, 2) @ rest[..., None])[..., 0]
+            best = np.where(better[:, None], best - step, best)
+            step = np.where(better[:, None], onward, step / _SHORTER)
+            least = np.where(better, squares, least)
+        return self.linear(z, best)[0]
 
     def rms(self, z: np.ndarray) -> np.ndarray:
         """Rms (c,) of predicted - logged, from the best start states."""
