@@ -19,7 +19,8 @@ from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
 from tirefit.report.replay import replay_text
 from tirefit.results import DataError, UsageError
-from tirefit.vehicle.replay import HORIZONS, QUANTITIES, replay
+from tirefit.vehicle.conclusion import conclusions, turning
+from tirefit.vehicle.replay import HORIZONS, QUANTITIES, Errors, replay
 from tirefit.vehicle.windows import integrated
 
 FRONT, REAR = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
@@ -112,6 +113,36 @@ def test_a_car_without_slip_follows_its_wheels(exact, drive):
     turned = np.trapezoid(rate[start : start + 101], time[start : start + 101])
     missed = turned - (yaw[start + 100] - yaw[start])
     assert exact.models["no slip"].of["heading"][0, 2] == pytest.approx(missed, abs=0.02)
+
+
+def test_a_wrong_steering_ratio_is_seen_in_the_turning(drive, exact):
+    """Of a car without slip, r = v tan(delta) / L: a map that reads .8 of the angle gives
+    1.25 times the predicted yaw rate, but for the bend of the tangent (2 %)."""
+    ratio, error = turning(exact)
+    assert ratio == pytest.approx(1.0, abs=0.005) and error < 0.01 and conclusions(exact) == []
+    toml = drive / "less.toml"
+    toml.write_text(TOML.replace("angle = [-1.0, 1.0]", "angle = [-0.8, 0.8]"))
+    stiff = Brush(cpa2=1e7, mu=10.0)
+    found = replay([drive / "exact.csv"], toml, stiff, stiff, horizons=(0.5,))
+    log = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
+    yaw, wheel = np.gradient(log[:, 3], log[:, 0]), 2.5 * np.tan(0.8 * log[:, 4]) / (L_F + L_R)
+    expected = (yaw @ wheel) / (wheel @ wheel)
+    assert turning(found)[0] == pytest.approx(expected, rel=0.03)
+    limits, turned = conclusions(found)
+    assert limits == "The tires are not what limits: a car without slip predicts as well."
+    assert turned.startswith(f"The car turns {turning(found)[0]:.2f} ± ")
+    assert limits in " ".join(replay_text(found).split())
+
+
+def test_linear_tires_that_predict_as_well_are_said(exact):
+    """The same error of both, above that of the noise."""
+    tire = exact.models["tire"]
+    models = dict(exact.models) | {
+        "tire": exact.models["linear tire"],
+        "floor": Errors({name: 0.1 * values for name, values in tire.of.items()}),
+    }
+    (said,) = conclusions(replace(exact, models=models))
+    assert said == "The tires' bend is not what limits: linear tires predict as well."
 
 
 def exact_start(result):

@@ -9,6 +9,7 @@ from tirefit.report.canvas import BLUE, DARK, GREEN, GREY, ORANGE, RED, Picture,
 from tirefit.report.html import Section, image_of, page
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
+from tirefit.vehicle.conclusion import conclusions, place_of
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
 
 _NAMES = {
@@ -32,8 +33,6 @@ _LABELS = {
     "floor": "noise floor",
     "with the effects": "with effects",
 }
-_AHEAD = 0.5
-"""Horizon [s] of the answer; the nearest one is used."""
 _SHOWN = 40
 """Largest number of windows that are drawn: about ten seconds of driving."""
 _FAN = 1.0
@@ -42,9 +41,9 @@ _PREDICTED = f"predicted, {_FAN:g} s"
 
 
 def answer(result: Replay) -> str:
-    """The error of the car, of the noise of the log, and of the baselines."""
-    reached = result.horizons[: sum(count > 0 for count in result.windows)]
-    place = int(np.argmin([abs(h - _AHEAD) for h in reached]))
+    """What limits the prediction; the error of the car, of the noise of the log, and of the
+    baselines."""
+    place = place_of(result)
     rms = {name: errors.rms() for name, errors in result.models.items()}
 
     def size(model, quantity="lateral"):
@@ -56,7 +55,8 @@ def answer(result: Replay) -> str:
         more = f" With the effects these errors are {size(name)} and"
         more += f" {size(name, 'yaw_rate')}."
     return (
-        f"{result.horizons[place]:g} s after a start, the predicted car has an rms"
+        "".join(f"{sentence} " for sentence in conclusions(result))
+        + f"{result.horizons[place]:g} s after a start, the predicted car has an rms"
         f" error of {size('tire')} in lateral position and"
         f" {size('tire', 'yaw_rate')} in yaw rate.{more} The noise of the log causes"
         f" {size('floor')} and {size('floor', 'yaw_rate')} of it. The lateral position"
