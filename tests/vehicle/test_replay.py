@@ -20,7 +20,8 @@ from tirefit.models import Brush, TireInputs
 from tirefit.report.replay import replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.conclusion import conclusions, turning
-from tirefit.vehicle.replay import HORIZONS, QUANTITIES, Errors, replay
+from tirefit.vehicle.errors import QUANTITIES, Errors
+from tirefit.vehicle.replay import HORIZONS, replay
 from tirefit.vehicle.windows import integrated
 
 FRONT, REAR = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())

@@ -260,6 +260,12 @@ class FitResult(Record):
     def predict(self, data: DataLike) -> dict[str, np.ndarray]:
         """Forces row by row with their standard deviations, as :func:`tirefit.predict`.
 
+        Args:
+            data: rows with slip, load and, where the model needs it, speed.
+
+        Returns:
+            (n,) arrays of each fitted force and of its ``<force>_std``.
+
         Example:
             >>> swept = simulate("rig", values={"mu": 0.9}, seed=1)
             >>> found = fit(swept.columns, "brush")

@@ -10,7 +10,8 @@ from tirefit.report.html import Section, image_of, page
 from tirefit.report.numbers import format_number
 from tirefit.report.text import indented, table
 from tirefit.vehicle.conclusion import conclusions, place_of
-from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
+from tirefit.vehicle.errors import QUANTITIES
+from tirefit.vehicle.replay import Fans, Replay
 
 _NAMES = {
     "yaw_rate": "yaw rate",

@@ -37,6 +37,7 @@ from tirefit.vehicle.applied import applied
 from tirefit.vehicle.car import Car, State, accelerations, car_of, linear, predicted, steps_a_sample
 from tirefit.vehicle.diagnose import Steps
 from tirefit.vehicle.effects import Samples
+from tirefit.vehicle.errors import QUANTITIES, Errors
 from tirefit.vehicle.windows import (
     cut_logs,
     integrated,
@@ -55,37 +56,11 @@ HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
 EVERY = 0.25
 """Time [s] from one start to the next; a multiple of it in a log of many."""
 
-QUANTITIES = {
-    "yaw_rate": "rad/s",
-    "sideslip": "rad",
-    "a_y": "m/s2",
-    "heading": "rad",
-    "lateral": "m",
-}
-"""Compared quantity -> unit; ``lateral`` is the distance across the measured heading."""
-
 DRAWS = 24
 """Number of draws of the tires' parameters, for the band."""
 NOISES = 4
 """Number of draws of the noise of the log, for the floor."""
 _NORMAL_95 = 1.96
-
-
-class Errors(NamedTuple):
-    """Predicted - measured at each horizon: {quantity: (windows, horizons)}, NaN if the
-    log ends before."""
-
-    of: Mapping[str, np.ndarray]
-
-    def rms(self) -> dict[str, list[float | None]]:
-        """Root mean square by quantity, for each horizon; None without windows."""
-        found = {}
-        for name, values in self.of.items():
-            count = np.isfinite(values).sum(axis=0)
-            squares = np.nansum(values**2, axis=0)
-            rms = np.sqrt(squares / np.maximum(count, 1))
-            found[name] = [float(x) if n else None for x, n in zip(rms, count, strict=True)]
-        return found
 
 
 class Fans(NamedTuple):

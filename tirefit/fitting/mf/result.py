@@ -100,7 +100,14 @@ class MagicFormulaFit(Record):
         return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"
 
     def predict(self, data: DataLike) -> dict[str, np.ndarray]:
-        """Forces row by row with their standard deviations, as :func:`tirefit.predict`."""
+        """Forces row by row with their standard deviations, as :func:`tirefit.predict`.
+
+        Args:
+            data: rows with slip and load.
+
+        Returns:
+            (n,) arrays of each fitted force and of its ``<force>_std``.
+        """
         from tirefit.fitting.predict import predict  # it imports this module
 
         return predict(self, data)
