@@ -13,6 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from pages import PHONE, Page, browse, in_browser, width_on_phone, without_pictures
+from tirefit.report.panels import alone
 
 from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
@@ -93,7 +94,6 @@ from tirefit.report.diagnosis_words import (
     words_on,
 )
 from tirefit.report.numbers import format_number
-from tirefit.report.panels import alone
 from tirefit.results import UsageError
 
 LOADS, SPEEDS, NOISE = (2000.0, 4000.0, 6000.0), (5.0, 20.0), 20.0

@@ -10,7 +10,7 @@ from tirefit.data.table import WHEELS
 from tirefit.params import check_names
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
 from tirefit.report.numbers import format_number, plain_text
-from tirefit.report.text import table
+from tirefit.report.page import table
 from tirefit.sim.brake_request import tire_curve
 from tirefit.sim.brake_result import MEANINGS, UNITS, Braking, Stop
 from tirefit.sim.brake_vehicle import road_of

@@ -1,4 +1,4 @@
-"""Style of all figures: colours, sizes, title, footnote, files; no global state.
+"""Parts of all figures: colours, axes with units, points, bands, legends, panels, files.
 
 Only matplotlib's object API is used: pyplot imports slowly and keeps global lists.
 """
@@ -6,16 +6,18 @@ Only matplotlib's object API is used: pyplot imports slowly and keeps global lis
 import io
 import textwrap
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tirefit.files import replacing
 from tirefit.report.numbers import plain_text
+from tirefit.report.page import image_of
 
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
 RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
@@ -28,6 +30,10 @@ _FARTHEST = 20
 
 WIDTH = 7.0
 DPI = 130
+WIDE = 4.6
+"""Width [in] of a picture of a page: on a screen of 375 pixels, 8.5 points are then 9.6
+pixels high."""
+_PIXELS = 100  # of the page per inch of a panel that scrolls
 
 
 class Picture(Figure):
@@ -77,6 +83,76 @@ def frame(
             0.02, y / height, said, va="top", fontsize=letters, fontweight=weight, color=shade
         )
     return picture
+
+
+class Panel(NamedTuple):
+    """One panel: the function that draws it on a figure, a description in words, its size
+    [in], a note in small print, and whether it may not shrink to the width of a phone."""
+
+    draw: Callable[[Any], None]
+    alternative: str
+    size: tuple[float, float] = (WIDE, 2.3)
+    note: str = ""
+    scrolls: bool = False
+
+
+def alone(panel: Panel) -> Picture:
+    """The panel as a picture."""
+    picture = Picture(figsize=panel.size, layout="constrained")
+    panel.draw(picture)
+    if panel.note:
+        picture.suptitle(panel.note, x=0.02, ha="left", fontsize=7.5, color=DARK)
+    return picture
+
+
+def images_of(panels: Iterable[Panel]) -> list[dict]:
+    """The panels for the templates of pages."""
+    return [
+        image_of(alone(one), one.alternative, round(_PIXELS * one.size[0]) if one.scrolls else 0)
+        for one in panels
+    ]
+
+
+def together(
+    panels: Sequence[Panel], title: str, text: str, foot: str, columns: int = 1, color: str = DARK
+) -> Picture:
+    """The panels in rows, with title, text and footnote; the first row has the first panel
+    alone if the rows would not be full otherwise.
+
+    Args:
+        color: of the text.
+    """
+    first = (len(panels) - 1) % columns + 1
+    rows = [panels[:first], *(panels[i : i + columns] for i in range(first, len(panels), columns))]
+    heights = [max(panel.size[1] for panel in row) for row in rows]
+    width = max(WIDTH, *(panel.size[0] for panel in panels))
+    picture = frame(title, text, foot, (width, sum(heights)), panels[0].note, color)
+    parts = picture.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
+    for part, row in zip(parts.ravel(), rows, strict=True):
+        for cell, panel in zip(part.subfigures(1, len(row), squeeze=False)[0], row, strict=True):
+            panel.draw(cell)
+    return picture
+
+
+def legend_below(figure: Any, handles: Sequence[Any], title: str = "", columns: int = 2) -> None:
+    """Draw the legend of a panel below its axes."""
+    figure.legend(
+        handles=handles,
+        loc="outside lower left",
+        ncols=columns,
+        fontsize=8,
+        frameon=False,
+        title=title or None,
+        title_fontsize=8,
+        alignment="left",
+    )
+
+
+def colors_of(count: int) -> Sequence[Any]:
+    """Distinct colours; of many groups, in their order."""
+    if count <= len(COLORS):
+        return COLORS[:count]
+    return list(mpl.colormaps["viridis"](np.linspace(0, 0.92, count)))
 
 
 def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:

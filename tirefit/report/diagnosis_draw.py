@@ -19,7 +19,9 @@ from tirefit.report.canvas import (
     GREY,
     ORANGE,
     PURPLE,
+    Panel,
     Picture,
+    alone,
     boxed,
     dots,
     frame,
@@ -43,7 +45,6 @@ from tirefit.report.diagnosis_panels import (
 )
 from tirefit.report.diagnosis_sections import subject
 from tirefit.report.numbers import format_number, plain_text
-from tirefit.report.panels import Panel, alone
 
 _SIZE = (11.0, 9.0)
 _PANEL = (5.6, 4.4)

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 from tirefit.diagnosis.summary.result import Diagnosis, Status
+from tirefit.report.canvas import Panel, images_of
 from tirefit.report.diagnosis_answer import answer
 from tirefit.report.diagnosis_details import details
 from tirefit.report.diagnosis_draw import diagnosis_figure, panels_of
 from tirefit.report.diagnosis_sections import first_screen, foot_line, head_lines, subject
-from tirefit.report.html import GOOD, OPEN, Section, fragment, image_of, page
-from tirefit.report.panels import Panel, images_of
+from tirefit.report.page import GOOD, OPEN, Section, fragment, image_of, page
 
 
 def _answer(result: Diagnosis) -> Mapping:

@@ -33,8 +33,8 @@ from tirefit.report.diagnosis_words import (
     untestable_lines,
     words_on,
 )
-from tirefit.report.html import Section
 from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.page import Section
 
 _SHOWN = (
     "signs read as",

@@ -7,8 +7,7 @@ from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_answer import answer
 from tirefit.report.diagnosis_details import details
 from tirefit.report.diagnosis_sections import first_screen, foot_line, head_lines, subject
-from tirefit.report.html import Section
-from tirefit.report.text import WIDTH, table
+from tirefit.report.page import WIDTH, Section, table
 
 
 def _text_of(section: Section) -> Iterator[str]:

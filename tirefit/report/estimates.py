@@ -6,7 +6,7 @@ from tirefit.online.base import PARAMETERS, Flag, code
 from tirefit.online.result import Estimates, changes
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, frame, tidy
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.text import table
+from tirefit.report.page import table
 
 _ROOM = 0.15  # margin of an axis, over the range of the estimates
 

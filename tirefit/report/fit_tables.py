@@ -1,19 +1,58 @@
-"""Results of a fit as table cells and sentences, for the text report and the page."""
+"""Results of a fit as table cells and sentences, with short names of runs and files.
+
+``fit.json`` keeps the whole names; reports use the shortest names that are distinct.
+"""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
+from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.derived import derived_channel, quantities, quantity_of
 from tirefit.fitting.likelihood import row_moments
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
-from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import format_estimate, format_interval, format_number
+from tirefit.report.page import Rows
 
-Rows = list[list[str]]
-"""Cells of a table, header first."""
+if TYPE_CHECKING:  # which imports much that other fits do not need
+    from tirefit.fitting.mf.result import MagicFormulaFit
 
-FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
+FORCE_UNIT = {force: CANONICAL[force][0] for force in FORCES}
 _ROUTES = ("covariance", "profile", "posterior", "independent")
 _STRONG = 0.9
+
+
+def short_run(result: FitResult, run: str) -> str:
+    """The part of a run's name that differs from the others."""
+    runs = [str(one) for one in result.data["runs"]]
+    return run_names(runs).short[runs.index(run)] if run in runs else run
+
+
+def short_label(result: FitResult, label: str) -> str:
+    """``mu[run01]``: a parameter or derived quantity, with its run's short name."""
+    return label_of_run(label, result.data["runs"])
+
+
+def run_lines(result: FitResult) -> list[str]:
+    """Lines that explain the short names; empty if they are the full names."""
+    runs = [str(run) for run in result.data["runs"]]
+    names = run_names(runs)
+    if names.short == tuple(runs):
+        return []
+    if names.pattern:
+        between = ", " if len(runs) == 2 else " ... "
+        return [f"{names.short[0]}{between}{names.short[-1]} of {names.pattern}"]
+    return [f"{i}: {run}" for i, run in enumerate(runs, 1)]
+
+
+def fit_files(result: "FitResult | MagicFormulaFit", most: int = 1000) -> str:
+    """The file of a fit without its folder; of several their number and pattern."""
+    files = result.data["file"].replace("\\", "/").split(", ")
+    if not 1 < len(files) <= len(result.data["runs"]):
+        return clipped(result.data["file"].replace("\\", "/").rsplit("/", 1)[-1], most)
+    pattern = name_pattern([file.rsplit("/", 1)[-1] for file in files])
+    return clipped(f"{len(files)} files, {pattern}", most)
 
 
 def value_text(estimate: Estimate) -> str:
@@ -282,21 +321,3 @@ def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
     pairs.sort(key=lambda pair: -pair[0])
     lines = [text for _, text in pairs[:most]]
     return [*lines, f"and {len(pairs) - most} more"] if len(pairs) > most else lines
-
-
-def open_lines(result: FitResult) -> list[str]:
-    """Quantities that the data do not determine, each with its possible range."""
-    lines = []
-    for name, estimate in (result.parameters | result.derived).items():
-        if estimate.identified or estimate.fixed:
-            continue
-        text = f"{short_label(result, name)}: not defined for this model and estimate"
-        if np.isfinite(estimate.value):
-            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
-            ends = format_interval(estimate.ci95, estimate.std)
-            text = (
-                f"{short_label(result, name)}: anything in {ends}{unit} fits as well"
-                f" (95 %); best {format_number(estimate.value)}{unit}"
-            )
-        lines.append(text)
-    return lines

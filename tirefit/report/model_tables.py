@@ -8,7 +8,7 @@ from tirefit.models import AbstractTire
 from tirefit.online.base import PARAMETERS, AbstractEstimator
 from tirefit.params import Spec, specs
 from tirefit.report.numbers import format_number
-from tirefit.report.text import WIDTH, table
+from tirefit.report.page import WIDTH, table
 
 _LETTERS = re.compile(r"d?m?(ns?|hs?)?")
 

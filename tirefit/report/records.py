@@ -8,7 +8,7 @@ from tirefit.data.table import CANONICAL
 from tirefit.fitting.batch import BatchFit
 from tirefit.report.canvas import BLUE, GREY, WIDTH, Picture, drawn, tidy
 from tirefit.report.numbers import format_number
-from tirefit.report.text import table
+from tirefit.report.page import table
 from tirefit.sim.braking import SimulatedLog
 
 

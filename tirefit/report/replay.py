@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from tirefit.report.canvas import BLUE, DARK, GREEN, GREY, ORANGE, RED, Picture, panel_title, tidy
-from tirefit.report.html import Section, image_of, page
 from tirefit.report.numbers import format_number
-from tirefit.report.text import indented, table
+from tirefit.report.page import Section, image_of, indented, page, table
 from tirefit.vehicle.replay import QUANTITIES, Fans, Replay
 
 _NAMES = {

@@ -6,7 +6,7 @@ from tirefit.diagnosis.summary.result import UNITS
 from tirefit.models import TireInputs, forces
 from tirefit.report.canvas import BLUE, GREY, Picture, dots, panel_title, tidy
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.text import indented, table
+from tirefit.report.page import indented, table
 from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
 
 _DRAWN, _POINTS, _REACH = 60, 1500, 99.5
