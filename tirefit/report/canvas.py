@@ -33,6 +33,8 @@ DPI = 130
 WIDE = 4.6
 """Width [in] of a picture of a page: on a screen of 375 pixels, 8.5 points are then 9.6
 pixels high."""
+_MOST_LINES = 5  # of the text below the title of a figure
+_NOTE = 66  # largest number of characters in a line of a panel's note
 _PIXELS = 100  # of the page per inch of a panel that scrolls
 
 
@@ -67,16 +69,19 @@ def frame(
         color: of the text.
     """
     width, height = size
-    lines = textwrap.wrap(text, int(14.3 * width), max_lines=2, placeholder=" …")
-    head = 0.4 + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))
-    height += head + 0.2
+    heads = textwrap.wrap(title, int(9.5 * width), max_lines=2, placeholder=" …")
+    lines = textwrap.wrap(text, int(14.3 * width), max_lines=_MOST_LINES, placeholder=" …")
+    feet = textwrap.wrap(foot, int(18.5 * width))
+    below, above = 0.06 + 0.12 * len(feet), 0.2 + 0.2 * len(heads)
+    head = above + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))
+    height += head + below
     picture = Picture(figsize=(width, height))
-    box = (0, 0.2 / height, 1, 1 - (head + 0.2) / height)
+    box = (0, below / height, 1, 1 - (head + below) / height)
     picture.set_layout_engine("constrained", rect=box)
     for y, said, letters, weight, shade in (
-        (height - 0.10, plain_text(title), 10.5, "bold", DARK),
-        (height - 0.31, plain_text("\n".join(lines)), 8.5, "normal", color),
-        (0.17, plain_text(foot), 6.5, "normal", GREY),
+        (height - 0.10, plain_text("\n".join(heads)), 10.5, "bold", DARK),
+        (height - above + 0.09, plain_text("\n".join(lines)), 8.5, "normal", color),
+        (below - 0.03, plain_text("\n".join(feet)), 6.5, "normal", GREY),
         (height - head + 0.14 * len(note.splitlines()), note, 7.5, "normal", DARK),
     ):
         picture.text(
@@ -125,7 +130,7 @@ def together(
     first = (len(panels) - 1) % columns + 1
     rows = [panels[:first], *(panels[i : i + columns] for i in range(first, len(panels), columns))]
     heights = [max(panel.size[1] for panel in row) for row in rows]
-    width = max(WIDTH, *(panel.size[0] for panel in panels))
+    width = max(WIDTH if columns > 1 else WIDE, *(panel.size[0] for panel in panels))
     picture = frame(title, text, foot, (width, sum(heights)), panels[0].note, color)
     parts = picture.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
     for part, row in zip(parts.ravel(), rows, strict=True):
@@ -198,24 +203,12 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
 
 def panel_title(axes, text: str, note: str = "") -> None:
     """Title of a panel, with a note in small print."""
-    axes.set_title(
-        plain_text(text),
-        loc="left",
-        fontsize=9.5,
-        fontweight="bold",
-        color=DARK,
-        pad=18 if note else 6,
-    )
+    lines = textwrap.wrap(note, _NOTE)
+    style: dict[str, Any] = {"loc": "left", "fontsize": 9.5, "fontweight": "bold", "color": DARK}
+    axes.set_title(plain_text(text), pad=6 + 11 * len(lines), **style)
     if note:
-        axes.text(
-            0,
-            1.02,
-            plain_text(note),
-            transform=axes.transAxes,
-            fontsize=7.5,
-            color=GREY,
-            va="bottom",
-        )
+        small: dict[str, Any] = {"fontsize": 7.5, "color": GREY, "va": "bottom"}
+        axes.text(0, 1.02, plain_text("\n".join(lines)), transform=axes.transAxes, **small)
 
 
 def save_pictures(

@@ -309,7 +309,7 @@ def overlay_of(fits: Mapping[str, FitResult], channel: str) -> FitCurve:
         at = _conditions(result, every, slip, False) | {"fz": result.reference["fz"]}
         force, _ = _carried(result, channel, [("", every)], [at])
         slips, unit = _slips(result, channel), at["fz"] if over_load else 1.0
-        ends = axis.shown(np.array([min(slips.min(), 0.0), max(slips.max(), 0.0)]))
+        ends = axis.shown(np.array([min(slips.min(), 0.0), max(slips.max(), 0.0)])).tolist()
         one = _curve(result, channel, label, ends, axis, at, 0)
         groups.append(Group(label, axis.shown(slips), force / unit))
         curves.append(Curve(label, one.slip, *(x / unit for x in one[2:])))

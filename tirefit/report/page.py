@@ -47,9 +47,16 @@ class Section(NamedTuple):
     right: Sequence[int] = ()
 
     @property
-    def items(self) -> list[str]:
-        """The lines for a page."""
-        return [x if isinstance(x, str) else ": ".join(filter(None, x)) for x in self.lines]
+    def items(self) -> list[tuple[str, list[str]]]:
+        """The lines for a page, each with the indented ones below it."""
+        items: list[tuple[str, list[str]]] = []
+        for line in self.lines:
+            text = line if isinstance(line, str) else ": ".join(filter(None, line))
+            if text.startswith("    ") and items:
+                items[-1][1].append(text.strip())
+            else:
+                items.append((text, []))
+        return items
 
 
 def table(rows: Rows, right: Sequence[int] = ()) -> list[str]:
@@ -169,7 +176,7 @@ def page(
     """One HTML document, without script or external resource; every value is escaped.
 
     Args:
-        verdict: its ``sentence``, ``lines`` and ``color``.
+        verdict: of :func:`verdict_of`.
         record: the whole result as JSON.
     """
     return _templates().get_template("page.html").render(vars())
@@ -187,7 +194,8 @@ def fragment(
 
 def verdict_of(sentence: str, lines: Sequence[str], is_good: bool) -> dict[str, Any]:
     """A verdict for pages and fragments."""
-    return {"sentence": sentence, "lines": lines, "color": GOOD if is_good else OPEN}
+    items = Section("", lines).items
+    return {"sentence": sentence, "points": items, "color": GOOD if is_good else OPEN}
 
 
 def image_of(picture, alternative: str, least: int = 0) -> dict:
@@ -226,7 +234,7 @@ def data_fragment(data: TireData) -> str:
     source, masked = data.source, len(data) - data.n
     used = f"{data.n} rows" + f" ({masked} more masked)" * bool(masked)
     used += f", {len(data.runs)} runs" * (len(data.runs) > 1)
-    rows = [("column", "in the file", "unit", "min", "median", "max")]
+    rows: list[tuple[str, ...]] = [("column", "in the file", "unit", "min", "median", "max")]
     rows += [_range_row(data, name) for name in data.columns]
     notes = [*source.notes, *(str(problem) for problem in source.masked[:5])]
     return fragment(data.file, [Section("", notes, rows)], subtitle=used)
