@@ -197,7 +197,8 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
     """
     top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
     axis = slip_axis(panel.slip_name, np.concatenate([curve.slip for curve in panel.curves]))
-    dashed, handles = {"lw": 1.2, "ls": (0, (4, 2))}, []
+    dashed: dict[str, Any] = {"lw": 1.2, "ls": (0, (4, 2))}
+    handles: list[Line2D | Patch] = []
     for curve, color in zip(panel.curves, COLORS, strict=False):
         center = axis.shown(curve.center)
         dots(top, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)
