@@ -17,7 +17,7 @@ from tirefit.data.tir import read_tir
 from tirefit.fitting.source import axle_tire
 from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
-from tirefit.report.replay import replay_text
+from tirefit.report.vehicle import replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import HORIZONS, QUANTITIES, replay
 from tirefit.vehicle.windows import integrated

@@ -107,7 +107,7 @@ def _foot(picture: Picture, result: Braking) -> None:
 class Line(NamedTuple):
     """One line over time: values (n,), label, colour and style."""
 
-    values: np.ndarray
+    values: Any  # array of NumPy or JAX
     label: str
     color: str = DARK
     style: str = "-"
@@ -119,7 +119,7 @@ def lines_of(stop: Stop) -> dict[str, list[Line]]:
     log, info = stop.log, stop.log.info
     names = list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
 
-    def wheels(values: np.ndarray) -> list[Line]:
+    def wheels(values: Any) -> list[Line]:
         return [Line(values[:, k], name, COLORS[k]) for k, name in enumerate(names)]
 
     # One lane per wheel, because the valves would hide each other.

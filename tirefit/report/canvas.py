@@ -110,6 +110,22 @@ def alone(panel: Panel) -> Picture:
     return picture
 
 
+def axes_panel(
+    draw: Callable[[Any], None], title: str, x_label: str, y_label: str, note: str = ""
+) -> Panel:
+    """A panel of one axes with title, labels, and a legend if lines have labels."""
+
+    def on_figure(figure: Any) -> None:
+        axes = figure.subplots()
+        draw(axes)
+        tidy(axes, x_label, y_label)
+        panel_title(axes, title, note)
+        if axes.get_legend_handles_labels()[1]:
+            axes.legend(frameon=False, fontsize=7.5)
+
+    return Panel(on_figure, title, (WIDE, 3.0))
+
+
 def images_of(panels: Iterable[Panel]) -> list[dict]:
     """The panels for the templates of pages."""
     return [
