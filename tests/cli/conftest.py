@@ -131,4 +131,4 @@ def no_figures(monkeypatch):
         return [folder / "fit.png"]
 
     monkeypatch.setattr("tirefit.report.fit_figures.save_figures", figures)
-    monkeypatch.setattr("tirefit.report.mf_draw.save_magic_formula", figures)
+    monkeypatch.setattr("tirefit.report.mf_figures.save_magic_formula", figures)

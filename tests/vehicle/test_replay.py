@@ -183,7 +183,7 @@ def test_the_command_writes_numbers_and_figure(drive, tmp_path):
     for name in ("replay.png", "series.png"):
         assert (tmp_path / "out" / name).stat().st_size > 10_000
     page = (tmp_path / "out" / "replay.html").read_text()
-    assert page.count("data:image/png;base64,") == 2 and "http:" not in page
+    assert page.count("data:image/png;base64,") == 5 and "http:" not in page
     assert "0.5 s after a start, the predicted car has an rms error of" in page
 
 

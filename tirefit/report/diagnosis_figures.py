@@ -34,7 +34,14 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.curves import slip_axis
 from tirefit.report.diagnosis_answer import answer
-from tirefit.report.diagnosis_sections import foot_line, in_order, part_name, step_label, subject
+from tirefit.report.diagnosis_sections import (
+    foot_line,
+    in_order,
+    part_name,
+    step_label,
+    subject,
+    whole_error,
+)
 from tirefit.report.diagnosis_words import (
     NAMED_VALUES,
     channel_name,
@@ -105,7 +112,8 @@ def budget_bars(result: Diagnosis, channel: str) -> list[Bar]:
     """The parts of a simulator's error, one after the other down to the noise, as shares [%] of
     its mean square."""
     parts, unit = in_order(result.budgets[channel]), UNITS[channel]
-    left, bars = 100.0, [Bar("simulator's error", 0.0, 100.0, "base", "100 %")]
+    text = f"{whole_error(parts)} {unit} (rms), 100 %"
+    left, bars = 100.0, [Bar("simulator's error", 0.0, 100.0, "base", text)]
     for part in parts:
         rest = max(left - 100 * part.share, 0.0) if part.part != "noise" else 0.0
         low, high = (100 * end for end in part.closed_ci)
@@ -128,7 +136,7 @@ def draw_bars(figure: Any, bars: Sequence[Bar], x_label: str, title: str, note: 
             axes.plot(bar.mark, place, "D", ms=6, mfc="white", mec=DARK)
         if bar.kind in ("smooth", "noise") and not bar.left:
             axes.axvline(bar.right, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
-        boxed(axes, 0.01 * reach, place + 0.24, f"{bar.label}: {bar.text}", 9)
+        boxed(axes, 0.01 * reach, place + 0.28, f"{bar.label}: {bar.text}", 9)
     tidy(axes, x_label, size=9.5)
     axes.set_xlim(0, reach)
     axes.set_ylim(-0.4, len(bars) - 0.3)

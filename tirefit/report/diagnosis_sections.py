@@ -54,7 +54,6 @@ _BEYOND = 1.5
 
 _HALF = 0.5  # smallest explained share of a mean square without a warning
 _MOST_STEPS = 3  # largest number of measurements that the short report proposes
-
 _MOST_NEEDS = 8  # largest number of missing columns that the first screen lists
 
 _TELLS_MORE = 0.1
@@ -224,6 +223,12 @@ def part_name(part: Part) -> str:
     return "its parameters" if part.part == "parameters" else name_of(part.part)
 
 
+def whole_error(budget: Sequence[Part]) -> str:
+    """Rms error of the simulator, noise included."""
+    largest = max(budget, key=lambda part: part.share)
+    return format_number(largest.rms / np.sqrt(largest.share), 3)
+
+
 def in_order(budget: Sequence[Part]) -> list[Part]:
     """The parts that are explained, the largest first, then what is left."""
     return sorted(
@@ -236,15 +241,13 @@ def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
     budget, what = result.budgets[channel], "simulator" if result.simulator else "model"
     if not budget:
         return []
-    largest = max(budget, key=lambda part: part.share)
-    whole = format_number(largest.rms / np.sqrt(largest.share), 3)
     return [
         (
             f"{channel_name(channel)}, part of the error",
             f"rms [{UNITS[channel]}]",
             "share of the mean square [90 % interval]",
         ),
-        (f"whole error of the {what}", whole, "100 %"),
+        (f"whole error of the {what}", whole_error(budget), "100 %"),
         *(
             (part_name(part), format_number(part.rms, 3), share_text(part.share, part.closed_ci))
             for part in in_order(budget)

@@ -77,21 +77,17 @@ def note_on(result: FitResult, name: str) -> str:
     return ", ".join(notes)
 
 
+def _row(name: str, value: str, estimate: Estimate, note: str) -> list[str]:
+    interval = format_interval(estimate.ci95, estimate.std)
+    return [name, value, estimate.unit, interval, note]
+
+
 def parameter_rows(result: FitResult) -> Rows:
     """Every parameter, including fixed and tied ones."""
-    return [
-        ["parameter", "value ± std", "unit", "95 % interval", ""],
-        *(
-            [
-                short_label(result, name),
-                value_text(estimate),
-                estimate.unit,
-                format_interval(estimate.ci95, estimate.std),
-                note_on(result, name),
-            ]
-            for name, estimate in result.parameters.items()
-        ),
-    ]
+    rows = [["parameter", "value ± std", "unit", "95 % interval", ""]]
+    for name, one in result.parameters.items():
+        rows.append(_row(short_label(result, name), value_text(one), one, note_on(result, name)))
+    return rows
 
 
 def route_rows(result: FitResult) -> Rows:
@@ -126,17 +122,9 @@ def derived_rows(result: FitResult) -> Rows:
     """The derived quantities that are the same for all runs."""
     channel = derived_channel(result.forces)
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
-    for name, estimate in result.derived.items():
+    for name, one in result.derived.items():
         if channel is not None and name == quantity_of(name):
-            rows.append(
-                [
-                    name,
-                    _derived_value(estimate),
-                    estimate.unit,
-                    format_interval(estimate.ci95, estimate.std),
-                    quantities(channel)[name][1],
-                ]
-            )
+            rows.append(_row(name, _derived_value(one), one, quantities(channel)[name][1]))
     return rows
 
 
@@ -229,16 +217,9 @@ def run_rows(result: FitResult) -> Rows:
     residual = problem.used(problem.rows.observed[name]) - mean[name]
     run = problem.used(problem.rows.run)
     for code in np.unique(run):
-        part = residual[run == code]
-        rms = float(np.sqrt(np.mean(part**2)))
-        rows.append(
-            [
-                short_run(result, str(problem.layout.runs[code])),
-                str(len(part)),
-                format_number(rms, 3),
-                format_number(float(part.mean()), 2),
-            ]
-        )
+        part, label = residual[run == code], short_run(result, str(problem.layout.runs[code]))
+        rms = format_number(float(np.sqrt(np.mean(part**2))), 3)
+        rows.append([label, str(len(part)), rms, format_number(float(part.mean()), 2)])
     return rows
 
 
@@ -248,14 +229,8 @@ def chain_rows(result: FitResult) -> Rows:
     rows = [["parameter", "ESS", "R-hat", "τ [steps]"]]
     for label in result.labels:
         if p is not None and label in p.rhat:
-            rows.append(
-                [
-                    short_label(result, label),
-                    f"{p.ess[label]:.0f}",
-                    f"{p.rhat[label]:.4f}",
-                    f"{p.tau[label]:.1f}",
-                ]
-            )
+            numbers = f"{p.ess[label]:.0f}", f"{p.rhat[label]:.4f}", f"{p.tau[label]:.1f}"
+            rows.append([short_label(result, label), *numbers])
     return rows
 
 
