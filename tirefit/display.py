@@ -29,7 +29,7 @@ class ByName(dict):
 class Displayed:
     """A record that notebooks display as HTML."""
 
-    html_by: ClassVar[str] = "tirefit.report.html:record_fragment"
+    html_by: ClassVar[str] = "tirefit.report.page:record_fragment"
 
     def _repr_html_(self) -> str:
         return _made_by(self.html_by, self)
@@ -52,7 +52,7 @@ class Record(Displayed):
 
     text_by: ClassVar[str]
     plot_by: ClassVar[str]
-    page_by: ClassVar[str] = "tirefit.report.html:record_page"
+    page_by: ClassVar[str] = "tirefit.report.page:record_page"
     save_by: ClassVar[str] = "tirefit.display:save_files"
     internal: ClassVar[tuple[str, ...]] = ()
     """Attributes that completion does not offer."""

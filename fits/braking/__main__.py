@@ -106,7 +106,7 @@ def numbers(controller: str, key: str, values, against) -> dict:
 
 def stops(case: str, asked) -> list[dict]:
     """Numbers of ``tirefit brake`` by controller and road; writes the figures of seed 0."""
-    from tirefit.report.braking import compare_figure, paths_figure, stop_figure
+    from tirefit.report.braking import paths_figure, stop_figure
     from tirefit.report.canvas import save_picture
     from tirefit.sim.brake_result import Braking
     from tirefit.sim.manoeuvre import braked
@@ -116,7 +116,7 @@ def stops(case: str, asked) -> list[dict]:
     result = braked(request, controllers, stops=asked.stops)
     two = {name: result.stops[name] for name in ("xbs-servo", "abs")}
     shown = Braking(request, two, {}, result.seed, result.version)
-    for draw in (stop_figure, compare_figure, paths_figure):
+    for draw in (stop_figure, paths_figure):
         name, picture = draw.__name__.removesuffix("_figure"), draw(shown)
         picture.set_dpi(_DPI)
         save_picture(picture, asked.into / f"{case}_{name}.png")

@@ -10,9 +10,6 @@ import numpy as np
 
 import tirefit
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.report.canvas import Picture
-from tirefit.report.diagnosis_budget import waterfall_steps
-from tirefit.report.diagnosis_draw import draw_waterfall
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent
@@ -57,9 +54,7 @@ def properties() -> dict:
 
 
 def main() -> None:
-    picture = Picture(figsize=(7.0, 3.0), layout="constrained")
-    draw_waterfall(picture, waterfall_steps(diagnosed()))
-    picture.savefig(HERE / "waterfall.png")
+    diagnosed().plot("budget").savefig(HERE / "waterfall.png")
 
 
 if __name__ == "__main__":

@@ -21,8 +21,7 @@ import tirefit  # noqa: E402
 from fits.replay.cars import write_logs  # noqa: E402
 from tirefit.data.vehicle import vehicle_toml  # noqa: E402
 from tirefit.report.canvas import save_picture  # noqa: E402
-from tirefit.report.replay import replay_figure, series_figure  # noqa: E402
-from tirefit.report.trajectory import trajectory_figure  # noqa: E402
+from tirefit.report.vehicle import plotted, trajectory_figure  # noqa: E402
 
 HORIZONS = (0.25, 0.5, 1.0, 2.0)
 STEERING = ("steering_delay", "steering_offset")
@@ -111,8 +110,8 @@ def other_tires(folder: Path, pictures: Path) -> tuple[list[dict], list[str]]:
     logs, _ = write_logs("a", folder / "a")
     result = tirefit.replay(logs, fits["a"].vehicle, *fits["a"].axles.values())
     for name, picture in (
-        ("replay", replay_figure(result)),
-        ("series", series_figure(result)),
+        ("replay", plotted(result, "path")),
+        ("series", plotted(result, "series")),
         ("tires", trajectory_figure(fits["a"])),
     ):
         save_picture(picture, pictures / f"{name}.png")

@@ -15,8 +15,7 @@ from tirefit.data.tir import read_tir
 from tirefit.fitting.mf.result import save_magic_formula
 from tirefit.models import forces
 from tirefit.models.mf import mf_tire
-from tirefit.report.mf_curves import ellipse_panel, force_panels
-from tirefit.report.mf_draw import stacked
+from tirefit.report.mf_figures import ellipse_curves, force_curves, stacked
 
 __all__ = ["chain", "properties"]
 
@@ -70,9 +69,9 @@ def properties() -> dict[str, float]:
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
     _, fit = chain()
-    stacked(force_panels(fit, "fy")[:1]).savefig(HERE / "by_load.png", dpi=90)
-    stacked(force_panels(fit, "fx")[-1:]).savefig(HERE / "combined.png", dpi=90)
-    stacked(ellipse_panel(fit)).savefig(HERE / "ellipse.png", dpi=90)
+    stacked(force_curves(fit, "fy")[:1]).savefig(HERE / "by_load.png", dpi=90)
+    stacked(force_curves(fit, "fx")[-1:]).savefig(HERE / "combined.png", dpi=90)
+    stacked(ellipse_curves(fit)).savefig(HERE / "ellipse.png", dpi=90)
     for name, value in properties().items():
         print(f"{name:<36} {value:.6g}")
 

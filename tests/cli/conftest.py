@@ -130,5 +130,5 @@ def no_figures(monkeypatch):
         (folder / "fit.png").touch()
         return [folder / "fit.png"]
 
-    monkeypatch.setattr("tirefit.report.fit_panels.save_figures", figures)
-    monkeypatch.setattr("tirefit.report.mf_draw.save_magic_formula", figures)
+    monkeypatch.setattr("tirefit.report.fit_figures.save_figures", figures)
+    monkeypatch.setattr("tirefit.report.mf_figures.save_magic_formula", figures)

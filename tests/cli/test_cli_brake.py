@@ -18,14 +18,7 @@ def test_controllers_are_compared_on_each_road(run, tmp_path):
     assert "locked: time with a wheel at kappa >= " in said
     assert "means of 3 seeds from 4" in said and "recovery" not in said
     made = {path.name for path in (tmp_path / "o").iterdir()}
-    assert made == {
-        "summary.json",
-        "series.csv",
-        "stops.csv",
-        "stop.png",
-        "compare.png",
-        "slip.png",
-    }
+    assert made == {"summary.json", "series.csv", "stops.csv", "stop.png", "slip.png"}
     summary = json.loads((tmp_path / "o" / "summary.json").read_text())
     assert summary["schema"] == "tirefit.brake/1" and summary["seed"] == 4
     assert summary["convention"] == "braking, SI"
@@ -57,7 +50,7 @@ def test_fits_are_accepted_as_tires(run, tmp_path):
     braked = ("brake", *QUICK, "--controller", "abs", "--tire")
     run(*braked, "f/fit.json", "--out", "o")
     (tmp_path / "p").mkdir()
-    for name in ("compare.png", "stops.csv"):
+    for name in ("stops.csv",):
         (tmp_path / "p" / name).touch()
     said = run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p").stdout
     assert "BRAKING brush from 6 m/s on mu=0.5, quarter" in said

@@ -456,7 +456,7 @@ def test_an_earlier_result_survives_a_failed_write(again, known, unrendered, tmp
     def full(result):
         raise OSError(28, "disk full")
 
-    monkeypatch.setattr("tirefit.report.diagnosis_html.diagnosis_page", full)
+    monkeypatch.setattr("tirefit.report.diagnosis_report.diagnosis_page", full)
     result = again("load.csv", "--figures", "--seed", "5", exit_code=2)
     assert "disk full" in result.stderr
     assert contents(tmp_path / "out") == before

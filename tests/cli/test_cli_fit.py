@@ -59,7 +59,7 @@ def short(tmp_path_factory):
     """A folder with a fit whose chain is too short, and the output of its command."""
     folder = tmp_path_factory.mktemp("short")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tirefit.report.fit_panels.save_figures", lambda *_, **__: [])
+        patch.setattr("tirefit.report.fit_figures.save_figures", lambda *_, **__: [])
         return folder, sampled(folder, FAST + "max_steps = 100\n", 4)
 
 
@@ -122,7 +122,7 @@ def test_one_bad_file_does_not_stop_the_others(run, unrendered, rig, tmp_path):
     assert not (tmp_path / "bad").exists()  # nothing half-written
     assert (tmp_path / "rig" / "fit.html").exists()
     page = (tmp_path / "fits.html").read_text()
-    assert "of 2 files: 1 ok, 1 not fitted" in page and "bad.csv: not fitted" in page
+    assert "of 2 files: 1 ok, 1 failed" in page and "bad.csv: failed" in page
     assert "wrote fits.html" in result.stdout
 
 

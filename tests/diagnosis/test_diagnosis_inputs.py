@@ -15,7 +15,7 @@ from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.simulator import given_simulator
 from tirefit.models import MODELS, Brush
-from tirefit.report.diagnosis_text import diagnosis_text
+from tirefit.report.diagnosis_report import diagnosis_text
 from tirefit.results import DataError, TirefitError, UsageError
 
 FEW = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]

@@ -20,7 +20,7 @@ from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.runs import shrunk
 from tirefit.diagnosis.rows.slips import AHEAD, slip_rate
 from tirefit.diagnosis.summary.closure import closure_elsewhere, of_so_few_runs, without_each
-from tirefit.report.diagnosis_text import diagnosis_text
+from tirefit.report.diagnosis_report import diagnosis_text
 from tirefit.results import UsageError
 
 KNOWN = effects_by_id(EFFECTS)

@@ -11,7 +11,7 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.structure import structures_of
-from tirefit.report.diagnosis_text import diagnosis_text
+from tirefit.report.diagnosis_report import diagnosis_text
 from tirefit.results import DataError
 
 LOAD, CPA2, MU = 4000.0, 4e4, 0.9

@@ -13,7 +13,7 @@ from tirefit.fitting.estimate import fit
 from tirefit.fitting.far_rows import settle
 from tirefit.fitting.inference import half_width_95
 from tirefit.params import constrain
-from tirefit.report.text import fit_report
+from tirefit.report.fit_report import fit_report
 
 ROWS = [11, 120, 121, 240, 313, 399]
 """Of 400: three in two hundred."""

@@ -84,7 +84,7 @@ def test_one_force_of_combined_rows_is_fitted_at_both_slips():
         assert found.identified and abs(found.value - value) < 3 * found.std
     # At one load, the curves belong to three lateral slips.
     curve = fit_curve(result)
-    assert curve.note == "points moved along the fit to these slips"
+    assert curve.note == "points moved along the fit to $F_z$ = 4000 N"
     for group, one in zip(curve.groups, curve.curves, strict=True):
         label, sign, angle = group.label.partition("≈")
         assert (label, sign) == (r"$\alpha$ ", "≈") and one.label == group.label

@@ -14,8 +14,8 @@ from tirefit.fitting.importance import draw_weighted, smoothed
 from tirefit.fitting.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.posterior import _density, _whitening, sample
 from tirefit.fitting.store import posterior_content
-from tirefit.report.fit_panels import save_figures
-from tirefit.report.text import fit_report
+from tirefit.report.fit_figures import save_figures
+from tirefit.report.fit_report import fit_report
 from tirefit.results import Outcome, UsageError
 
 

@@ -23,7 +23,7 @@ from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem import build
 from tirefit.fitting.verdict import disagreements, judge
-from tirefit.report.text import fit_report
+from tirefit.report.fit_report import fit_report
 from tirefit.results import DataError, Outcome, UsageError
 
 

@@ -16,7 +16,7 @@ from tirefit.fitting.family import family_of, probabilities, reached, shape_in_d
 from tirefit.fitting.others import solved_as
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import solve_problem
-from tirefit.report.text import fit_report
+from tirefit.report.fit_report import fit_report
 from tirefit.results import ExitCode, Outcome, exit_code
 
 HALF = 0.5  # of full sliding, where a brush has 1 - 0.5^3 = 87.5 % of its peak

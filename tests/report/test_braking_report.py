@@ -9,7 +9,7 @@ import pytest
 from tirefit.models import MODELS
 from tirefit.online.controllers import controller_of
 from tirefit.params import with_values
-from tirefit.report.braking import braking_text, compare_figure, path_of, paths_figure, stop_figure
+from tirefit.report.braking import braking_text, path_of, paths_figure, stop_figure
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
 from tirefit.sim.brake_vehicle import four_wheels
 from tirefit.sim.manoeuvre import braked
@@ -71,6 +71,6 @@ def test_a_path_lies_on_the_curve(result):
 
 @pytest.mark.long
 def test_figures_are_drawn_for_one_and_for_all_stops(result):
-    pictures = [draw(result) for draw in (stop_figure, compare_figure, paths_figure)]
+    pictures = [draw(result) for draw in (stop_figure, paths_figure)]
     assert all(picture._repr_png_().startswith(b"\x89PNG") for picture in pictures)
     assert len(pictures[0].axes) == 18

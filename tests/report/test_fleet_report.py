@@ -4,11 +4,11 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tirefit.data.records import FileRecord, ResultsTable, Row, dates_of, records_into
-from tirefit.fitting.across_files import across_files
-from tirefit.report.fleet import Quantity, fleet_of, points, quantity_figure
-from tirefit.report.fleet_html import fleet_page, write_fleet_page
+from tirefit.report.many_files import files_of_table, files_page, points_of, write_fleet_page
+from tirefit.report.values import Points, binned, draw_points
 
 WILD = 17
 
@@ -83,56 +83,42 @@ def test_an_unfinished_table_leaves_no_file(tmp_path):
 
 @pytest.mark.parametrize("dated", [True, False])
 def test_drift_and_the_outlying_file_are_found(table, dated):
-    fleet = fleet_of(table(200, dated=dated))
+    fleet = files_of_table(table(200, dated=dated))
     assert (fleet.dates is not None) == dated
     mu, stiffness, rmse = fleet.quantities
     assert mu.across.drifts and abs(mu.across.change + 0.1) < 4 * mu.across.change_std
-    assert mu.number[mu.across.outlier].tolist() == [WILD + 1]
-    assert stiffness.untold == 20 and len(stiffness.value) == 179
+    assert np.flatnonzero(points_of(fleet, mu).far).tolist() == [WILD]
+    assert np.isfinite(stiffness.value).sum() == 199 and stiffness.known.sum() == 179
     assert not rmse.across.drifts
 
 
-@pytest.mark.parametrize(("n", "binned"), [(120, False), (2000, True)])
-def test_many_files_are_drawn_as_bins_of_neighbours(table, n, binned):
-    mu = fleet_of(table(n, dated=False)).quantities[0]
-    drawn = points(mu, most=100 if binned else 300)
-    assert drawn.binned == binned
-    assert len(drawn.value) == (100 if binned else n - 2)
-    assert drawn.other_value == pytest.approx([mu.value[WILD]])
-    inside = (drawn.low < drawn.value) & (drawn.value < drawn.high)
-    assert inside.all() and np.all(np.diff(drawn.when) > 0)
-    if binned:  # the bins keep the drift
-        slope = np.polyfit(drawn.when, drawn.value, 1)[0]
-        assert slope == pytest.approx(-0.1 / n, rel=0.1)
+@pytest.mark.parametrize(("n", "in_bins"), [(120, False), (2000, True)])
+def test_many_files_are_drawn_as_bins_of_neighbours(table, n, in_bins):
+    files = files_of_table(table(n, dated=False))
+    mu = files.quantities[0]
+    drawn = binned(points_of(files, mu), most=100 if in_bins else 300)
+    assert drawn.value[drawn.far] == pytest.approx([mu.value[WILD]])
+    near = drawn.known & ~drawn.far
+    assert near.sum() == (100 if in_bins else n - 2)
+    when, value = drawn.at[near], drawn.value[near]
+    assert np.all((drawn.low[near] < value) & (value < drawn.high[near]))
+    assert np.all(np.diff(when) > 0)
+    if in_bins:  # the bins keep the drift
+        assert np.polyfit(when, value, 1)[0] == pytest.approx(-0.1 / n, rel=0.1)
 
 
-def ticks(axis):
-    """The visible ones."""
-    low, high = axis.get_view_interval()
-    return np.array([t for t in axis.get_majorticklocs() if low <= t <= high])
-
-
-@pytest.mark.parametrize("dated", [True, False])
 @pytest.mark.parametrize(
-    ("kind", "values", "whole"),
-    [
-        ("statistic", [400.0, 401.0, 401.0], True),
-        ("statistic", [400.0, 400.0, 400.0], True),
-        ("statistic", [39.5, 40.0, 41.0], False),
-        ("parameter", [1.0, 2.0, 2.0], False),
-    ],
+    ("values", "whole"),
+    [([400.0, 401.0, 401.0], True), ([400.0] * 3, True), ([39.5, 40, 41], False)],
 )
-def test_axes_of_counts_have_whole_numbers(kind, values, whole, dated):
-    values, zero = np.array(values), np.zeros(len(values))
-    number = np.arange(1, len(values) + 1)
-    when = 19000.0 + number if dated else 1.0 * number
-    across = across_files(values, zero, when)
-    one = Quantity(kind, "n", "", number, when, values, zero, 0, across)
-    (axes,) = quantity_figure(one, dated).axes
-    seen = ticks(axes.yaxis)
+def test_axes_of_counts_have_whole_numbers(values, whole):
+    axes, value = Figure().subplots(), np.array(values)
+    there = np.ones(3, bool)
+    draw_points(axes, Points("n", "abc", np.arange(3.0), *[value] * 3, there, ~there, whole=whole))
+    low, high = axes.yaxis.get_view_interval()
+    seen = np.array([t for t in axes.yaxis.get_majorticklocs() if low <= t <= high])
     assert len(seen) and np.array_equal(seen, np.round(seen)) == whole
-    if not dated:
-        assert np.array_equal(ticks(axes.xaxis), number)
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == list("abc")
 
 
 def test_the_page_is_small_complete_and_escaped(table, tmp_path):
@@ -148,7 +134,7 @@ def test_the_page_is_small_complete_and_escaped(table, tmp_path):
 
 
 def test_a_page_is_written_if_all_files_failed(table, tmp_path):
-    page = fleet_page(fleet_of(table(1)), "diagnose")
+    page = files_page(files_of_table(table(1)), "diagnose")
     assert "no quantity of three files or more" in page and "1 failed" in page
 
 

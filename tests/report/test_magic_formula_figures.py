@@ -10,8 +10,13 @@ from tirefit.data.read import read_frame
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
-from tirefit.report.mf_curves import ellipse_panel, force_panels, residual_panel
-from tirefit.report.mf_draw import magic_formula_page, save_magic_formula
+from tirefit.report.magic_formula import magic_formula_page
+from tirefit.report.mf_figures import (
+    ellipse_curves,
+    force_curves,
+    residual_curve,
+    save_magic_formula,
+)
 from tirefit.results import UsageError
 
 LOADS = (2000.0, 4000.0, 6000.0)
@@ -51,41 +56,38 @@ def fit(table):
 
 
 def test_points_are_medians_of_rows_and_curves_show_the_tire(fit, table):
-    panel = next(p for p in force_panels(fit, "fx") if "load" in p.title)
-    assert [group.label for group in panel.curve.groups] == ["2000 N", "4000 N", "6000 N"]
-    for load, group, curve in zip(LOADS, panel.curve.groups, panel.curve.curves, strict=True):
+    panel = next(p for p in force_curves(fit, "fx") if "load" in p.title)
+    assert [group.label for group in panel.groups] == ["2000 N", "4000 N", "6000 N"]
+    for load, group, curve in zip(LOADS, panel.groups, panel.curves, strict=True):
         kappa = table["sigma_x"] / (1 + table["sigma_x"])
         rows = (np.abs(table["fz"] / load - 1) < 0.1) & (table["alpha"] == 0)
         for x, force, low, high in zip(group.slip, group.force, group.low, group.high, strict=True):
             near = rows & (np.abs(kappa - x / 100) < 0.4 / 64)
             assert low <= force <= high
-            assert force == pytest.approx(np.median(table["fx"][near]), abs=0.03 * load)
-        # The rows' load follows the slip, and so does that of the curve.
+            # The load of the rows follows the slip: the points are moved to that of the curve.
+            expected = np.median(table["fx"][near] * load / table["fz"][near])
+            assert force == pytest.approx(expected, abs=0.03 * load)
         slip = curve.slip / 100
-        at = TireInputs(slip / (1 - slip), 0.0, load * (1 + 0.2 * slip))
+        at = TireInputs(slip / (1 - slip), 0.0, load)
         np.testing.assert_allclose(curve.force, forces(fit.tire, at).fx, atol=0.01 * load)
         assert np.all(curve.noise_low < curve.force) and np.all(curve.force < curve.noise_high)
 
 
 def test_a_wrong_setting_is_named(fit):
-    panel = residual_panel(fit, "fx")
-    assert "4000 N" in panel.curve.note and "slip angle 3 deg" in panel.curve.note
+    panel = residual_curve(fit, "fx")
+    assert "4000 N" in panel.note and "slip angle 3 deg" in panel.note
     assert [text for _, text in panel.ticks] == ["2000 N", "4000 N", "6000 N"]
-    of_odd = next(g for g in panel.curve.groups if g.label == "slip angle 3 deg")
+    of_odd = next(g for g in panel.groups if g.label == "slip angle 3 deg")
     assert np.max(of_odd.force) > 0.5 * ODD[2]
 
 
 def test_the_ellipse_shows_both_forces_of_similar_rows(fit, table):
-    (panel,) = ellipse_panel(fit)
-    assert panel.curve.note == "6000 N, camber 0 deg"
-    assert [g.label for g in panel.curve.groups] == [
-        "straight",
-        "slip angle 3 deg",
-        "slip angle 6 deg",
-    ]
+    (panel,) = ellipse_curves(fit)
+    assert panel.note == "6000 N, camber 0 deg"
+    assert [g.label for g in panel.groups] == ["straight", "slip angle 3 deg", "slip angle 6 deg"]
     rows = (np.abs(table["fz"] / 6000 - 1) < 0.1) & (table["alpha"] == ANGLES[2])
     ratio = table["fy"][rows] / table["fz"][rows]
-    assert np.max(panel.curve.groups[2].force) == pytest.approx(ratio.max(), rel=0.03)
+    assert np.max(panel.groups[2].force) == pytest.approx(ratio.max(), rel=0.03)
 
 
 def test_figures_and_page_are_written_completely(fit, tmp_path):
@@ -98,7 +100,8 @@ def test_figures_and_page_are_written_completely(fit, tmp_path):
     page = without_pictures(lambda: magic_formula_page(fit))
     links = Page(page).links
     assert len(links) == 6 and all(x.startswith("data:image/png") for x in links)
-    assert "MAGIC FORMULA mf61" in page
+    texts = " ".join(Page(page).texts)
+    assert texts.index("Verdict: ") < texts.index("Forces") < texts.index("Data and settings")
     assert "data:image/png" in fit._repr_html_()
 
 

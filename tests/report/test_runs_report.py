@@ -16,11 +16,9 @@ from tirefit.fitting.result import PosteriorSummary
 from tirefit.fitting.store import record_of_fit
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
-from tirefit.report.by_name import run_points
-from tirefit.report.fit_panels import figure_of
-from tirefit.report.html import fit_fragment
-from tirefit.report.text import fit_report, summary_table
-from tirefit.report.uncertainty import corner_data, trace_data
+from tirefit.report.fit_figures import figure_of, run_points
+from tirefit.report.fit_report import fit_fragment, fit_report
+from tirefit.report.many_files import summary_table
 from tirefit.results import Outcome, UsageError
 
 RUNS = tuple(f"drum_2026-03-12_cold_asphalt_run{i:02d}_brake" for i in range(1, 15))
@@ -119,101 +117,51 @@ def test_a_summary_has_every_column_of_every_fit(by_run):
     assert all(line.startswith(("  run0", "  fit ", "  ---")) for line in lines[2:] if line)
 
 
-def test_a_corner_of_twenty_parameters_is_legible(by_run):
+def texts_of(picture):
+    """Labels of the lowest axes, and titles."""
+    return [axes.get_xlabel() for axes in picture.axes], [t.get_text() for t in picture.texts]
+
+
+def test_a_corner_of_many_parameters_shows_ten_of_them(by_run):
     picture = figure_of(by_run, "corner")
-    texts = drawn_texts(picture)
-    labels = [text for text, _ in texts if "(run" in text]
-    assert len(labels) == 2 * 20 and len(set(labels)) == 20
-    assert overlapping(texts) == []
+    labels, titles = texts_of(picture)
+    assert len(set(filter(None, labels))) == 10 and len(picture.axes) == 55
+    assert any("10 of 28 parameters" in text for text in titles)
     width, height = picture.get_size_inches() * picture.dpi
-    for text, box in texts:
+    for text, box in drawn_texts(picture):
         assert box.x0 > 0 and box.y0 > 0 and box.x1 < width and box.y1 < height, text
-    assert any("20 of 28 parameters" in text for text, _ in texts)
-
-
-def test_the_grid_shows_the_density_of_the_regions(by_run):
-    corner = corner_data(by_run, ["mu"])
-    assert len(corner.labels) == 14
-    flat = by_run.chains.reshape(-1, 28)[:, 14:]
-    np.testing.assert_allclose(corner.correlation, np.corrcoef(flat.T), atol=1e-9)
-    picture = figure_of(by_run, "corner", parameters=["mu"])
-    image = picture.axes[0].images[0].get_array()
-    bins = corner.density.shape[1]
-    for i, j in ((1, 0), (13, 4)):
-        cell = image[i * bins : (i + 1) * bins, j * bins : (j + 1) * bins]
-        joint, (outer, inner) = corner.joint[i, j], corner.levels[i, j]
-        # Upwards is what the parameter of the row gains.
-        np.testing.assert_array_equal(cell[::-1] >= 1, joint >= outer)
-        np.testing.assert_array_equal(cell[::-1] >= 2, joint >= inner)
-    assert not image[:bins, bins:].any()
 
 
 def test_corner_and_trace_draw_the_requested_parameters(by_run):
-    corner = corner_data(by_run, ["cpa2[run02]", f"mu[{RUNS[1]}]"])
-    assert [label.split(" [")[0] for label in corner.labels] == [
-        "$c_p a^2$ (run02)",
-        r"$\mu$ (run02)",
-    ]
-    (axes,) = by_run.plot("corner", parameters=["mu[run02]", "mu[run03]"]).axes
-    names = [label.get_text() for label in axes.get_yticklabels(minor=True)]
-    assert names == [r"$\mu$ (run02) [-]", r"$\mu$ (run03) [-]"]
-    assert len(by_run.plot("trace", parameters=["mu"]).axes) == 28
+    corner = by_run.plot("corner", parameters=["mu[run02]", f"mu[{RUNS[2]}]"])
+    assert list(filter(None, texts_of(corner)[0])) == [r"$\mu$ (run02) [-]", r"$\mu$ (run03) [-]"]
+    trace = by_run.plot("trace", parameters=["mu"])
+    assert len(trace.axes) == 14
+    # A line for each ensemble, in order.
+    drawn = [line.get_ydata() for line in trace.axes[0].lines]
+    np.testing.assert_array_equal(drawn, by_run.chains[..., 14])
     with pytest.raises(UsageError, match=r"no free parameter d, mu\[x\]") as caught:
         by_run.plot("corner", parameters=["mu", "d", "mu[x]"])
     assert "it has cpa2[run01]" in str(caught.value)
 
 
 def test_a_trace_shows_the_parameters_that_agree_least(by_run):
-    trace = trace_data(by_run)
-    worst = by_run.labels[-10:]
-    np.testing.assert_allclose(trace.rhat, [by_run.posterior.rhat[label] for label in worst])
-    assert trace.note == ("10 of 28 parameters; the others: R-hat at most 1.018, ESS at least 900")
-    assert overlapping(drawn_texts(figure_of(by_run, "trace"))) == []
-
-
-def test_long_names_do_not_overlap_their_panels(by_run):
-    names = [f"{'x' * i}michelin_{i * 7919}_hot_track_of_monday" for i in range(14)]
-    runs = dict(zip(RUNS, names, strict=True))
-
-    def renamed(label):
-        name, _, run = label.partition("[")
-        return f"{name}[{runs[run[:-1]]}]"
-
-    layout = replace(by_run.problem.layout, runs=tuple(names))
-    parts = {
-        part: {renamed(k): v for k, v in getattr(by_run, part).items()}
-        for part in ("parameters", "least_squares", "derived")
-    }
-    result = replace(
-        by_run,
-        labels=tuple(map(renamed, by_run.labels)),
-        data=by_run.data | {"runs": names},
-        posterior=None,
-        **parts,
-        problem=replace(by_run.problem, layout=layout),
-    )
-    for count in (4, 6):
-        asked = [f"mu[{name}]" for name in names[:count]]
-        assert overlapping(drawn_texts(figure_of(result, "corner", parameters=asked))) == []
-
-
-def test_a_profile_of_some_parameters_states_their_number(by_run):
-    picture = figure_of(by_run, "profile")
-    assert len(picture.axes) == 24
-    assert "24 of 28 parameters" in [text.get_text() for text in picture.texts]
+    picture = figure_of(by_run, "trace")
+    titles = [axes.get_title(loc="right") for axes in picture.axes]
+    worst = [by_run.posterior.rhat[label] for label in by_run.labels[-10:]]
+    assert titles == [f"R-hat {rhat:.3f}, ESS 900" for rhat in worst]
+    assert overlapping(drawn_texts(picture)) == []
 
 
 def test_runs_are_drawn_side_by_side(by_run):
     panels = run_points(by_run)
-    # F_max, its share of the load and mu F_z are mu in other units, C_x is cpa2.
-    assert [p.label for p in panels] == ["cpa2 [N]", "mu [-]", "slip_at_peak [-]"]
+    assert [p.label for p in panels] == ["cpa2 [N]", "mu [-]"]
     mu = panels[1]
-    assert mu.names == tuple(f"run{i:02d}" for i in range(1, 15))
+    assert mu.names == [f"run{i:02d}" for i in range(1, 15)]
     expected = [by_run.parameters[f"mu[{run}]"] for run in RUNS]
     np.testing.assert_array_equal(mu.value, [one.value for one in expected])
     np.testing.assert_array_equal(np.stack([mu.low, mu.high], 1), [one.ci95 for one in expected])
-    picture = by_run.plot("runs")
-    assert overlapping(drawn_texts(picture)) == []
+    assert overlapping(drawn_texts(by_run.plot("runs"))) == []
 
 
 def test_an_undetermined_run_does_not_set_the_scale(by_run):
@@ -222,9 +170,9 @@ def test_an_undetermined_run_does_not_set_the_scale(by_run):
         by_run.parameters[label], value=2.9, std=None, ci95=(0.1, None), identified=False
     )
     result = replace(by_run, parameters=by_run.parameters | {label: free})
-    picture = result.plot("runs")
-    assert max(axes.get_ylim()[1] for axes in picture.axes[1:2]) < 1.2
-    assert any("grey: not identified" in text.get_text() for text in picture.texts)
+    axes = result.plot("runs").axes[1]
+    assert axes.get_ylim()[1] < 1.2
+    assert any("grey: not identified" in text.get_text() for text in axes.texts)
 
 
 def test_one_run_has_no_comparison_figure(by_run):

@@ -17,7 +17,7 @@ from tirefit.data.tir import read_tir
 from tirefit.fitting.source import axle_tire
 from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
-from tirefit.report.replay import replay_text
+from tirefit.report.vehicle import replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.conclusion import conclusions, turning
 from tirefit.vehicle.errors import QUANTITIES, Errors
@@ -215,7 +215,7 @@ def test_the_command_writes_numbers_and_figure(drive, tmp_path):
     for name in ("replay.png", "series.png"):
         assert (tmp_path / "out" / name).stat().st_size > 10_000
     page = (tmp_path / "out" / "replay.html").read_text()
-    assert page.count("data:image/png;base64,") == 2 and "http:" not in page
+    assert page.count("data:image/png;base64,") == 5 and "http:" not in page
     assert "0.5 s after a start, the predicted car has an rms error of" in page
 
 

@@ -18,7 +18,7 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import InputProblem, UsageError
 
-_FIGURES = {"stop.png": "stop", "slip.png": "slip", "compare.png": "compare"}
+_FIGURES = {"stop.png": "stop", "slip.png": "slip"}
 FILES = ("summary.json", "series.csv", "stops.csv", *_FIGURES)
 
 Vehicle = StrEnum("Vehicle", "car quarter")
@@ -86,6 +86,4 @@ def brake(
             )  # fmt: skip
             for text in result.notes:
                 complain(f"warning: {text}")
-            several = len(result.stops) > 1
-            figures = {k: v for k, v in _FIGURES.items() if several or v != "compare"}
-            write_result(result, out, FILES, figures)
+            write_result(result, out, FILES, _FIGURES)

@@ -241,7 +241,7 @@ def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:
 def _report_all(done: list[Outcome], pieces: list[Piece], fits: dict[str, Any]) -> None:
     """Of several fits, print the summary and write the page."""
     if len(pieces) > 1:
-        from tirefit.report.text import summary_table
+        from tirefit.report.many_files import summary_table
 
         records = [outcome.record for outcome in done]
         say(summary_table([record for record in records if record.rows]))
@@ -255,7 +255,7 @@ def _page_of_all(folder: Path, fits: dict[str, Any], failed: dict[str, str]) -> 
 
     page = folder / PAGE_OF_ALL
     if fits:
-        from tirefit.report.fits_html import write_fits_page
+        from tirefit.report.many_files import write_fits_page
 
         write_fits_page(fits, page, failed)
         say(f"wrote {page}")

@@ -22,7 +22,7 @@ PAGE, CHAIN = "fit.html", "chain.npz"
 
 def fit_files(directory: Path) -> list[Path]:
     """Every file that a fit may write or replace in its folder."""
-    from tirefit.report.fit_panels import FIGURE_FILES
+    from tirefit.report.fit_figures import FIGURE_FILES
 
     names = ("fit.json", "posterior.nc", CHAIN, PAGE, *FIGURE_FILES)
     return [directory / name for name in names]
@@ -143,7 +143,7 @@ def wrote(directory: Path, written: Collection[Path]) -> str:
 
 def _save(result, directory: Path, also: Also) -> list[Path]:
     from tirefit.fitting.result import SCHEMA
-    from tirefit.report.fit_panels import FIGURE_FILES, save_figures
+    from tirefit.report.fit_figures import FIGURE_FILES, save_figures
 
     earlier = [PAGE] if is_page(directory / PAGE, SCHEMA) else []
     with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier], result) as folder:

@@ -158,7 +158,7 @@ def fleet(
     At the end ``out`` holds the table of all results and its page.
     """
     from tirefit.data.records import records_into
-    from tirefit.report.fleet_html import write_fleet_page
+    from tirefit.report.many_files import write_fleet_page
 
     content = pickle.dumps((attempt, task))
     work = partial(_apart, (os.getcwd(), __version__), content)

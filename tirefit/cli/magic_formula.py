@@ -112,7 +112,7 @@ _ADVICE = "give starting values in fit.toml or fix a parameter"
 
 def _files(out: Path) -> list[Path]:
     """Every file that a fit of a whole Magic Formula may write or replace."""
-    from tirefit.report.mf_draw import MAGIC_FORMULA_FILES
+    from tirefit.report.mf_figures import MAGIC_FORMULA_FILES
 
     return [*fit_files(out), *(out / name for name in ("fit.tir", *MAGIC_FORMULA_FILES))]
 
@@ -120,8 +120,8 @@ def _files(out: Path) -> list[Path]:
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
     from tirefit.fitting.result import SCHEMA
-    from tirefit.report.fit_panels import FIGURE_FILES
-    from tirefit.report.mf_draw import MAGIC_FORMULA_FILES, save_magic_formula
+    from tirefit.report.fit_figures import FIGURE_FILES
+    from tirefit.report.mf_figures import MAGIC_FORMULA_FILES, save_magic_formula
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
     earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]

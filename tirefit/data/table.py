@@ -125,7 +125,7 @@ class TireData(Displayed):
     NaN. ``run`` (n,) int indexes ``runs``.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.html:data_fragment"
+    html_by: ClassVar[str] = "tirefit.report.page:data_fragment"
 
     name: str
     columns: Mapping[str, np.ndarray]

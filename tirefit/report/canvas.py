@@ -1,4 +1,4 @@
-"""Style of all figures: colours, sizes, title, footnote, files; no global state.
+"""Parts of all figures: colours, axes with units, points, bands, legends, panels, files.
 
 Only matplotlib's object API is used: pyplot imports slowly and keeps global lists.
 """
@@ -6,16 +6,18 @@ Only matplotlib's object API is used: pyplot imports slowly and keeps global lis
 import io
 import textwrap
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tirefit.files import replacing
 from tirefit.report.numbers import plain_text
+from tirefit.report.page import image_of
 
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
 RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
@@ -28,6 +30,12 @@ _FARTHEST = 20
 
 WIDTH = 7.0
 DPI = 130
+WIDE = 4.6
+"""Width [in] of a picture of a page: on a screen of 375 pixels, 8.5 points are then 9.6
+pixels high."""
+_MOST_LINES = 5  # of the text below the title of a figure
+_NOTE = 66  # largest number of characters in a line of a panel's note
+_PIXELS = 100  # of the page per inch of a panel that scrolls
 
 
 class Picture(Figure):
@@ -61,22 +69,111 @@ def frame(
         color: of the text.
     """
     width, height = size
-    lines = textwrap.wrap(text, int(14.3 * width), max_lines=2, placeholder=" …")
-    head = 0.4 + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))
-    height += head + 0.2
+    heads = textwrap.wrap(title, int(9.5 * width), max_lines=2, placeholder=" …")
+    lines = textwrap.wrap(text, int(14.3 * width), max_lines=_MOST_LINES, placeholder=" …")
+    feet = textwrap.wrap(foot, int(18.5 * width))
+    below, above = 0.06 + 0.12 * len(feet), 0.2 + 0.2 * len(heads)
+    head = above + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))
+    height += head + below
     picture = Picture(figsize=(width, height))
-    box = (0, 0.2 / height, 1, 1 - (head + 0.2) / height)
+    box = (0, below / height, 1, 1 - (head + below) / height)
     picture.set_layout_engine("constrained", rect=box)
     for y, said, letters, weight, shade in (
-        (height - 0.10, plain_text(title), 10.5, "bold", DARK),
-        (height - 0.31, plain_text("\n".join(lines)), 8.5, "normal", color),
-        (0.17, plain_text(foot), 6.5, "normal", GREY),
+        (height - 0.10, plain_text("\n".join(heads)), 10.5, "bold", DARK),
+        (height - above + 0.09, plain_text("\n".join(lines)), 8.5, "normal", color),
+        (below - 0.03, plain_text("\n".join(feet)), 6.5, "normal", GREY),
         (height - head + 0.14 * len(note.splitlines()), note, 7.5, "normal", DARK),
     ):
         picture.text(
             0.02, y / height, said, va="top", fontsize=letters, fontweight=weight, color=shade
         )
     return picture
+
+
+class Panel(NamedTuple):
+    """One panel: the function that draws it on a figure, a description in words, its size
+    [in], a note in small print, and whether it may not shrink to the width of a phone."""
+
+    draw: Callable[[Any], None]
+    alternative: str
+    size: tuple[float, float] = (WIDE, 2.3)
+    note: str = ""
+    scrolls: bool = False
+
+
+def alone(panel: Panel) -> Picture:
+    """The panel as a picture."""
+    picture = Picture(figsize=panel.size, layout="constrained")
+    panel.draw(picture)
+    if panel.note:
+        picture.suptitle(panel.note, x=0.02, ha="left", fontsize=7.5, color=DARK)
+    return picture
+
+
+def axes_panel(
+    draw: Callable[[Any], None], title: str, x_label: str, y_label: str, note: str = ""
+) -> Panel:
+    """A panel of one axes with title, labels, and a legend if lines have labels."""
+
+    def on_figure(figure: Any) -> None:
+        axes = figure.subplots()
+        draw(axes)
+        tidy(axes, x_label, y_label)
+        panel_title(axes, title, note)
+        if axes.get_legend_handles_labels()[1]:
+            axes.legend(frameon=False, fontsize=7.5)
+
+    return Panel(on_figure, title, (WIDE, 3.0))
+
+
+def images_of(panels: Iterable[Panel]) -> list[dict]:
+    """The panels for the templates of pages."""
+    return [
+        image_of(alone(one), one.alternative, round(_PIXELS * one.size[0]) if one.scrolls else 0)
+        for one in panels
+    ]
+
+
+def together(
+    panels: Sequence[Panel], title: str, text: str, foot: str, columns: int = 1, color: str = DARK
+) -> Picture:
+    """The panels in rows, with title, text and footnote; the first row has the first panel
+    alone if the rows would not be full otherwise.
+
+    Args:
+        color: of the text.
+    """
+    first = (len(panels) - 1) % columns + 1
+    rows = [panels[:first], *(panels[i : i + columns] for i in range(first, len(panels), columns))]
+    heights = [max(panel.size[1] for panel in row) for row in rows]
+    width = max(WIDTH if columns > 1 else WIDE, *(panel.size[0] for panel in panels))
+    picture = frame(title, text, foot, (width, sum(heights)), panels[0].note, color)
+    parts = picture.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
+    for part, row in zip(parts.ravel(), rows, strict=True):
+        for cell, panel in zip(part.subfigures(1, len(row), squeeze=False)[0], row, strict=True):
+            panel.draw(cell)
+    return picture
+
+
+def legend_below(figure: Any, handles: Sequence[Any], title: str = "", columns: int = 2) -> None:
+    """Draw the legend of a panel below its axes."""
+    figure.legend(
+        handles=handles,
+        loc="outside lower left",
+        ncols=columns,
+        fontsize=8,
+        frameon=False,
+        title=title or None,
+        title_fontsize=8,
+        alignment="left",
+    )
+
+
+def colors_of(count: int) -> Sequence[Any]:
+    """Distinct colours; of many groups, in their order."""
+    if count <= len(COLORS):
+        return COLORS[:count]
+    return list(mpl.colormaps["viridis"](np.linspace(0, 0.92, count)))
 
 
 def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
@@ -122,24 +219,12 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
 
 def panel_title(axes, text: str, note: str = "") -> None:
     """Title of a panel, with a note in small print."""
-    axes.set_title(
-        plain_text(text),
-        loc="left",
-        fontsize=9.5,
-        fontweight="bold",
-        color=DARK,
-        pad=18 if note else 6,
-    )
+    lines = textwrap.wrap(note, _NOTE)
+    style: dict[str, Any] = {"loc": "left", "fontsize": 9.5, "fontweight": "bold", "color": DARK}
+    axes.set_title(plain_text(text), pad=6 + 11 * len(lines), **style)
     if note:
-        axes.text(
-            0,
-            1.02,
-            plain_text(note),
-            transform=axes.transAxes,
-            fontsize=7.5,
-            color=GREY,
-            va="bottom",
-        )
+        small: dict[str, Any] = {"fontsize": 7.5, "color": GREY, "va": "bottom"}
+        axes.text(0, 1.02, plain_text("\n".join(lines)), transform=axes.transAxes, **small)
 
 
 def save_pictures(

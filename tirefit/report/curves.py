@@ -1,6 +1,6 @@
-"""The fitted curve and its bands, as arrays."""
+"""Fitted curves and their bands, with the measured points, as arrays."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -9,18 +9,18 @@ import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.data.run_names import run_names
-from tirefit.fitting.bands import Band, fitted_force, force_band
+from tirefit.fitting.bands import fitted_force, force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.noise import noise_std
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
-from tirefit.params import parameter_values, with_values
 from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 
 _MOST_GROUPS = 6
 _POINTS = 240
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
+_SAME_LOAD = 0.02  # relative spread of the loads up to which forces of files are in newtons
 FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
     "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
@@ -28,7 +28,6 @@ FORCE_LABEL = {
     "mx": ("overturning moment $M_x$", "N m", "$M_x / F_z$"),
     "my": ("rolling resistance moment $M_y$", "N m", "$M_y / F_z$"),
 }
-_LIMIT = {"mu": ("friction limit", r"\mu"), "mu_peak": ("peak", r"\mu'"), "D": ("peak", "D")}
 
 
 class SlipAxis(NamedTuple):
@@ -61,7 +60,6 @@ class Curve(NamedTuple):
     high: np.ndarray
     noise_low: np.ndarray
     noise_high: np.ndarray
-    limit: float | None  # of friction, None if the data do not determine it
 
 
 class FitCurve(NamedTuple):
@@ -70,10 +68,11 @@ class FitCurve(NamedTuple):
     channel: str
     x_label: str
     y_label: str
-    groups: tuple[Group, ...]
-    curves: tuple[Curve, ...]
-    limit_label: str
+    groups: Sequence[Group]
+    curves: Sequence[Curve]
     note: str
+    title: str = ""
+    ticks: Sequence[tuple[float, str]] = ()  # place, label of categories
 
 
 def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
@@ -111,28 +110,29 @@ def _levels(values: np.ndarray, scale: float) -> np.ndarray:
     return np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values)
 
 
-def _keys(result: FitResult, slip: str) -> list[tuple[str, np.ndarray]]:
-    """(input, codes (n,)) of inputs that separate the curves, at most six combinations."""
+def _keys(result: FitResult, slip: str) -> dict[str, np.ndarray]:
+    """Input -> codes (n,), of inputs that separate the curves; at most six combinations."""
     problem = result.problem
-    inputs, run = problem.rows.inputs, problem.used(problem.rows.run)
-    other = _OTHER[slip]
-    per_run = any(p.per_run for p in problem.layout.free)
-    candidates = [("run", run)] if per_run else []
+    inputs, other = problem.rows.inputs, _OTHER[slip]
+    candidates = {}
+    if any(p.per_run for p in problem.layout.free):
+        candidates["run"] = problem.used(problem.rows.run)
     for name in ("fz", other, "v"):
         values = problem.used(getattr(inputs, name))
         scale = 0.1 if name == other else float(np.median(np.abs(values)))
         if name != "v" or "v" in problem.model.needs:
-            candidates.append((name, _levels(values, scale)))
-    kept: list[tuple[str, np.ndarray]] = []
-    for name, codes in candidates:
-        stack = np.stack([c for _, c in kept] + [codes], axis=1)
+            candidates[name] = _levels(values, scale)
+    kept: dict[str, np.ndarray] = {}
+    for name, codes in candidates.items():
+        stack = np.stack([*kept.values(), codes], axis=1)
         few = len(np.unique(stack, axis=0)) <= _MOST_GROUPS
         if np.ptp(codes) > 0 and (few or name == "run"):
-            kept.append((name, codes))
+            kept[name] = codes
     return kept
 
 
-def _level_label(name: str, values: np.ndarray, runs) -> str:
+def _level_label(name: str, values: np.ndarray, runs: Sequence[str] = ()) -> str:
+    """Name of a level of an input, such as ``$F_z$ = 4000 N``, by its values."""
     if name == "run":
         return plain_text(str(runs[int(values[0])]))
     middle = float(np.median(values))
@@ -146,158 +146,105 @@ def _level_label(name: str, values: np.ndarray, runs) -> str:
     return text[name]()
 
 
-def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str]:
-    """((label, rows (n,) bool) of every group, note on groups left out)."""
+def _members(result: FitResult, keys: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Label and rows (n,) bool of every group; of many runs, of some of them."""
     problem = result.problem
+    if not keys:
+        return [("measured", np.ones(problem.n, bool))]
     columns = {**problem.rows.inputs._asdict(), "run": problem.rows.run}
     names = run_names(problem.layout.runs).short
-    if not keys:
-        return [("measured", np.ones(problem.n, bool))], ""
-    stack = np.stack([codes for _, codes in keys], axis=1)
+    stack = np.stack(list(keys.values()), axis=1)
     combinations, of_row = np.unique(stack, axis=0, return_inverse=True)
-    chosen, note = np.arange(len(combinations)), ""
-    if len(combinations) > _MOST_GROUPS:
-        chosen = np.array(even(range(len(combinations))))
-        note = f"{_MOST_GROUPS} of {len(combinations)} runs shown"
     groups = []
-    for code in chosen:
+    for code in even(range(len(combinations))):
         rows = of_row.ravel() == code
-        parts = [_level_label(name, problem.used(columns[name])[rows], names) for name, _ in keys]
+        parts = [_level_label(name, problem.used(columns[name])[rows], names) for name in keys]
         groups.append((", ".join(parts), rows))
-    return groups, note
+    return groups
 
 
-def _value(result: FitResult, name: str, run: int) -> float:
-    """Least-squares value of a free, tied or fixed parameter in one run."""
+def _conditions(result: FitResult, rows: np.ndarray, slip: str, is_grouped: bool) -> dict:
+    """The inputs of a curve: medians of its rows; the other slip is zero if the rows include
+    zero and are not grouped by it."""
+    problem, other = result.problem, _OTHER[slip]
+    columns = {k: problem.used(v)[rows] for k, v in problem.rows.inputs._asdict().items()}
+    at = {name: float(np.median(column)) for name, column in columns.items()}
+    whole = problem.used(getattr(problem.rows.inputs, other))
+    if not is_grouped:
+        at[other] = 0.0 if whole.min() <= 0 <= whole.max() else float(np.median(whole))
+    return at
+
+
+def _carried(result: FitResult, channel: str, members, conditions) -> tuple[np.ndarray, bool]:
+    """Measured forces (n,), moved to the load and the other slip of their curve, and whether.
+
+    Rows of a group have other loads and other slips than their curve, so they would lie off
+    it. They are moved by the difference that the fit predicts, if it exceeds the noise; each
+    keeps its residual.
+    """
     problem = result.problem
-    for tie in problem.layout.ties:
-        if tie.name == name:
-            return tie.factor * _value(result, tie.other, run)
-    for label in (name, f"{name}[{problem.layout.runs[run]}]"):
-        if label in result.least_squares:
-            return result.least_squares[label].value
-    return float(parameter_values(problem.model)[name])
+    inputs, run, other = problem.rows.inputs, problem.rows.run, _OTHER[CHANNEL_SLIP[channel]]
+    observed = problem.used(problem.rows.observed[channel])
+    moved = {name: np.array(getattr(inputs, name)) for name in ("fz", other)}
+    for (_, rows), at in zip(members, conditions, strict=True):
+        for name, column in moved.items():
+            column[: problem.n][rows] = at[name]
+    there = inputs._replace(**{k: jax.device_put(v) for k, v in moved.items()})
+    if problem.model.transient:
+        # Constant time means steady state, as in the curves.
+        there = there._replace(time=jnp.zeros_like(inputs.time))
+    after, before = (problem.used(fitted_force(result, channel, at, run)) for at in (there, inputs))
+    shift, scale = after - before, problem.used(problem.rows.scale[channel])
+    if np.sqrt(np.mean((shift / scale) ** 2)) < 1:
+        return observed, False
+    return observed + shift, True
 
 
-def _grid(problem, slip: str, axis: SlipAxis) -> np.ndarray:
-    """Slips as drawn, (m,), from zero or the smallest to just beyond the largest."""
-    values = axis.shown(problem.used(getattr(problem.rows.inputs, slip)))
+def _curve(
+    result: FitResult,
+    channel: str,
+    label: str,
+    ends: Sequence[float],
+    axis: SlipAxis,
+    at: Mapping,
+    run: int,
+) -> Curve:
+    """The fitted curve at the conditions, between two slips as drawn."""
+    problem, slip = result.problem, CHANNEL_SLIP[channel]
+    shown = np.linspace(ends[0], ends[1], _POINTS)
+    columns = {name: np.full(_POINTS, value) for name, value in at.items()}
+    columns[slip] = np.asarray(axis.canonical(shown), float)
+    inputs, of_run = jax.device_put(TireInputs(**columns)), np.full(_POINTS, run)
+    noise = np.full(_POINTS, float(np.median(problem.used(problem.rows.scale[channel]))))
+    if result.noise[channel].keys() & {"share_of_load", "by_run"}:
+        force = fitted_force(result, channel, inputs, of_run)
+        names = np.array(problem.layout.runs)[of_run]
+        noise = noise_std(result.noise[channel], columns["fz"], force, names)
+    return Curve(label, shown, *force_band(result, channel, inputs, of_run, noise))
+
+
+def _ends(values: np.ndarray, axis: SlipAxis) -> tuple[float, float]:
+    """Slips as drawn, from zero or the smallest to just beyond the largest."""
+    values = axis.shown(values)
     low, high = min(values.min(), 0.0), max(values.max(), 0.0)
     margin = 0.03 * (high - low)
     low, high = low - margin * (low < 0), high + margin * (high > 0)
     if axis.shown is slip_ratio_from_sigma:
         low, high = max(low, -1 + 1e-3), min(high, 1.0)
-    return np.linspace(low, high, _POINTS)
+    return float(low), float(high)
 
 
-def _conditions(problem, members) -> list[dict[str, float]]:
-    """The inputs at which the curve of each group is drawn: medians of its rows."""
-    inputs = problem.rows.inputs._asdict()
-    return [
-        {k: float(np.median(problem.used(v)[rows])) for k, v in inputs.items()}
-        for _, rows in members
-    ]
-
-
-def _carried(result: FitResult, channel: str, members, keys, middle):
-    """Measured forces (n,), moved to the other slip of their curve, and a note.
-
-    In combined slip each row has another value of the other slip, so the points would
-    lie off the curves. They are moved by the difference that the fit predicts, if it
-    exceeds the noise; ``middle`` then takes up a slip common to all groups.
-    """
+def _slips(result: FitResult, channel: str) -> np.ndarray:
     problem = result.problem
-    inputs, run = problem.rows.inputs, problem.rows.run
-    observed = problem.used(problem.rows.observed[channel])
-    name = _OTHER[CHANNEL_SLIP[channel]]
-    own = np.asarray(getattr(inputs, name))
-    moved, target = own.copy(), np.median(problem.used(own))
-    if problem.used(own).min() <= 0 <= problem.used(own).max():
-        target = 0.0
-    grouped = name in dict(keys)
-    for (_, rows), at in zip(members, middle, strict=True):
-        moved[: problem.n][rows] = at[name] if grouped else target
-    target_inputs = inputs._replace(**{name: jax.device_put(moved)})
-    if problem.model.transient:
-        # Constant time means steady state, as in the curves.
-        target_inputs = target_inputs._replace(time=jnp.zeros_like(inputs.time))
-    there, here = (
-        problem.used(fitted_force(result, channel, at, run)) for at in (target_inputs, inputs)
-    )
-    shift, scale = there - here, problem.used(problem.rows.scale[channel])
-    if np.sqrt(np.mean((shift / scale) ** 2)) < 1:
-        return observed, ""
-    to = "to the steady state and" if problem.model.transient else "to"
-    if grouped:
-        return observed + shift, f"points moved along the fit {to} these slips"
-    for at in middle:
-        at[name] = float(target)
-    label = _level_label(name, np.full(1, target), ())
-    return observed + shift, f"points moved along the fit {to} {label}"
-
-
-def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, middle):
-    """The fitted curve of every group, all groups evaluated in one call."""
-    problem = result.problem
-    slip = CHANNEL_SLIP[channel]
-    shown = _grid(problem, slip, axis)
-    grid = np.asarray(axis.canonical(shown), float)
-    inputs, runs = problem.rows.inputs, problem.used(problem.rows.run)
-    columns = {
-        name: np.concatenate(
-            [grid if name == slip else np.full(len(grid), m[name]) for m in middle]
-        )
-        for name in inputs._fields
-    }
-    run = [int(runs[rows][0]) for _, rows in members]
-    inputs = jax.device_put(TireInputs(**columns))
-    scale = problem.used(problem.rows.scale[channel])
-    each = [float(np.median(scale[rows])) for _, rows in members]
-    of_run, noise = np.repeat(run, len(grid)), np.repeat(each, len(grid))
-    if result.noise[channel].keys() & {"share_of_load", "by_run"}:
-        force = fitted_force(result, channel, inputs, of_run)
-        names = np.array(problem.layout.runs)[of_run]
-        noise = noise_std(result.noise[channel], columns["fz"], force, names)
-    band = force_band(result, channel, inputs, of_run, noise)
-    curves = []
-    for i, (label, _) in enumerate(members):
-        unit = middle[i]["fz"] if normalise else 1.0
-        part = Band(*(x[i * len(grid) : (i + 1) * len(grid)] / unit for x in band))
-        limit = _limit(result, channel, run[i], middle[i]["fz"])
-        limit = None if limit is None else limit / unit
-        curves.append(Curve(label, shown, *part, limit))
-    return tuple(curves)
-
-
-def _limit_name(result: FitResult) -> str | None:
-    """The parameter that limits the friction, None if the model has none."""
-    names = parameter_values(result.problem.model)
-    return next((name for name in _LIMIT if name in names), None)
-
-
-def _limit_known(result: FitResult, name: str) -> bool:
-    """Whether the data identify the friction limit in every run."""
-    labels = [k for k in result.least_squares if k.split("[")[0] == name]
-    return all(result.least_squares[label].identified for label in labels)
-
-
-def _limit(result: FitResult, channel: str, run: int, fz: float) -> float | None:
-    name = _limit_name(result)
-    if channel == "mz" or name is None or not _limit_known(result, name):
-        return None
-    model = result.problem.model
-    values = {key: _value(result, key, run) for key in parameter_values(model)}
-    friction = with_values(model, values).static_friction(fz)
-    return float(values[name] if friction is None else friction) * fz
+    return problem.used(getattr(problem.rows.inputs, CHANNEL_SLIP[channel]))
 
 
 def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     """Measured points and fitted curves of one force over its slip.
 
     Points are grouped by run (where a parameter is per run), load, the other slip and,
-    where the friction depends on it, speed. Points of combined slip are moved along the
-    fit to the other slip of their curve; ``note`` says so. Within a group whose load
-    varies by more than 10 % points and curves are forces over load.
+    where the friction depends on it, speed. Points whose load or other slip differs from
+    that of their curve are moved along the fit, as ``note`` says.
 
     Args:
         result: a fit with its problem.
@@ -305,52 +252,71 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     """
     problem = result.problem
     channel = channel or problem.channels[0].name
-    slip = CHANNEL_SLIP[channel]
-    values = problem.used(getattr(problem.rows.inputs, slip))
-    load = problem.used(problem.rows.inputs.fz)
-    axis = slip_axis(slip, values)
-    keys = _keys(result, slip)
-    members, note = _members(result, keys)
-    middle = _conditions(problem, members)
-    force, moved = _carried(result, channel, members, keys, middle)
-    normalise = any(
-        np.ptp(np.quantile(load[rows], [0.025, 0.975])) > 0.1 * np.median(load[rows])
-        for _, rows in members
-    )
-    curves = _curves(result, channel, members, axis, normalise, middle)
-    if len(members) == 1:
-        members = _by_run(problem, members)
-    unit = load if normalise else np.ones_like(load)
-    groups = tuple(
-        Group(label, axis.shown(values[rows]), (force / unit)[rows]) for label, rows in members
-    )
-    name, force_unit, ratio = FORCE_LABEL[channel]
-    ratio_unit = "m" if channel == "mz" else "-"
+    slip, values = CHANNEL_SLIP[channel], _slips(result, channel)
+    axis, keys = slip_axis(slip, values), _keys(result, slip)
+    members, other = _members(result, keys), _OTHER[slip]
+    conditions = [_conditions(result, rows, slip, other in keys) for _, rows in members]
+    force, is_moved = _carried(result, channel, members, conditions)
+    runs, ends = problem.used(problem.rows.run), _ends(values, axis)
+    curves = [
+        _curve(result, channel, label, ends, axis, at, int(runs[rows][0]))
+        for (label, rows), at in zip(members, conditions, strict=True)
+    ]
+    notes = []
+    if "run" in keys and len(members) < len(problem.layout.runs):
+        notes.append(f"{len(members)} of {len(problem.layout.runs)} runs shown")
+    if is_moved:
+        own = [n for n in ("fz", other) if n not in keys]
+        to = ", ".join(_level_label(n, np.full(1, conditions[0][n])) for n in own)
+        steady = "the steady state and " * problem.model.transient
+        notes.append(f"points moved along the fit to {steady}{to or 'the values of their curve'}")
+    groups = _by_run(problem) if len(members) == 1 else members
+    name, unit, _ = FORCE_LABEL[channel]
     return FitCurve(
         channel,
         f"{axis.label} [{axis.unit}]",
-        f"{ratio} [{ratio_unit}]" if normalise else f"{name} [{force_unit}]",
-        groups,
+        f"{name} [{unit}]",
+        [Group(label, axis.shown(values[rows]), force[rows]) for label, rows in groups],
         curves,
-        _limit_label(result, channel, normalise),
-        "\n".join(filter(None, (note, moved))),
+        "\n".join(notes),
     )
 
 
-def _limit_label(result: FitResult, channel: str, normalise: bool) -> str:
-    name = _limit_name(result)
-    if name is None or channel == "mz":
-        return ""
-    what, symbol = _LIMIT[name]
-    text = f"{what} ${symbol}$" if normalise else rf"{what} ${symbol}\,F_z$"
-    return text if _limit_known(result, name) else f"{text}: not identified"
-
-
-def _by_run(problem, members):
-    """One group split by run, for colour only, where there are a few runs."""
+def _by_run(problem) -> list[tuple[str, np.ndarray]]:
+    """All rows by run, for colour only, where there are a few runs."""
     run = problem.used(problem.rows.run)
     codes = np.unique(run)
     if not 1 < len(codes) <= _MOST_GROUPS:
-        return members
+        return [("measured", np.ones(problem.n, bool))]
     names = run_names(problem.layout.runs).short
     return [(plain_text(names[code]), run == code) for code in codes]
+
+
+def overlay_of(fits: Mapping[str, FitResult], channel: str) -> FitCurve:
+    """The curves of all fits that have this force, each at the median load of its rows.
+
+    If the loads differ by more than 2 %, forces are divided by the load. A parameter per
+    run has its value in the first run.
+    """
+    given = {name: result for name, result in fits.items() if channel in result.forces}
+    slip = CHANNEL_SLIP[channel]
+    axis = slip_axis(slip, np.concatenate([_slips(r, channel) for r in given.values()]))
+    loads = [r.reference["fz"] for r in given.values()]
+    over_load = np.ptp(loads) > _SAME_LOAD * np.median(loads)
+    groups, curves = [], []
+    for name, result in given.items():
+        every, label = np.ones(result.problem.n, bool), plain_text(name)
+        at = _conditions(result, every, slip, False) | {"fz": result.reference["fz"]}
+        force, _ = _carried(result, channel, [("", every)], [at])
+        slips, unit = _slips(result, channel), at["fz"] if over_load else 1.0
+        ends = axis.shown(np.array([min(slips.min(), 0.0), max(slips.max(), 0.0)])).tolist()
+        one = _curve(result, channel, label, ends, axis, at, 0)
+        groups.append(Group(label, axis.shown(slips), force / unit))
+        curves.append(Curve(label, one.slip, *(x / unit for x in one[2:])))
+    text, unit, ratio = FORCE_LABEL[channel]
+    y_label = f"{text} [{unit}]"
+    note = f"at $F_z$ = {np.median(loads):.4g} N"
+    if over_load:
+        y_label = f"{ratio} [{'m' if channel == 'mz' else '-'}]"
+        note = f"each at its own median load, {min(loads):.4g} to {max(loads):.4g} N"
+    return FitCurve(channel, f"{axis.label} [{axis.unit}]", y_label, groups, curves, note)

@@ -20,8 +20,8 @@ from tirefit.report.diagnosis_words import (
     share_text,
     slip_check_line,
 )
-from tirefit.report.html import Section
 from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.page import Section
 
 _LEAST = 0.005  # smallest probability of a candidate that is listed
 _SEEN = 0.5  # an effect with a lower probability of detection may be present unseen

@@ -6,10 +6,9 @@ import numpy as np
 
 from tirefit.diagnosis.summary.readings import SLOPE, Estimate, Readings
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.report.diagnosis_budget import channel_name
-from tirefit.report.diagnosis_words import amount_text, listing, name_of, said_unit
-from tirefit.report.html import Section
+from tirefit.report.diagnosis_words import amount_text, channel_name, listing, name_of, said_unit
 from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.page import Section
 
 _LIKELY = 0.5  # probability of an effect that the simulator's own forces show
 _DIFFERS = 2.0  # standard errors beyond which parameters differ

@@ -174,6 +174,15 @@ def _end(value: float, largest: float) -> str:
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
+_OF_CAR = {"all": "the motion", "v_y": "lateral speed", "yaw_rate": "yaw rate"}
+_OF_CAR |= {name: name for name in ("heading", "x", "y")}
+
+
+def channel_name(channel: str) -> str:
+    """``F_x``, ``F_y`` or ``M_z``; a channel of a car in words."""
+    return _OF_CAR.get(channel) or f"{channel[0].upper()}_{channel[1:]}"
+
+
 def name_of(effect: str) -> str:
     """Readable name of an effect: ``slip offset`` of ``slip_offset``."""
     return effect.replace("_", " ")

@@ -1,19 +1,58 @@
-"""Results of a fit as table cells and sentences, for the text report and the page."""
+"""Results of a fit as table cells and sentences, with short names of runs and files.
+
+``fit.json`` keeps the whole names; reports use the shortest names that are distinct.
+"""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
+from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.derived import derived_channel, quantities, quantity_of
 from tirefit.fitting.likelihood import row_moments
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
-from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import format_estimate, format_interval, format_number
+from tirefit.report.page import Rows
 
-Rows = list[list[str]]
-"""Cells of a table, header first."""
+if TYPE_CHECKING:  # which imports much that other fits do not need
+    from tirefit.fitting.mf.result import MagicFormulaFit
 
-FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
+FORCE_UNIT = {force: CANONICAL[force][0] for force in FORCES}
 _ROUTES = ("covariance", "profile", "posterior", "independent")
 _STRONG = 0.9
+
+
+def short_run(result: FitResult, run: str) -> str:
+    """The part of a run's name that differs from the others."""
+    runs = [str(one) for one in result.data["runs"]]
+    return run_names(runs).short[runs.index(run)] if run in runs else run
+
+
+def short_label(result: FitResult, label: str) -> str:
+    """``mu[run01]``: a parameter or derived quantity, with its run's short name."""
+    return label_of_run(label, result.data["runs"])
+
+
+def run_lines(result: FitResult) -> list[str]:
+    """Lines that explain the short names; empty if they are the full names."""
+    runs = [str(run) for run in result.data["runs"]]
+    names = run_names(runs)
+    if names.short == tuple(runs):
+        return []
+    if names.pattern:
+        between = ", " if len(runs) == 2 else " ... "
+        return [f"{names.short[0]}{between}{names.short[-1]} of {names.pattern}"]
+    return [f"{i}: {run}" for i, run in enumerate(runs, 1)]
+
+
+def fit_files(result: "FitResult | MagicFormulaFit", most: int = 1000) -> str:
+    """The file of a fit without its folder; of several their number and pattern."""
+    files = result.data["file"].replace("\\", "/").split(", ")
+    if not 1 < len(files) <= len(result.data["runs"]):
+        return clipped(result.data["file"].replace("\\", "/").rsplit("/", 1)[-1], most)
+    pattern = name_pattern([file.rsplit("/", 1)[-1] for file in files])
+    return clipped(f"{len(files)} files, {pattern}", most)
 
 
 def value_text(estimate: Estimate) -> str:
@@ -38,21 +77,17 @@ def note_on(result: FitResult, name: str) -> str:
     return ", ".join(notes)
 
 
+def _row(name: str, value: str, estimate: Estimate, note: str) -> list[str]:
+    interval = format_interval(estimate.ci95, estimate.std)
+    return [name, value, estimate.unit, interval, note]
+
+
 def parameter_rows(result: FitResult) -> Rows:
     """Every parameter, including fixed and tied ones."""
-    return [
-        ["parameter", "value ± std", "unit", "95 % interval", ""],
-        *(
-            [
-                short_label(result, name),
-                value_text(estimate),
-                estimate.unit,
-                format_interval(estimate.ci95, estimate.std),
-                note_on(result, name),
-            ]
-            for name, estimate in result.parameters.items()
-        ),
-    ]
+    rows = [["parameter", "value ± std", "unit", "95 % interval", ""]]
+    for name, one in result.parameters.items():
+        rows.append(_row(short_label(result, name), value_text(one), one, note_on(result, name)))
+    return rows
 
 
 def route_rows(result: FitResult) -> Rows:
@@ -87,17 +122,9 @@ def derived_rows(result: FitResult) -> Rows:
     """The derived quantities that are the same for all runs."""
     channel = derived_channel(result.forces)
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
-    for name, estimate in result.derived.items():
+    for name, one in result.derived.items():
         if channel is not None and name == quantity_of(name):
-            rows.append(
-                [
-                    name,
-                    _derived_value(estimate),
-                    estimate.unit,
-                    format_interval(estimate.ci95, estimate.std),
-                    quantities(channel)[name][1],
-                ]
-            )
+            rows.append(_row(name, _derived_value(one), one, quantities(channel)[name][1]))
     return rows
 
 
@@ -190,16 +217,9 @@ def run_rows(result: FitResult) -> Rows:
     residual = problem.used(problem.rows.observed[name]) - mean[name]
     run = problem.used(problem.rows.run)
     for code in np.unique(run):
-        part = residual[run == code]
-        rms = float(np.sqrt(np.mean(part**2)))
-        rows.append(
-            [
-                short_run(result, str(problem.layout.runs[code])),
-                str(len(part)),
-                format_number(rms, 3),
-                format_number(float(part.mean()), 2),
-            ]
-        )
+        part, label = residual[run == code], short_run(result, str(problem.layout.runs[code]))
+        rms = format_number(float(np.sqrt(np.mean(part**2))), 3)
+        rows.append([label, str(len(part)), rms, format_number(float(part.mean()), 2)])
     return rows
 
 
@@ -209,14 +229,8 @@ def chain_rows(result: FitResult) -> Rows:
     rows = [["parameter", "ESS", "R-hat", "τ [steps]"]]
     for label in result.labels:
         if p is not None and label in p.rhat:
-            rows.append(
-                [
-                    short_label(result, label),
-                    f"{p.ess[label]:.0f}",
-                    f"{p.rhat[label]:.4f}",
-                    f"{p.tau[label]:.1f}",
-                ]
-            )
+            numbers = f"{p.ess[label]:.0f}", f"{p.rhat[label]:.4f}", f"{p.tau[label]:.1f}"
+            rows.append([short_label(result, label), *numbers])
     return rows
 
 
@@ -282,21 +296,3 @@ def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
     pairs.sort(key=lambda pair: -pair[0])
     lines = [text for _, text in pairs[:most]]
     return [*lines, f"and {len(pairs) - most} more"] if len(pairs) > most else lines
-
-
-def open_lines(result: FitResult) -> list[str]:
-    """Quantities that the data do not determine, each with its possible range."""
-    lines = []
-    for name, estimate in (result.parameters | result.derived).items():
-        if estimate.identified or estimate.fixed:
-            continue
-        text = f"{short_label(result, name)}: not defined for this model and estimate"
-        if np.isfinite(estimate.value):
-            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
-            ends = format_interval(estimate.ci95, estimate.std)
-            text = (
-                f"{short_label(result, name)}: anything in {ends}{unit} fits as well"
-                f" (95 %); best {format_number(estimate.value)}{unit}"
-            )
-        lines.append(text)
-    return lines

@@ -1,14 +1,13 @@
 """Tables of ``tirefit models`` and ``tirefit methods``, as text and as data."""
 
 import re
-import textwrap
 from collections.abc import Mapping
 
 from tirefit.models import AbstractTire
 from tirefit.online.base import PARAMETERS, AbstractEstimator
 from tirefit.params import Spec, specs
 from tirefit.report.numbers import format_number
-from tirefit.report.text import WIDTH, table
+from tirefit.report.page import table, wrapped
 
 _LETTERS = re.compile(r"d?m?(ns?|hs?)?")
 
@@ -50,15 +49,11 @@ def _row(label: str, spec: Spec) -> list[str]:
 
 def _folded(rows: list[list[str]]) -> list[str]:
     """A table whose last column is wrapped to the width."""
-    heads = [row[:-1] for row in rows]
-    lines = table([[*head, ""] for head in heads])
-    indent = max(len(line) for line in lines) + 2
-    folded = []
+    lines = table([[*row[:-1], ""] for row in rows])
+    indent, folded = max(map(len, lines)) + 2, []
     texts = [rows[0][-1], "-" * len(rows[0][-1]), *(row[-1] for row in rows[1:])]
     for line, text in zip(lines, texts, strict=True):
-        parts = textwrap.wrap(text, WIDTH - indent) or [""]
-        folded.append((line.ljust(indent) + parts[0]).rstrip())
-        folded += [" " * indent + part for part in parts[1:]]
+        folded += wrapped(text, line.ljust(indent), " " * indent) or [line]
     return folded
 
 
@@ -67,23 +62,16 @@ def models_table(models: Mapping[str, AbstractTire]) -> str:
     families: dict[str, list[str]] = {}
     for name in models:
         families.setdefault(_spelled(name, models), []).append(name)
-    named = families.pop("", [])
     rows = [["model", "parameters"]]
-    rows += [[name, _parameters(models[name])] for name in named]
+    rows += [[name, _parameters(models[name])] for name in families.pop("", [])]
     lines = ["MODELS (in brackets: fixed unless freed)", *_folded(rows), ""]
     lines += ["PARAMETERS", *_folded(_parameter_rows(models)), ""]
     if families:
         lines.append("SPELLED BY LETTER, in this order:")
-        lines += [f"  {text}" for text in _spelling(models, families)]
+        used = {name.partition("-")[2][:1] for names in families.values() for name in names}
+        lines += [f"  {letter}  {text}" for letter, text in _MEANING.items() if letter in used]
         for family, names in families.items():
-            lead = f"  {family + ':':<10}"
-            lines += textwrap.wrap(
-                " ".join(names),
-                WIDTH,
-                initial_indent=lead,
-                subsequent_indent=" " * 12,
-                break_on_hyphens=False,
-            )
+            lines += wrapped(" ".join(names), f"  {family + ':':<10}", " " * 12)
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -95,11 +83,6 @@ _MEANING = {
 }
 
 
-def _spelling(models, families) -> list[str]:
-    used = {name.partition("-")[2][:1] for names in families.values() for name in names}
-    return [f"{letter}  {text}" for letter, text in _MEANING.items() if letter in used]
-
-
 def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict]:
     """The same content, JSON-able: model name -> description and parameters."""
     return {
@@ -109,11 +92,6 @@ def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict]:
         }
         for name, model in models.items()
     }
-
-
-def _wrapped(head: str, text: str) -> list[str]:
-    lead = f"    {head:<10}"
-    return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead))
 
 
 def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
@@ -128,10 +106,14 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
             alike = (spec.unit, spec.bounds, spec.default)
             known.setdefault(key, {}).setdefault(alike, []).append((name, spec))
         lines += ["", f"  {name}: {method.meaning}, {method.source}"]
-        lines += _wrapped("inputs", f"time, {', '.join(method.inputs)}")
-        lines += _wrapped("estimates", ", ".join(estimates))
-        lines += _wrapped("valid", method.valid)
-        lines += _wrapped("settings", ", ".join(settings))
+        items = {
+            "inputs": f"time, {', '.join(method.inputs)}",
+            "estimates": ", ".join(estimates),
+            "valid": method.valid,
+            "settings": ", ".join(settings),
+        }
+        for head, text in items.items():
+            lines += wrapped(text, f"    {head:<10}", " " * 14)
     rows = [["setting", "unit", "bounds", "default", "meaning"]]
     for key, kinds in known.items():
         # The value that most methods have, then the exceptions by name.

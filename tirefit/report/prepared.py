@@ -10,7 +10,7 @@ from tirefit.data.prepare.prepare import Prepared
 from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.prepare.slips import LEAST, swept_range
 from tirefit.data.units import slip_from_sigma
-from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, frame, tidy
+from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, WIDE, Picture, frame, tidy
 
 _GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
 
@@ -176,7 +176,7 @@ def prepared_figure(prepared: Prepared) -> Picture:
     """Draw the whole test: every channel that changed, with segments in the background
     (strong colours: kept), and dotted lines for settings."""
     view = view_of(prepared)
-    picture = frame(view.title, "", view.note, (10.0, 0.4 + 1.0 * len(view.panels)))
+    picture = frame(view.title, "", view.note, (WIDE, 0.8 + 0.9 * len(view.panels)))
     body: Any = picture.subfigures(1, 1)  # whose legend is below the title
     all_axes = body.subplots(len(view.panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(all_axes, view.panels, strict=True):
@@ -192,5 +192,5 @@ def prepared_figure(prepared: Prepared) -> Picture:
         for strip in view.strips
     ]
     style: dict[str, Any] = {"fontsize": 7.5, "frameon": False, "handlelength": 1.2}
-    body.legend(handles=handles, loc="outside upper left", ncols=len(handles), **style)
+    body.legend(handles=handles, loc="outside upper left", ncols=3, **style)
     return picture

@@ -1,22 +1,17 @@
 """Text and figure of small records: many fits, a simulated log, an exported file."""
 
 from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from tirefit.data.table import CANONICAL
 from tirefit.fitting.batch import BatchFit
-from tirefit.report.canvas import BLUE, GREY, WIDTH, Picture, drawn, tidy
+from tirefit.report.canvas import BLUE, GREY, Picture, axes_panel, drawn, together
 from tirefit.report.numbers import format_number
-from tirefit.report.text import table
+from tirefit.report.page import table
 from tirefit.sim.braking import SimulatedLog
-
-
-def _panels(count: int, columns: int = 1) -> tuple[Picture, list]:
-    rows = -(-count // columns)
-    size = (WIDTH, 0.5 + (1.2 if columns == 1 else 2.2) * rows)
-    picture = Picture(figsize=size, layout="constrained")
-    return picture, list(picture.subplots(rows, columns, squeeze=False).ravel())
 
 
 def _quantiles(values: Mapping[str, np.ndarray], first: str) -> list[str]:
@@ -37,13 +32,14 @@ def batch_text(fits: BatchFit) -> str:
 
 def batch_figure(fits: BatchFit) -> Picture:
     """Each parameter by data set, with one standard deviation."""
-    picture, panels = _panels(len(fits.names))
-    for axes, name, value, std in zip(panels, fits.names, fits.values.T, fits.std.T, strict=True):
-        number = np.arange(len(value))
-        axes.errorbar(number, value, std, fmt=".", color=BLUE, ecolor=GREY)
-        tidy(axes, "", name)
-    panels[-1].set_xlabel("data set", fontsize=8.5)
-    return picture
+
+    def draw(axes: Any, values: tuple[np.ndarray, np.ndarray]) -> None:
+        number = np.arange(len(values[0]))
+        axes.errorbar(number, *values, fmt=".", color=BLUE, ecolor=GREY)
+
+    each = zip(fits.names, zip(fits.values.T, fits.std.T, strict=True), strict=True)
+    panels = [axes_panel(partial(draw, values=v), name, "data set", name) for name, v in each]
+    return together(panels, batch_text(fits).partition("\n")[0], "", "")
 
 
 def log_text(log: SimulatedLog) -> str:
@@ -54,17 +50,18 @@ def log_text(log: SimulatedLog) -> str:
 
 def log_figure(log: SimulatedLog) -> Picture:
     """Each measured column over time, and the truth."""
-    time = log.columns["time"]
-    names = [name for name in log.columns if name != "time"]
-    picture, panels = _panels(len(names), 2)
-    some = drawn(time)
-    for axes, name in zip(panels, names, strict=False):
-        axes.plot(time[some], log.columns[name][some], color=GREY, linewidth=0.8)
-        axes.plot(time[some], log.truth[name][some], color=BLUE, linewidth=0.8)
-        tidy(axes, "", f"{name} [{CANONICAL[name][0]}]")
-    for axes in panels[len(names) :]:
-        axes.set_axis_off()
-    return picture
+    time, some = log.columns["time"], drawn(log.columns["time"])
+
+    def draw(axes: Any, name: str) -> None:
+        for values, color in ((log.columns[name], GREY), (log.truth[name], BLUE)):
+            axes.plot(time[some], values[some], color=color, linewidth=0.8)
+
+    panels = [
+        axes_panel(partial(draw, name=name), name, "time [s]", f"{name} [{CANONICAL[name][0]}]")
+        for name in log.columns
+        if name != "time"
+    ]
+    return together(panels, "Simulated log", "grey: measured; blue: truth", "", 2)
 
 
 def export_text(done) -> str:
@@ -75,12 +72,17 @@ def export_text(done) -> str:
 
 def export_figure(done) -> Picture:
     """Each pure force of the written tire over its slip."""
-    picture, panels = _panels(len(done.shape.curves), 2)
-    curves = done.shape.curves.items()
-    for axes, (name, (slip, force)) in zip(panels, curves, strict=False):
-        axes.plot(slip, force, color=BLUE)
-        label = "slip [-]" if name.endswith("fx") else "slip angle [rad]"
-        tidy(axes, label, f"{name} [N]")
-    for axes in panels[len(curves) :]:
-        axes.set_axis_off()
-    return picture
+
+    def draw(axes: Any, curve: tuple[np.ndarray, np.ndarray]) -> None:
+        axes.plot(*curve, color=BLUE)
+
+    panels = [
+        axes_panel(
+            partial(draw, curve=curve),
+            name,
+            "slip [-]" if name.endswith("fx") else "slip angle [rad]",
+            f"{name} [N]",
+        )
+        for name, curve in done.shape.curves.items()
+    ]
+    return together(panels, f"{done.target}: {done.path.name}", "", "")

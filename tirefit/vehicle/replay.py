@@ -88,9 +88,9 @@ class Replay(Record):
         notes: what was assumed.
     """
 
-    text_by: ClassVar[str] = "tirefit.report.replay:replay_text"
-    plot_by: ClassVar[str] = "tirefit.report.replay:plotted"
-    page_by: ClassVar[str] = "tirefit.report.replay:replay_page"
+    text_by: ClassVar[str] = "tirefit.report.vehicle:replay_text"
+    plot_by: ClassVar[str] = "tirefit.report.vehicle:plotted"
+    page_by: ClassVar[str] = "tirefit.report.vehicle:replay_page"
 
     logs: Mapping[str, bool]
     horizons: tuple[float, ...]

@@ -103,8 +103,8 @@ class TrajectoryFit(Record):
         rows: ``front``, ``rear`` -> slip angle and force as derived, for comparison.
     """
 
-    text_by: ClassVar[str] = "tirefit.report.trajectory:trajectory_text"
-    plot_by: ClassVar[str] = "tirefit.report.trajectory:trajectory_figure"
+    text_by: ClassVar[str] = "tirefit.report.vehicle:trajectory_text"
+    plot_by: ClassVar[str] = "tirefit.report.vehicle:trajectory_figure"
 
     front: AbstractTire
     rear: AbstractTire

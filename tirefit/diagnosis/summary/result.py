@@ -271,10 +271,10 @@ class Diagnosis(Record):
     effect has a shape; ``library`` holds the searched effects, including a user's own.
     """
 
-    text_by: ClassVar[str] = "tirefit.report.diagnosis_text:diagnosis_text"
-    html_by: ClassVar[str] = "tirefit.report.diagnosis_html:diagnosis_fragment"
-    page_by: ClassVar[str] = "tirefit.report.diagnosis_html:diagnosis_page"
-    plot_by: ClassVar[str] = "tirefit.report.diagnosis_draw:plot_diagnosis"
+    text_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_text"
+    html_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_fragment"
+    page_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_page"
+    plot_by: ClassVar[str] = "tirefit.report.diagnosis_figures:plot_diagnosis"
 
     data: DataSummary
     model: str

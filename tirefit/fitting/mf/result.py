@@ -67,8 +67,8 @@ class MagicFormulaFit(Record):
     ``binned`` holds the rows by setting and slip, for figures of a fresh fit."""
 
     text_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_report"
-    plot_by: ClassVar[str] = "tirefit.report.mf_draw:plot_magic_formula"
-    page_by: ClassVar[str] = "tirefit.report.mf_draw:magic_formula_page"
+    plot_by: ClassVar[str] = "tirefit.report.mf_figures:plot_magic_formula"
+    page_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_page"
     save_by: ClassVar[str] = "tirefit.fitting.mf.result:save_magic_formula"
 
     model: str

@@ -1,0 +1,349 @@
+"""The figures of a diagnosis: ladder, before and after, location of the gap, remainder, budget."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, Step
+from tirefit.diagnosis.summary.result import UNITS, Diagnosis
+from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
+from tirefit.params import check_names
+from tirefit.report.canvas import (
+    BLUE,
+    COLORS,
+    DARK,
+    GREY,
+    ORANGE,
+    PURPLE,
+    WIDE,
+    Panel,
+    Picture,
+    alone,
+    boxed,
+    dots,
+    panel_title,
+    tidy,
+    together,
+)
+from tirefit.report.curves import slip_axis
+from tirefit.report.diagnosis_answer import answer
+from tirefit.report.diagnosis_sections import (
+    foot_line,
+    in_order,
+    part_name,
+    step_label,
+    subject,
+    whole_error,
+)
+from tirefit.report.diagnosis_words import (
+    NAMED_VALUES,
+    channel_name,
+    covariate_text,
+    covariate_unit,
+    look_text,
+    name_of,
+)
+from tirefit.report.numbers import format_number
+
+_SIZE = (WIDE, 3.5)
+_SHOWN = 3  # number of panels of the figure beside the page
+_KIND = {
+    "base": GREY,
+    "effect": BLUE,
+    "smooth": ORANGE,
+    "noise": "#bbbbbb",
+    "parameters": ORANGE,
+    "unexplained": PURPLE,
+}
+"""Colours of the bars by their kind."""
+
+
+class Bar(NamedTuple):
+    """A step of the ladder, or a part of a simulator's error."""
+
+    label: str
+    left: float
+    right: float
+    kind: str
+    text: str  # its size
+    error: float = 0.0  # standard error of the right end
+    mark: float | None = None  # the same on the files held out
+
+
+def _error(step: Step, steps: Sequence[Step]) -> float:
+    """Standard error of the rms of a step from that of the closed share: with the gap g
+    beyond the noise n, rms^2 = n^2 + g^2 (1 - closed)^2."""
+    gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
+    return gap * abs(1 - step.closed) * step.closed_std / step.rms_left_out
+
+
+def ladder_bars(result: Diagnosis) -> list[Bar]:
+    """The rms on data left out of each step of the ladder, in order; if no data could be left
+    out, that of the model without effects and of the noise on the fitted rows."""
+    unit, steps, bars = result.unit, result.ladder.steps, []
+    if not steps:
+        noise = result.noise.forces.get(result.data.channels[0], 1.0)
+        sizes = {"no effect": math.hypot(result.gap.rms, noise), "noise floor": noise}
+        return [
+            Bar(name, 0.0, rms, "base", f"{format_number(rms, 3)} {unit}")
+            for name, rms in sizes.items()
+        ]
+    kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
+    for k, step in enumerate(steps):
+        kind, text = (
+            kinds.get(step.effects, "effect"),
+            f"{format_number(step.rms_left_out, 3)} {unit}",
+        )
+        text += f", {100 * step.closed:.0f} % closed" * (k > 0 and kind != "noise")
+        error = _error(step, steps) if k and kind != "noise" else 0.0
+        label = step_label(result, k)
+        bars.append(Bar(label, 0.0, step.rms_left_out, kind, text, error, step.rms_held_out))
+    return bars
+
+
+def budget_bars(result: Diagnosis, channel: str) -> list[Bar]:
+    """The parts of a simulator's error, one after the other down to the noise, as shares [%] of
+    its mean square."""
+    parts, unit = in_order(result.budgets[channel]), UNITS[channel]
+    text = f"{whole_error(parts)} {unit} (rms), 100 %"
+    left, bars = 100.0, [Bar("simulator's error", 0.0, 100.0, "base", text)]
+    for part in parts:
+        rest = max(left - 100 * part.share, 0.0) if part.part != "noise" else 0.0
+        low, high = (100 * end for end in part.closed_ci)
+        text = f"{format_number(part.rms, 3)} {unit} (rms), {100 * part.share:.0f} %"
+        kind = part.part if part.part in _KIND else "effect"
+        bars.append(Bar(part_name(part), rest, left, kind, f"{text} [{low:.0f}, {high:.0f}]"))
+        left = rest
+    return bars
+
+
+def draw_bars(figure: Any, bars: Sequence[Bar], x_label: str, title: str, note: str) -> None:
+    """Draw bars one below the other, each below its text."""
+    axes = figure.subplots()
+    reach = 1.05 * max(max(bar.right + bar.error, bar.mark or 0.0) for bar in bars)
+    for place, bar in zip(range(len(bars))[::-1], bars, strict=True):
+        axes.barh(place, bar.right - bar.left, 0.34, left=bar.left, color=_KIND[bar.kind])
+        if bar.error:
+            axes.errorbar(bar.right, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2)
+        if bar.mark is not None:
+            axes.plot(bar.mark, place, "D", ms=6, mfc="white", mec=DARK)
+        if bar.kind in ("smooth", "noise") and not bar.left:
+            axes.axvline(bar.right, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
+        boxed(axes, 0.01 * reach, place + 0.28, f"{bar.label}: {bar.text}", 9)
+    tidy(axes, x_label, size=9.5)
+    axes.set_xlim(0, reach)
+    axes.set_ylim(-0.4, len(bars) - 0.3)
+    axes.set_yticks([])
+    panel_title(axes, title, note)
+
+
+def level_labels(panel: ResidualMap) -> tuple[str, ...]:
+    """Names of the levels of the map: a value or a range."""
+    named = NAMED_VALUES.get(panel.covariate, {})
+    return tuple(named.get(low) or _range(low, high) for low, high in panel.levels)
+
+
+def _range(low: float, high: float) -> str:
+    if low == high:
+        return format_number(float(low))
+    return f"{format_number(float(low), 3)}-{format_number(float(high), 3)}"
+
+
+def _with_unit(covariate: str, more: str = "") -> str:
+    unit = covariate_unit(covariate)
+    return covariate_text(covariate) + more + f" [{unit}]" * bool(unit)
+
+
+def draw_where(figure: Any, panel: ResidualMap, base: str = "base fit") -> None:
+    """Draw mean residuals in cells, with a dot if they are significant.
+
+    Args:
+        base: what the residuals are of.
+    """
+    axes = figure.subplots()
+    rows, _ = panel.mean.shape
+    reach = float(np.nanmax(np.abs(panel.mean), initial=1e-3))
+    colors = mpl.colormaps["RdBu_r"].with_extremes(bad="#eeeeee")
+    style = {"cmap": colors, "vmin": -reach, "vmax": reach, "edgecolors": "white"}
+    mean = np.ma.masked_invalid(panel.mean)
+    image = axes.pcolormesh(panel.edges, np.arange(rows + 1) - 0.5, mean, lw=0.4, **style)
+    axes.set_facecolor("#eeeeee")
+    center = (panel.edges[:-1] + panel.edges[1:]) / 2
+    row, column = np.nonzero(panel.beyond)
+    axes.plot(center[column], row, "o", ms=3.5, mfc=DARK, mec="white", mew=0.6)
+    tidy(axes, "slip / slip of full sliding", _with_unit(panel.covariate))
+    axes.set_yticks(range(rows), level_labels(panel))
+    bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=30)
+    bar.ax.tick_params(labelsize=7.5, length=3)
+    bar.set_label("% of $F_z$", fontsize=8)
+    bar.outline.set_visible(False)
+    note = "dot: beyond the noise (5 % false)"
+    panel_title(axes, f"Where: measured {panel.channel.capitalize()} minus {base}", note)
+
+
+def after_label(result: Diagnosis) -> str:
+    """Name of the curves after the diagnosis."""
+    if result.comparison and not result.comparison.named:
+        return "base + located gap"
+    named = map(name_of, result.verdict.helping)
+    return " + ".join((*(["parameters"] if result.simulator else []), *named))
+
+
+def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "base") -> None:
+    """Draw both fits over the data, and their residuals below.
+
+    Args:
+        after: what the second fit is called.
+        base: what the first is.
+    """
+    top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
+    axis = slip_axis(panel.slip_name, np.concatenate([curve.slip for curve in panel.curves]))
+    dashed: dict[str, Any] = {"lw": 1.2, "ls": (0, (4, 2))}
+    handles: list[Line2D | Patch] = []
+    for curve, color in zip(panel.curves, COLORS, strict=False):
+        center = axis.shown(curve.center)
+        dots(top, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)
+        top.fill_between(center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1)
+        top.plot(center, curve.base, color=color, zorder=3, **dashed)
+        top.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
+        load = f"$F_z$ = {_range(*curve.load)} N"
+        handles.append(Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load))
+    tidy(
+        top,
+        f"{axis.label} [{axis.unit}]",
+        f"${channel_name(panel.channel)}$ [{UNITS[panel.channel]}]",
+    )
+    handles += [
+        Line2D([], [], color=GREY, label=base, **dashed),
+        Line2D([], [], color=GREY, lw=1.4, label="after"),
+        Patch(color=GREY, alpha=0.3, lw=0, label="80 % of rows"),
+    ]
+    beside = {"fontsize": 7, "frameon": False, "loc": "upper left", "bbox_to_anchor": (1.0, 1.04)}
+    top.legend(handles=handles, **beside)
+    panel_title(top, "Before and after", f"after: {after}")
+    points = {"marker": "o", "ms": 2.5}
+    bottom.plot(panel.center, panel.before, color=DARK, label=base, **points, **dashed)
+    bottom.plot(panel.center, panel.after, color=BLUE, label="after", **points)
+    bottom.set_ylim(bottom=0)
+    tidy(bottom, "slip / slip of full sliding", "rms residual [N]")
+    bottom.legend(**beside)
+
+
+_CHANGES = {
+    "stiffness": "change of stiffness [%]",
+    "friction": "change of friction [%]",
+    "slip": "added slip [-]",
+    "force": "added force [% of $F_z$]",
+}
+_ALONG = {
+    "slip": "added slip, in its own direction [-]",
+    "force": "added force, towards the slip [% of $F_z$]",
+}
+_LETTERS = 52  # largest number of characters in a line of the title
+
+
+def look_title(panel: LookCurve) -> str:
+    """``What is left: friction steps at a load F_z of 5000 N by -4.9 %``."""
+    return f"What is left: {look_text(panel.look)}"
+
+
+def draw_look(figure: Any, panel: LookCurve, beside: str) -> None:
+    """Draw the change of a parameter over a covariate ± standard error.
+
+    Args:
+        beside: the model to which the change is added.
+    """
+    axes, look = figure.subplots(), panel.look
+    scale = 1.0 if look.parameter == "slip" else 100.0
+    change, std = scale * panel.change, scale * panel.std
+    axes.axhline(0.0, color=GREY, lw=0.8, zorder=1)
+    if panel.at_settings:
+        # There are no measurements between settings.
+        axes.errorbar(panel.x, change, std, fmt="o", ms=4, color=BLUE, ecolor=GREY, zorder=3)
+        axes.set_xticks(panel.x)
+    else:
+        axes.fill_between(panel.x, change - std, change + std, color=BLUE, alpha=0.2, lw=0)
+        axes.plot(panel.x, change, color=BLUE, lw=1.6, zorder=2)
+    labels = _ALONG if panel.is_mirrored else _CHANGES
+    tidy(
+        axes, _with_unit(look.covariate, ", within a period" * look.is_wave), labels[look.parameter]
+    )
+    title = textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS)
+    panel_title(axes, title, f"most probable function ± standard error; on top of {beside}")
+
+
+def panels_of(result: Diagnosis) -> dict[str, Panel]:
+    """Name of a panel -> the panel."""
+    base, after, on = (
+        "simulator" if result.simulator else "base fit",
+        after_label(result),
+        result.ladder.on,
+    )
+    bars, note = ladder_bars(result), "no part of these rows can be left out"
+    if on:
+        note = f"{on}; bar: standard error"
+        note += "; diamond: files held out" * any(b.mark is not None for b in bars)
+    x_label = f"rms on {'data left out' if on else 'the rows fitted'} [{result.unit}]"
+    ladder = partial(
+        draw_bars, bars=bars, x_label=x_label, title="How far the gap shrinks", note=note
+    )
+    panels = {
+        "ladder": Panel(ladder, "Rms on data left out, step by step, down to the noise", _SIZE)
+    }
+    if result.comparison is not None:
+        compared = partial(draw_comparison, panel=result.comparison, after=after, base=base)
+        text = "Force over slip and residuals, of the base fit and after it"
+        panels["before and after"] = Panel(compared, text, (WIDE, 4.4))
+    if result.residual_map is not None:
+        where = partial(draw_where, panel=result.residual_map, base=base)
+        text = "Map of measured minus fitted force over slip and another quantity"
+        panels["where"] = Panel(where, text, _SIZE)
+    if result.look is not None:
+        beside = after if result.comparison and result.comparison.named else "the base fit"
+        look = partial(draw_look, panel=result.look, beside=beside)
+        text = "Remainder: change of a parameter over the quantity that it depends on"
+        panels["what is left"] = Panel(look, text, _SIZE)
+    for channel in result.budgets if result.simulator else ():
+        of = f" of {channel_name(channel)}" * (len(result.budgets) > 1)
+        budget = partial(
+            draw_bars,
+            bars=budget_bars(result, channel),
+            x_label="share of the squared error [%]",
+            title=f"Budget{of}: from the simulator's error to noise",
+            note="parts add in squares; [90 % interval]",
+        )
+        text = f"Waterfall from the simulator's error, part by part, to the noise{of}"
+        panels[f"budget{of}"] = Panel(budget, text, _SIZE)
+    return panels
+
+
+def diagnosis_figure(result: Diagnosis) -> Picture:
+    """The first panels one below the other, below the answer; the page has all."""
+    panels = list(panels_of(result).values())[:_SHOWN]
+    foot = f"{foot_line(result)} · {format_number(result.n)} rows"
+    return together(panels, subject(result), answer(result), foot)
+
+
+def plot_diagnosis(result: Diagnosis, panel: str | None = None) -> Picture:
+    """The figure of a diagnosis: ladder, before and after, location of the gap.
+
+    ``result.plot().savefig("why.pdf")`` saves it.
+
+    Args:
+        result: a result of ``tirefit.diagnose``.
+        panel: a single panel, such as ``ladder``; all if None.
+
+    Raises:
+        UsageError: no such panel; the error lists those of this diagnosis.
+    """
+    if panel is None:
+        return diagnosis_figure(result)
+    check_names("panel", [panel], panels := panels_of(result))
+    return alone(panels[panel])

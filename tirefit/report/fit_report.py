@@ -1,0 +1,287 @@
+"""The report of a fit: its sections, as text, as a page and as a fragment for notebooks."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tirefit.fitting.result import SCHEMA, FitResult, information
+from tirefit.report.fit_tables import (
+    FORCE_UNIT,
+    chain_rows,
+    correlation_lines,
+    derived_by_run,
+    derived_rows,
+    far_lines,
+    fit_files,
+    parameter_rows,
+    posterior_lines,
+    quality_items,
+    reference_text,
+    route_rows,
+    rows_text,
+    run_lines,
+    run_rows,
+    value_text,
+)
+from tirefit.report.numbers import format_number
+from tirefit.report.page import (
+    Rows,
+    Section,
+    fragment,
+    image_of,
+    named_lines,
+    page,
+    report_text,
+    verdict_of,
+    wrapped,
+)
+from tirefit.results import UsageError
+
+_FAR_ROWS = 8  # outliers that the full report lists one by one
+_MASKED = 5  # masked rows that are listed one by one
+_PAIRS = 10  # correlations that are listed
+_MANY = 8  # largest number of parameters whose profiles a page shows at once
+_AS_NAMED = re.compile(
+    r"(?:\d+ files: )?column '(.+)' read as (\w+)( in (.+?))?( \(stated in the file\))?"
+)
+"""Assumption on one column: header, quantity and unit."""
+
+
+def verdict_line(result: FitResult) -> str:
+    """The verdict in one sentence."""
+    if result.outcomes:
+        return f"{result.status}: {result.warnings[0]}"
+    s, unit = result.statistics, FORCE_UNIT[result.forces[0]]
+    fit = f"RMSE {format_number(s.rmse, 3)} {unit}, R² {s.r2:.4f}"
+    return f"{result.status}: {fit}, every free parameter identified"
+
+
+def _more(result: FitResult) -> Sequence[str]:
+    """What to know beside the verdict's sentence."""
+    return result.warnings[bool(result.outcomes) :]
+
+
+def assumption_lines(notes: Sequence[str], also: Sequence[str] = ()) -> tuple[list, list]:
+    """A line for all columns that were read, and lines for the other assumptions."""
+    found = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
+    columns = [
+        m[2] + f" [{m[4]}]" * bool(m[4]) + f" from {m[1]!r}" * (m[1].partition(" [")[0] != m[2])
+        for _, m in found
+        if m
+    ]
+    others = [*(note for note, m in found if not m), *also]
+    line = [("columns", ", ".join(columns))] * bool(columns)
+    return line, named_lines("assumptions", others)
+
+
+def _data(result: FitResult, full: bool) -> Section:
+    """File, rows, columns, signs and assumptions."""
+    data, noise = result.data, result.noise.get("notes", ())
+    # In short, without the source of the noise, which the quality states.
+    noise = [note for note in noise if full or not note.startswith("noise of")]
+    columns, others = assumption_lines(data["assumptions"], noise)
+    masked = [str(problem).replace("\n", " ") for problem in data["masked"]]
+    more = [f"and {len(masked) - _MASKED} more"] * (len(masked) > _MASKED)
+    convention = f"braking positive, SI (file: {data['convention']}, slip"
+    lines = [
+        ("rows", rows_text(result)),
+        *named_lines("runs", run_lines(result)),
+        *columns,
+        ("convention", f"{convention} {data['slip_definition']})"),
+        *others,
+        *named_lines("masked", [*masked[:_MASKED], *more]),
+        *named_lines("outliers", far_lines(result, _FAR_ROWS) if full else []),
+    ]
+    return Section("Data and settings", lines)
+
+
+def _settings(result: FitResult) -> list[tuple[str, str]]:
+    """What the page says more on data and settings: parameters, file, programs."""
+    lines = []
+    for p in result.problem.layout.free:
+        unit = "" if p.spec.unit == "-" else f" {p.spec.unit}"
+        text = f"{p.name} free in [{p.spec.lower:g}, {p.spec.upper:g}]{unit}"
+        text += ", one per run" if p.per_run else ""
+        lines.append(text + (f", prior {p.prior[0]:g} ± {p.prior[1]:g}" if p.prior else ""))
+    lines += [f"{t.name} = {t.factor:g} {t.other}" for t in result.problem.layout.ties]
+    versions = ", ".join(f"{k} {v}" for k, v in result.versions.items())
+    return [
+        ("file", f"{result.data['file']}, sha256 {result.data['sha256'] or '-'}"),
+        ("model", f"{result.model}, forces {', '.join(result.forces)}; {'; '.join(lines)}"),
+        ("versions", f"tirefit {result.version}, {SCHEMA}; {versions}"),
+    ]
+
+
+def sections_of(result: FitResult, full: bool) -> list[Section]:
+    """The sections of a fit, with the names of their figures.
+
+    Args:
+        full: with the intervals by every route, the misfit by run, the chains and the
+            information criteria.
+    """
+    source, at = result.source, f"at {reference_text(result)}"
+    many = len(result.parameters) > _MANY
+    # The short report has the intervals by each route if they disagree.
+    routes = route_rows(result) if full or result.verdict.disagreements else ()
+    quality = [item for item in quality_items(result) if full or item[0] != "information"]
+    posterior = posterior_lines(result)
+    if not full:
+        quality += named_lines("posterior", posterior)
+    by_run = f"{at}; {source}; intervals in fit.json"
+    parts = [
+        Section("Parameters", (), parameter_rows(result), note=source),
+        Section("Intervals by route", (), routes),
+        Section("Derived", (), derived_rows(result), note=f"{at}; {source}"),
+        Section("Derived, by run", (), derived_by_run(result), ("runs",), note=by_run),
+        Section("Quality", quality, (), ("residuals",)),
+    ]
+    if full:
+        rows, right = run_rows(result), (1, 2, 3)
+        bias = "bias: measured - fitted"
+        parts += [
+            Section("By run", (), rows, note=bias, right=right),
+            Section("Profile likelihood", (), (), ("profile",), folded=many),
+            Section("Posterior", posterior, chain_rows(result), ("corner",), right=right),
+            Section("Chains", (), (), ("trace",), folded=True),
+        ]
+    pairs = correlation_lines(result, _PAIRS)
+    return [*parts, Section("Correlations above 0.9", pairs)]
+
+
+def fit_report(result: FitResult, full: bool = False) -> str:
+    """The report of one fit as text; the verdict is last.
+
+    Args:
+        full: with the intervals by every route, the misfit by run, the chains and the
+            information criteria.
+    """
+    several = len(result.data["runs"]) > 1 and ", " in result.data["file"]
+    files = fit_files(result) if several else result.data["file"]
+    title = f"tirefit {result.version}: {result.model} fitted to {' and '.join(result.forces)} of"
+    head = [*wrapped(f"{title} {files}"), report_text([_data(result, full)._replace(title="")])]
+    verdict = wrapped(f"VERDICT: {verdict_line(result)}", "", " " * 9)
+    for sentence in _more(result):
+        verdict += wrapped(sentence, "       - ", " " * 9)
+    parts = report_text(sections_of(result, full), apart=True)
+    return "\n".join([*head, "", parts, "", *verdict]) + "\n"
+
+
+def fit_page(result: FitResult) -> str:
+    """The whole fit as one HTML document with its pictures, no script or resource."""
+    from tirefit.report.fit_figures import page_pictures  # Matplotlib
+
+    pictures = page_pictures(result)
+    data = _data(result, full=True)
+    sections = [
+        Section("", pictures=pictures["fit"]),
+        *(
+            one._replace(pictures=[x for name in one.pictures for x in pictures.get(name, ())])
+            for one in sections_of(result, full=True)
+        ),
+        data._replace(lines=[*data.lines, *_settings(result)]),
+    ]
+    subtitle = f"{', '.join(result.forces)}, {result.statistics.n} rows; braking positive, SI;"
+    subtitle += f" seed {result.seed}; tirefit {result.version}"
+    title = f"{result.model} fitted to {fit_files(result, 60)}"
+    return page(title, sections, _verdict(result), subtitle, result.to_json())
+
+
+def _verdict(result: FitResult) -> dict:
+    sentence = f"Verdict: {verdict_line(result)}"
+    return verdict_of(sentence, _more(result), not result.outcomes)
+
+
+def fit_fragment(result: FitResult) -> str:
+    """Parameters, verdict and the fitted curve; no script, no external resource."""
+    from tirefit.report.fit_figures import figure_of  # Matplotlib, for a fit with its data
+
+    picture = figure_of(result, "fit")
+    picture.set_dpi(90)
+    image = image_of(picture, "measured points and fitted curve")
+    sections = [Section("", table=parameter_rows(result), pictures=[image])]
+    subtitle = f"fitted to {fit_files(result)}, {result.statistics.n} rows; {result.source}"
+    return fragment(result.model, sections, _verdict(result), subtitle)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Several models on the same data, lowest AICc first; prints as a table."""
+
+    rows: Rows  # cells, header first
+    notes: Sequence[str]  # remarks printed below the table
+
+    @property
+    def _section(self) -> Section:
+        return Section("", self.notes, self.rows, right=range(1, len(self.rows[0]) - 1))
+
+    def __str__(self) -> str:
+        return report_text([self._section])
+
+    def _repr_html_(self) -> str:
+        return fragment("", [self._section])
+
+
+def _comparable(results: Sequence[FitResult]) -> None:
+    if not results:
+        raise UsageError("nothing to compare: give a list of fits")
+    keys = {(r.data["file"], r.data["sha256"], r.statistics.n, r.forces) for r in results}
+    if len(keys) > 1:
+        raise UsageError(
+            "these fits are of different rows or forces, so AICc, BIC and RMSE do not"
+            " tell which model is better: fit all models to the same data"
+        )
+
+
+def compare(results: Sequence[FitResult]) -> Comparison:
+    """Compare models fitted to the same data, with the same effective number of rows.
+
+    Args:
+        results: fits of the same rows and forces.
+
+    Returns:
+        A table for ``print`` and for notebooks.
+
+    Raises:
+        UsageError: no fits, or fits of different data.
+
+    Example:
+        >>> data = read(samples / "circles.csv")
+        >>> table = compare([fit(data, model) for model in ("brush", "elliptic")])
+        >>> [row[0] for row in table.rows]
+        ['model', 'elliptic', 'brush']
+    """
+    _comparable(results)
+    best = min(results, key=lambda r: r.statistics.rmse).statistics
+    rows = best.n * len(results[0].forces)
+    scored = []
+    for r in results:
+        s = r.statistics
+        scored.append(
+            (*information(s.minus_two_log_likelihood, rows, best.n_effective, s.unknowns), r)
+        )
+    scored.sort(key=lambda one: one[0])
+    least = min(bic for _, bic, _ in scored)
+    unit = FORCE_UNIT[results[0].forces[0]]
+    table = [("model", "k", f"RMSE [{unit}]", "AICc", "Δ AICc", "Δ BIC", "n_eff", "verdict")]
+    for aicc, bic, r in scored:
+        off = f"{aicc:.1f}", f"{aicc - scored[0][0]:.1f}", f"{bic - least:.1f}"
+        s = r.statistics
+        ends = f"{s.n_effective:.0f}", str(r.status)
+        table.append((r.model, str(len(r.labels)), format_number(s.rmse), *off, *ends))
+    notes = [_parameters(r) for _, _, r in scored]
+    effective = [r.statistics.n_effective for r in results]
+    if max(effective) > 1.1 * min(effective):
+        notes.append(
+            "AICc and BIC count the rows of every model as"
+            f" {best.n_effective:.0f}, the effective number of the closest fit"
+        )
+    return Comparison(tuple(table), tuple(notes))
+
+
+def _parameters(result: FitResult) -> str:
+    parts = []
+    for name, estimate in result.parameters.items():
+        if not estimate.fixed:
+            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
+            parts.append(f"{name} = {value_text(estimate)}{unit}")
+    return f"{result.model}: {', '.join(parts)}"

@@ -1,0 +1,357 @@
+"""Results of several files on one page, and as a table for the terminal."""
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit import __version__
+from tirefit.data.merged import merged
+from tirefit.data.records import FAILED, FileRecord, ResultsTable, dates_of
+from tirefit.data.run_names import run_names
+from tirefit.files import write_text_atomic
+from tirefit.fitting.across_files import AcrossFiles, across_files
+from tirefit.fitting.derived import quantity_of
+from tirefit.fitting.result import FitResult
+from tirefit.fitting.store import record_of_fit
+from tirefit.report.canvas import WIDE, Panel, images_of, panel_title
+from tirefit.report.curves import overlay_of
+from tirefit.report.fit_figures import curve_panel
+from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.page import Rows, Section, page, table_parts, verdict_of
+from tirefit.report.values import Points, draw_points
+from tirefit.results import Outcome, UsageError
+
+_KINDS = ("parameter", "effect", "gap", "derived", "statistic")
+"""Kinds of quantities in the order of the page, without given values (``base``)."""
+_OWN_STD = ("parameter", "effect", "derived")
+"""Kinds whose numbers have a standard deviation; without one a number counts as unknown."""
+_FEW = 3  # smallest number of files for a quantity to be shown
+_PICTURES, _LISTED = 12, 40
+"""Largest numbers of drawn quantities and of listed files."""
+_DISTANCE = f"""\
+distance from the line over time, in units of the file's own standard deviation and the scatter \
+between files together. The line is robust (Huber), and the scatter is that of the middle half of \
+the files. Among files that do not differ, one would be listed for one quantity in a hundred; a \
+drift is reported at the same odds. The {_LISTED} farthest are listed"""
+
+
+class Quantity(NamedTuple):
+    """A quantity of n files, NaN where a file does not have it."""
+
+    kind: str
+    name: str
+    unit: str
+    value: np.ndarray  # (n,)
+    std: np.ndarray  # (n,), zero without a standard deviation of its own
+    known: np.ndarray  # (n,) whether the data of the file determine it
+    across: AcrossFiles  # of the known ones
+
+    @property
+    def title(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit not in ("", "-") else self.name
+
+    @property
+    def whole(self) -> bool:
+        """Whether it counts something, such as rows."""
+        values = self.value[self.known]
+        return self.kind == "statistic" and np.array_equal(values, np.round(values))
+
+
+class Files(NamedTuple):
+    """All files, their short names and their quantities."""
+
+    columns: dict[str, list]  # of the table of results that describe files, (n,) each
+    names: Sequence[str]
+    pattern: str  # of the names that were shortened
+    dates: np.ndarray | None  # (n,) from their names; None: use the order of files
+    quantities: list[Quantity]
+
+
+def _files(columns: dict[str, list], given: Iterable[tuple]) -> Files:
+    """Files with quantities: of each its kind, name and unit, and the numbers of its files
+    from 1, its values and standard deviations (m,)."""
+    count, quantities = len(columns["file"]), []
+    dates = dates_of(columns["file"])
+    when = np.arange(count) + 1.0 if dates is None else dates.astype(float) / 86400
+    for kind, name, unit, number, *numbers in given:
+        value, std = np.full((2, count), np.nan)
+        value[number - 1], std[number - 1] = numbers
+        if kind not in _OWN_STD:
+            std = np.zeros(count)
+        known = np.isfinite(value + std)
+        if kind in _KINDS and known.sum() >= min(_FEW, count):
+            across = across_files(value[known], std[known], when[known])
+            quantities.append(Quantity(kind, name, unit, value, std, known, across))
+    quantities.sort(key=lambda one: _KINDS.index(one.kind))
+    done = [name for name, s in zip(columns["file"], columns["status"], strict=True) if s != FAILED]
+    short = run_names(done)
+    shorter = dict(zip(done, short.short, strict=True))
+    names = [shorter.get(name, name) for name in columns["file"]]
+    return Files(columns, names, short.pattern, dates, quantities)
+
+
+def files_of_table(path: Path) -> Files:
+    """Files and quantities of a table of all results (``tirefit.data.records``)."""
+    table = ResultsTable(path)
+    keys = table.quantities()
+    return _files(table.files(), ((*key, *table.of(*key[:2]).values()) for key in keys))
+
+
+def files_of_records(records: Sequence[FileRecord]) -> Files:
+    """Files and quantities of records in memory."""
+    names = ("file", "model", "status", "problem", "convention", "version", "seed")
+    columns = {name: [getattr(one, name) for one in records] for name in names}
+    rows: dict[tuple, list] = {}
+    for number, record in enumerate(records, 1):
+        for row in record.rows:
+            key = row.kind, row.name, row.unit
+            rows.setdefault(key, []).append((number, row.value, row.std))
+    given = ((*key, *_columns(each)) for key, each in rows.items())
+    return _files(columns, given)
+
+
+def _columns(rows: Sequence[tuple]) -> tuple[np.ndarray, ...]:
+    number, value, std = np.array(rows, float).T
+    return number.astype(int), value, std
+
+
+def summary_table(fits: Sequence[FileRecord]) -> str:
+    """Directory, parameters with standard deviations, RMSE and verdict of every fit."""
+    if not fits:
+        return "no file could be fitted"
+    parameters = [fit.of_kind("parameter") for fit in fits]
+    columns = list(dict.fromkeys(name for one in parameters for name in one))
+    rows = [["fit", *columns, "RMSE", "verdict"]]
+    directories = run_names([fit.result for fit in fits])
+    for name, fit, known in zip(directories.short, fits, parameters, strict=True):
+        rmse = f"{fit.of_kind('statistic')['rmse'].value:.4g}"
+        cells = [_cell(known[one].value, known[one].std) if one in known else "" for one in columns]
+        rows.append([name, *cells, rmse, fit.status])
+    of = f" of {directories.pattern}" if directories.pattern else ""
+    return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])
+
+
+def _cell(value: float | None, std: float | None) -> str:
+    """A value with its standard deviation; ``-`` if the data do not determine it."""
+    return "-" if value is None or np.isnan(value) else format_estimate(value, std or None)
+
+
+def _main(files: Files) -> list[Quantity]:
+    """Parameters, effects, gaps and the misfit, from which the other quantities follow."""
+    return [one for one in files.quantities if one.kind in _KINDS[:3] or one.name == "rmse"]
+
+
+def _table_of_files(files: Files) -> Rows:
+    """A row for each file, a column for each parameter, effect and gap."""
+    shown = _main(files)
+    rows = [["file", *(one.title for one in shown), "verdict"]]
+    for k, (name, status) in enumerate(zip(files.names, files.columns["status"], strict=True)):
+        cells = [_cell(one.value[k], one.std[k]) if one.known[k] else "-" for one in shown]
+        rows.append([name, *cells, status])
+    return rows[: _LISTED + 1]
+
+
+def _quantities(files: Files) -> Rows:
+    head = ("quantity", "unit", "files", "not determined", "middle", "scatter between files",
+            "a file's own std", "change, first to last", "differ")  # fmt: skip
+    rows: list[Sequence[str]] = [head]
+    for one in files.quantities:
+        across, std = one.across, one.std[one.known]
+        change = "too few files"
+        if across.change_std > 0:
+            change = format_estimate(across.change, across.change_std)
+            change += ": drifts" * across.drifts
+        rows.append(
+            (
+                one.name,
+                one.unit,
+                str(one.known.sum()),
+                str(len(one.known) - one.known.sum()),
+                format_number(across.middle),
+                format_number(across.scatter, 2),
+                format_number(float(np.median(std))) if std.any() else "-",
+                change,
+                str(int(across.outlier.sum())),
+            )
+        )
+    return rows
+
+
+def _different(files: Files) -> Rows:
+    """The files that differ most in any quantity."""
+    far: list[tuple[float, Quantity, int]] = [
+        (float(pull), one, int(k))
+        for one in files.quantities
+        for k, pull, is_far in zip(
+            np.flatnonzero(one.known), one.across.pulls, one.across.outlier, strict=True
+        )
+        if is_far
+    ]
+    far.sort(key=lambda item: -abs(item[0]))
+    rows = [("file", "quantity", "value ± std", "unit", "distance in std")]
+    for pull, one, k in far[:_LISTED]:
+        text = _cell(one.value[k], one.std[k])
+        rows.append((files.columns["file"][k], one.name, text, one.unit, f"{pull:+.1f}"))
+    return rows
+
+
+def points_of(files: Files, one: Quantity) -> Points:
+    """A quantity over the dates or the names of the files, with its line over time."""
+    count, known, across = len(one.known), one.known, one.across
+    when = np.arange(float(count))
+    if files.dates is not None:
+        when = files.dates.astype(float) / 86400  # days, as Matplotlib counts them
+    at = when[known]
+    share = (at - at.mean()) / (np.ptp(at) or 1.0)
+    far = np.zeros(count, bool)
+    far[known] = across.outlier
+    line = at, across.middle + across.change * share, across.scatter
+    return Points(
+        one.title,
+        () if files.dates is not None else files.names,
+        when,
+        one.value,
+        one.value - one.std,
+        one.value + one.std,
+        known,
+        far,
+        line,
+        one.whole,
+    )
+
+
+def _pictures(files: Files) -> list[dict]:
+    return images_of(
+        Panel(
+            partial(_draw_quantity, files=files, quantity=one),
+            f"{one.name} over the files",
+            (WIDE, 2.8 if files.dates is None else 2.3),
+        )
+        for one in _main(files)[:_PICTURES]
+    )
+
+
+def _draw_quantity(figure: Any, files: Files, quantity: Quantity) -> None:
+    axes = figure.subplots()
+    draw_points(axes, points_of(files, quantity), files.dates is not None)
+    scatter = format_number(quantity.across.scatter, 2)
+    panel_title(axes, quantity.title, f"± standard deviation; grey: scatter of files {scatter}")
+
+
+def _verdict(files: Files) -> dict[str, Any]:
+    """How many files have each status, and the problems of single ones."""
+    status, problems = files.columns["status"], files.columns["problem"]
+    counts = [f"{count} {name}" for name, count in Counter(status).most_common(_LISTED)]
+    lines = [
+        f"{file}: {name}: {problem}"
+        for file, name, problem in zip(files.columns["file"], status, problems, strict=True)
+        if problem
+    ]
+    more = [f"and {len(lines) - _LISTED} more"] * (len(lines) > _LISTED)
+    sentence = f"Verdict: of {len(status)} files: {', '.join(counts)}"
+    return verdict_of(sentence, [*lines[:_LISTED], *more], set(status) == {Outcome.OK})
+
+
+def _settings(files: Files, notes: Sequence[str]) -> Iterator[str]:
+    def each(column: str) -> str:
+        values = [str(v) for v in files.columns[column] if v not in ("", None)]
+        count = Counter(values).most_common(4)
+        more = len(set(values)) - len(count)
+        texts = [f"{name} ({times} files)" if len(count) > 1 else name for name, times in count]
+        return ", ".join(texts) + f" and {more} others" * bool(more)
+
+    yield f"model: {each('model')}"
+    yield f"convention of the files: {each('convention')}"
+    yield f"seed: {each('seed')}"
+    yield f"version: {each('version')}, page by {__version__}"
+    if files.dates is None:
+        yield "time: the order of the files: their names do not all have a date"
+    else:
+        yield "time: the dates in the files' names"
+    yield from notes
+
+
+def files_page(
+    files: Files, title: str, curves: Sequence[dict] = (), notes: Sequence[str] = ()
+) -> str:
+    """Results of several files as one HTML document, without script or external resource.
+
+    Args:
+        curves: pictures of fitted curves.
+        notes: assumptions on the files.
+    """
+    more = len(files.names) - _LISTED
+    none = ["no quantity of three files or more"] * (not files.quantities)
+    sections = [
+        Section("Fitted curves", (), (), curves),
+        Section("Quantities over the files", none, _quantities(files), _pictures(files)),
+        Section("Files that differ", (), _different(files), note=_DISTANCE),
+        Section(
+            "Files", [f"and {more} more, in the table of results"] * (more > 0),
+            _table_of_files(files),
+        ),
+        Section("Data and settings", list(_settings(files, notes))),
+    ]  # fmt: skip
+    subtitle = "; ".join(filter(None, [files.pattern, "braking positive, SI"]))
+    return page(title, sections, _verdict(files), subtitle)
+
+
+def write_fleet_page(table: Path, path: Path, command: str) -> None:
+    """The page of a table of all results that ``command`` wrote."""
+    files = files_of_table(table)
+    title = f"tirefit {command}: {len(files.names)} files"
+    write_text_atomic(path, files_page(files, title))
+
+
+def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None) -> str:
+    """Several fits as one HTML document; arguments as :func:`write_fits_page`."""
+    if not fits:
+        raise UsageError("no fit for the page", "give fits by name: {'dry': fit, ...}")
+    records = []
+    for name, result in fits.items():
+        problem = result.warnings[0] if result.outcomes else ""
+        record = record_of_fit(result.to_dict(), name)
+        # Parameters per run are on the page of each fit.
+        rows = tuple(row for row in record.rows if row.name == quantity_of(row.name))
+        records.append(replace(record, file=name, problem=problem, rows=rows))
+    records += [
+        FileRecord(name, "", "", FAILED, problem=text) for name, text in (failed or {}).items()
+    ]
+    files = files_of_records(records)
+    by_name = dict(zip(files.names, fits.values(), strict=False))
+    channels = dict.fromkeys(channel for result in fits.values() for channel in result.forces)
+    curves = images_of(
+        curve_panel(overlay_of(by_name, channel), f"Fitted curves of {channel} of all files")
+        for channel in channels
+    )
+    notes = merged((name, result.data["assumptions"]) for name, result in fits.items())
+    models = ", ".join(dict.fromkeys(result.model for result in fits.values()))
+    return files_page(files, f"{models} fitted to {len(fits)} files", curves, notes)
+
+
+def write_fits_page(
+    fits: Mapping[str, FitResult], path: str | os.PathLike, failed: Mapping[str, str] | None = None
+) -> None:
+    """Write the page of several fits, completely or not at all.
+
+    Args:
+        fits: file (or any other name) -> its fit, in the order of the page.
+        path: of the page, such as ``fits.html``.
+        failed: file -> reason why it could not be fitted.
+
+    Raises:
+        UsageError: there is no fit.
+        OSError: the file cannot be written.
+
+    Example:
+        >>> names = ("circles", "free_driving")
+        >>> fits = {name: fit(samples / f"{name}.csv") for name in names}
+        >>> write_fits_page(fits, folder / "fits.html")
+    """
+    write_text_atomic(path, fits_page(fits, failed))

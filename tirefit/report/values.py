@@ -1,0 +1,120 @@
+"""Values of one quantity by run, by file or over time: an array of points, drawn on axes."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from tirefit.data.run_names import clipped
+from tirefit.report.canvas import BLUE, DARK, GREY, RED, tidy
+from tirefit.report.numbers import plain_text
+
+_MOST_NAMES = 40
+_MOST = 300  # largest number of points drawn one by one; with more, as many bins of points
+
+
+class Points(NamedTuple):
+    """One quantity of n runs or files: values and ends of their bars (n,), NaN if open."""
+
+    label: str
+    names: Sequence[str]  # empty: the axis has dates
+    at: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    known: np.ndarray  # (n,) whether the data identify it
+    far: np.ndarray  # (n,) whether it differs from the others
+    line: tuple[np.ndarray, np.ndarray, float] | None = None  # places, values, half-width
+    whole: bool = False  # whether it counts something
+
+
+def reach(points: Points) -> tuple[float, float]:
+    """Lower and upper end of the axis, by the identified values."""
+    rows = points.known & np.isfinite(points.value)
+    rows = rows if rows.any() else np.isfinite(points.value)
+    ends = np.concatenate([points.value[rows], points.low[rows], points.high[rows]])
+    ends = ends[np.isfinite(ends)]
+    if len(ends) == 0:
+        return 0.0, 1.0
+    low, high = float(ends.min()), float(ends.max())
+    margin = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def binned(points: Points, most: int = _MOST) -> Points:
+    """The points; of very many, medians and the central 68 % of bins of equally many
+    consecutive ones, and the ``most`` farthest of those that differ."""
+    near = np.flatnonzero(points.known & ~points.far)
+    if len(near) <= most:
+        return points
+    near = near[np.argsort(points.at[near], kind="stable")]
+    bins = np.array_split(near, most)
+    ends = np.array([np.quantile(points.value[bin], (0.16, 0.5, 0.84)) for bin in bins]).T
+    off = np.abs(points.value - ends[1].mean())
+    far = np.flatnonzero(points.far)
+    far = far[np.argsort(-off[far], kind="stable")][:most]
+
+    def joined(of_bins: Any, own: np.ndarray) -> np.ndarray:
+        return np.concatenate([of_bins, own[far]])
+
+    return points._replace(
+        at=joined([points.at[bin].mean() for bin in bins], points.at),
+        value=joined(ends[1], points.value),
+        low=joined(ends[0], points.low),
+        high=joined(ends[2], points.high),
+        known=joined(np.ones(most, bool), points.known),
+        far=joined(np.zeros(most, bool), points.far),
+    )
+
+
+def draw_points(axes: Any, points: Points, dated: bool = False) -> None:
+    """Draw values with their bars; those not identified are open and grey, those that differ
+    red crosses."""
+    names, (low, high) = points.names, reach(points)
+    points = binned(points)
+    at = (points.at * 86400).astype("datetime64[s]") if dated else points.at
+    size = float(np.clip(60 / len(at), 2.0, 5.0))
+    first = np.where(np.isnan(points.low), low, np.maximum(points.low, low))
+    last = np.where(np.isnan(points.high), high, np.minimum(points.high, high))
+    there, near = np.isfinite(points.value), points.known & ~points.far
+    for rows, color, mark, face in (
+        (near, BLUE, "o", BLUE),
+        (points.known & points.far, RED, "x", RED),
+        (~points.known & there, GREY, "o", "white"),
+        (~there, RED, "x", RED),
+    ):
+        value, bars = np.where(there, np.clip(points.value, low, high), low), rows & there
+        axes.vlines(at[bars], first[bars], last[bars], color=color, lw=1.2)
+        axes.plot(at[rows], value[rows], mark, markersize=size, color=color, markerfacecolor=face)
+    if points.line is not None:
+        where, line, half = points.line
+        where = (where * 86400).astype("datetime64[s]") if dated else where
+        order = np.argsort(where)
+        axes.plot(where[order], line[order], color=DARK, lw=0.8)
+        axes.fill_between(
+            where[order], (line - half)[order], (line + half)[order], color=GREY, alpha=0.25, lw=0
+        )
+    tidy(axes)
+    axes.set_ylim(low, high)
+    axes.grid(axis="y", color=GREY, alpha=0.25, lw=0.5)
+    if points.whole:
+        axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True, min_n_ticks=1))
+    if dated:
+        axes.set_xlabel("date in the file's name", fontsize=8.5)
+    else:
+        _name_places(axes, names)
+
+
+def names_below(names: Sequence[str]) -> list[str]:
+    """The names as drawn below an axis; of many, some of them."""
+    return [plain_text(clipped(name, 18)) for name in names[:: -(-len(names) // _MOST_NAMES) or 1]]
+
+
+def _name_places(axes: Any, names: Sequence[str]) -> None:
+    """Names below the places 0, 1, ..."""
+    texts = names_below(names)
+    axes.set_xticks(np.arange(len(texts)) * (-(-len(names) // _MOST_NAMES) or 1), texts)
+    if sum(map(len, texts)) > 40:
+        axes.tick_params(axis="x", labelrotation=90, labelsize=7)
+    axes.set_xlim(-0.6, len(names) - 0.4)

@@ -1,0 +1,270 @@
+"""Reports of a car: of a replay, and of a fit by trajectory."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from tirefit.diagnosis.summary.result import UNITS
+from tirefit.models import TireInputs, forces
+from tirefit.report.canvas import (
+    BLUE,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    Panel,
+    Picture,
+    axes_panel,
+    dots,
+    images_of,
+    together,
+)
+from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.page import Section, page, report_text, verdict_of
+from tirefit.vehicle.conclusion import conclusions, place_of
+from tirefit.vehicle.errors import QUANTITIES
+from tirefit.vehicle.replay import Fans, Replay
+from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
+
+_NAMES = {
+    "yaw_rate": "yaw rate",
+    "sideslip": "sideslip",
+    "a_y": "lateral acceleration",
+    "heading": "heading",
+    "lateral": "lateral position",
+}
+_COLORS = {
+    "tire": BLUE,
+    "linear tire": ORANGE,
+    "no slip": GREY,
+    "floor": GREEN,
+    "with the effects": RED,
+}
+_LABELS = {
+    "tire": "these tires",
+    "linear tire": "linear tires",
+    "no slip": "no slip",
+    "floor": "noise floor",
+    "with the effects": "with effects",
+}
+_SHOWN = 40
+"""Largest number of windows that are drawn: about ten seconds of driving."""
+_FAN = 1.0
+"""Duration [s] of a drawn prediction."""
+_PREDICTED = f"predicted, {_FAN:g} s"
+
+
+def answer(result: Replay) -> str:
+    """What limits the prediction; the error of the car, of the noise of the log, and of the
+    baselines."""
+    place = place_of(result)
+    rms = {name: errors.rms() for name, errors in result.models.items()}
+
+    def size(model, quantity="lateral"):
+        value = rms[model][quantity][place]
+        return f"{format_number(value, 2)} {QUANTITIES[quantity]}"
+
+    more = ""
+    if (name := "with the effects") in rms:
+        more = f" With the effects these errors are {size(name)} and"
+        more += f" {size(name, 'yaw_rate')}."
+    return (
+        "".join(f"{sentence} " for sentence in conclusions(result))
+        + f"{result.horizons[place]:g} s after a start, the predicted car has an rms"
+        f" error of {size('tire')} in lateral position and"
+        f" {size('tire', 'yaw_rate')} in yaw rate.{more} The noise of the log causes"
+        f" {size('floor')} and {size('floor', 'yaw_rate')} of it. The lateral position"
+        f" is wrong by {size('linear tire')} with linear tires and by"
+        f" {size('no slip')} for a car without slip."
+    )
+
+
+def _sections(result: Replay) -> list[Section]:
+    """Errors by horizon, logs, assumptions."""
+    rows = [["rms of", "model", *(f"{h:g} s" for h in result.horizons)]]
+    for name, unit in QUANTITIES.items():
+        for model, errors in result.models.items():
+            cells = ["-" if x is None else format_number(x, 2) for x in errors.rms()[name]]
+            what = f"{_NAMES[name]} [{unit}]" if model == "tire" else ""
+            rows.append([what, _LABELS[model], *cells])
+    rows.append(["starts", "", *map(str, result.windows)])
+    known = {name: share for name, (share, *_) in result.held.items() if share is not None}
+    each = ", ".join(f"{_NAMES[name]} {share:.0%}" for name, share in known.items())
+    held = "share of the measured values within the 95 % band of the tires' parameters"
+    held += f" {result.horizons[0]:g} s ahead: {each}; the uncertainty of the"
+    held += " parameters explains no more of the error"
+    fitted = [name for name, is_fitted in result.logs.items() if is_fitted]
+    others = [name for name, is_fitted in result.logs.items() if not is_fitted]
+    logs = [f"the tires were fitted to {', '.join(fitted) or 'none of these logs'}"]
+    if fitted and others:
+        logs.append(f"the tires were not fitted to {', '.join(others)}")
+    title, right = "Error by time after the start", range(2, len(rows[0]))
+    return [
+        Section(title, [held] * bool(result.held), rows, right=right),
+        Section("Logs", logs),
+        Section("Assumed", result.notes),
+    ]
+
+
+def replay_text(result: Replay) -> str:
+    """The report: the answer, the errors by horizon, assumptions."""
+    return (
+        f"{_head(result)}\n{report_text([Section('Answer', [answer(result)]), *_sections(result)])}"
+    )
+
+
+def _head(result: Replay) -> str:
+    logs = "1 log" if len(result.logs) == 1 else f"{len(result.logs)} logs"
+    return f"REPLAY of {logs}, {result.windows[0]} starts"
+
+
+def plotted(result: Replay, what: str = "path") -> Picture:
+    """Error over the horizon and the ``path``; or the ``series`` of yaw rate and
+    lateral acceleration."""
+    panels = {"path": _path_panels, "series": _series_panels}[what](result)
+    return together(panels, _head(result), answer(result), "braking positive, SI")
+
+
+def replay_page(result: Replay) -> str:
+    """The replay as one HTML document with its pictures, no script or resource."""
+    panels = [*_path_panels(result), *_series_panels(result)]
+    sections = [Section("", pictures=images_of(panels)), *_sections(result)]
+    verdict = verdict_of(answer(result), (), not result.outcomes)
+    return page(_head(result), sections, verdict, record=result.to_json())
+
+
+_HELD = {"lateral": "lateral position [m]", "yaw_rate": "yaw rate [rad/s]"}
+_SERIES = {"yaw_rate": "yaw rate [rad/s]", "a_y": "lateral acceleration [m/s²]"}
+
+
+def _draw_errors(axes: Any, result: Replay, name: str) -> None:
+    for model, errors in result.models.items():
+        values = [np.nan if v is None else v for v in errors.rms()[name]]
+        style = ".:" if model == "floor" else ".-"
+        axes.plot(result.horizons, values, style, color=_COLORS[model], label=_LABELS[model])
+    axes.set(xscale="log", yscale="log")
+    axes.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
+    axes.minorticks_off()
+
+
+def _path_panels(result: Replay) -> list[Panel]:
+    """Errors over the horizon, and a stretch of the path with its predictions."""
+    name, fans = _longest(result)
+    panels = [
+        axes_panel(
+            partial(_draw_errors, result=result, name=key),
+            f"Error of the {label.partition(' [')[0]} over the horizon",
+            "time after the start [s]",
+            f"rms error of the {label}",
+        )
+        for key, label in _HELD.items()
+    ]
+
+    def draw(axes: Any) -> None:
+        _draw_stretch(axes, fans, lambda of, row: (of["x"][row], of["y"][row]))
+        axes.set_aspect("equal", "datalim")
+
+    return [*panels, axes_panel(draw, f"A stretch of {name}, with predictions", "x [m]", "y [m]")]
+
+
+def _series_panels(result: Replay) -> list[Panel]:
+    """Yaw rate and lateral acceleration of the same stretch, measured and predicted."""
+    name, fans = _longest(result)
+    rows = _stretch(fans)
+
+    def draw(axes: Any, key: str) -> None:
+        _draw_stretch(axes, fans, lambda of, row: (fans.time[row], of[key][row]))
+        axes.plot(fans.time[rows, 0], fans.predicted[key][rows, 0], ".", color=BLUE, ms=4)
+
+    title, note = f"The same stretch of {name}", "dots: starts of a prediction"
+    return [
+        axes_panel(partial(draw, key=key), title, "time [s]", label, note)
+        for key, label in _SERIES.items()
+    ]
+
+
+def _draw_stretch(axes: Any, fans: Fans, series: Callable[[Mapping, int], tuple]) -> None:
+    """Draw the first second of every window of a stretch, measured and predicted.
+
+    Args:
+        series: x and y of the line of one window.
+    """
+    styles = (fans.measured, DARK, 1.4, "measured"), (fans.predicted, BLUE, 0.9, _PREDICTED)
+    for k, row in enumerate(_stretch(fans)):
+        near = fans.time[row] <= fans.time[row][0] + _FAN
+        for of, color, width, label in styles:
+            x, y = series(of, row)
+            axes.plot(x[near], y[near], color=color, lw=width, label=label * (k == 0))
+
+
+def _longest(result: Replay) -> tuple[str, Fans]:
+    return max(result.fans.items(), key=lambda item: len(item[1].time))
+
+
+def _stretch(fans: Fans) -> np.ndarray:
+    """Numbers of the windows that are drawn, from the middle of the log."""
+    first = max((len(fans.time) - _SHOWN) // 2, 0)
+    return np.arange(first, min(first + _SHOWN, len(fans.time)))
+
+
+_DRAWN, _POINTS, _REACH = 60, 1500, 99.5
+"""Number of draws of a band, of derived points, and percentile of |slip angle| drawn."""
+
+
+def _trajectory_head(fit: TrajectoryFit) -> str:
+    models = ", ".join(f"{axle} {tire.name}" for axle, tire in fit.axles.items())
+    return f"FIT BY TRAJECTORY: {models}; {fit.windows} windows of {', '.join(fit.logs)}"
+
+
+def _noise(fit: TrajectoryFit) -> str:
+    noise = (f"{name} {format_number(std, 2)} {UNITS[name]}" for name, std in fit.noise.items())
+    return f"rms error of the car within a window, on these tires: {', '.join(noise)}"
+
+
+def trajectory_text(fit: TrajectoryFit) -> str:
+    """The report: tires and unknowns of the car, noise, assumptions."""
+    rows = [["parameter", "value ± std", "95 % interval", "unit", ""]]
+    for name, one in fit.parameters.items():
+        interval = " to ".join(format_number(end, 3) for end in one.ci95)
+        note = UNKNOWNS[name].meaning if name in UNKNOWNS else ""
+        note = note if one.identified else "NOT IDENTIFIED"
+        rows.append([name, format_estimate(one.value, one.std), interval, one.unit, note])
+    notes = [
+        f"95 % by covariance; {fit.blocks} blocks of windows count as independent",
+        "speed and steering are those of the log; axle loads are static; no drive force",
+    ]
+    first = Section("Answer", [*fit.warnings, _noise(fit)])
+    sections = [first, Section("Found", (), rows), Section("Notes", notes)]
+    return f"{_trajectory_head(fit)}\n{report_text(sections)}"
+
+
+def trajectory_figure(fit: TrajectoryFit) -> Picture:
+    """Lateral force of both axles with its 95 % band, over the points that ``derive``
+    gives, with the steering as it was logged."""
+    generator = np.random.default_rng(0)
+    labels = "slip angle [rad]", "lateral force of the axle [N]"
+    panels = [
+        axes_panel(
+            partial(_draw_axle, fit=fit, axle=axle, generator=generator),
+            f"{axle.capitalize()} axle, by trajectory",
+            *labels,
+        )
+        for axle in fit.axles
+    ]
+    return together(panels, _trajectory_head(fit), _noise(fit), "braking positive, SI")
+
+
+def _draw_axle(axes: Any, fit: TrajectoryFit, axle: str, generator: np.random.Generator) -> None:
+    tire, rows = fit.axles[axle], fit.rows[axle]
+    some = generator.permutation(len(rows))[:_POINTS]
+    dots(axes, rows["alpha"][some], rows["fy"][some], 1.4, GREY, label="derived from the log")
+    reach = np.percentile(np.abs(rows["alpha"]), _REACH)
+    alpha = np.linspace(-reach, reach, 121)
+    at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
+    drawn = [np.asarray(forces(one, at).fy) for one in tire.drawn(generator, _DRAWN)]
+    low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
+    axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
+    axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)
