@@ -128,6 +128,14 @@ def test_an_effect_that_predicts_data_left_out_as_well_is_a_twin(lacks, error, u
     assert (verdict.each["a"].twins == B) is is_twin is (verdict.also_possible == B)
 
 
+def test_what_is_known_beside_the_rows_excludes_a_twin():
+    found = findings({A: 0.99, B: 1e-9, (): 1e-6})
+    found = replace(found, swaps={"a": {"b": Gain(0.0, 1.0, 0.0, 0.0)}})
+    for odds, is_twin in ((2.2, True), (2.4, False)):  # a tenth is 2.303
+        weighed = replace(found.weighed, odds={A: 1.5, B: 1.5 - odds})
+        assert (decided(replace(found, weighed=weighed)).each["a"].twins == B) is is_twin
+
+
 def test_swaps_are_gains_over_sets_with_another_effect_in_the_place_of_one():
     rng = np.random.default_rng(3)
     effects = ((), A, B, AB, ("a", "c"), ("c", "d"), ("b", "c"))

@@ -399,6 +399,9 @@ def _rivals(
     for effect, swapped in findings.swaps.items():
         lacks = policy.alike * findings.gains[best][effect].gain * more
         for other, swap in sorted(swapped.items(), key=lambda one: one[1].gain):
-            if swap.gain < max(policy.gain * swap.std, lacks):
+            key = tuple(sorted({*best, other} - {effect}))
+            # What is known beside these rows, such as a wheel speed, may exclude it.
+            possible = math.exp(sets.odds.get(key, 0.0) - sets.odds.get(best, 0.0))
+            if possible >= policy.perhaps and swap.gain < max(policy.gain * swap.std, lacks):
                 found.setdefault(effect, []).append(other)
     return {place: tuple(dict.fromkeys(of)) for place, of in found.items()}

@@ -4,7 +4,7 @@ proposes sets, refits weigh them."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain, combinations
 from math import factorial
@@ -288,9 +288,9 @@ also weighed beside an unlisted one."""
 @dataclass(frozen=True)
 class Weighed:
     """Every refitted set of effects: its best fit; log evidence over no effect plus log
-    prior; the same beside an unlisted effect (leading sets only); log evidence.
-    ``hidden`` is the probability of sets that were not refitted and that these data could
-    not show."""
+    prior; the same beside an unlisted effect (leading sets only); log evidence; log prior odds
+    by what is known beside the data. ``hidden`` is the probability of sets that were not
+    refitted and that these data could not show."""
 
     best_of: Mapping[Key, Fit]
     log_weight: Mapping[Key, float]
@@ -298,6 +298,7 @@ class Weighed:
     evidence: Mapping[Key, float]
     log_total: float
     hidden: float
+    odds: Mapping[Key, float] = field(default_factory=dict)
 
     @property
     def best(self) -> Key:
@@ -387,4 +388,5 @@ def weighed(search: Search) -> Weighed:
         evidence={key: search.evidence(fit) for key, fit in best.items()},
         log_total=everything,
         hidden=float(np.sum(np.exp(np.array(weak) - everything))),
+        odds={k: float(np.sum(search.subject.priors.odds[[*f.atoms]])) for k, f in best.items()},
     )
