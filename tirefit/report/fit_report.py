@@ -149,7 +149,7 @@ def sections_of(result: FitResult, full: bool) -> list[Section]:
 
 
 def fit_report(result: FitResult, full: bool = False) -> str:
-    """The report of one fit as text; the verdict is last.
+    """The report of one fit as text; the verdict is first.
 
     Args:
         full: with the intervals by every route, the misfit by run, the chains and the
@@ -158,12 +158,12 @@ def fit_report(result: FitResult, full: bool = False) -> str:
     several = len(result.data["runs"]) > 1 and ", " in result.data["file"]
     files = fit_files(result) if several else result.data["file"]
     title = f"tirefit {result.version}: {result.model} fitted to {' and '.join(result.forces)} of"
-    head = [*wrapped(f"{title} {files}"), report_text([_data(result, full)._replace(title="")])]
+    data = report_text([_data(result, full)._replace(title="")])
     verdict = wrapped(f"VERDICT: {verdict_line(result)}", "", " " * 9)
     for sentence in _more(result):
         verdict += wrapped(sentence, "       - ", " " * 9)
     parts = report_text(sections_of(result, full), apart=True)
-    return "\n".join([*head, "", parts, "", *verdict]) + "\n"
+    return "\n".join([*wrapped(f"{title} {files}"), *verdict, data, "", parts]) + "\n"
 
 
 def fit_page(result: FitResult) -> str:

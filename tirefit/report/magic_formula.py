@@ -19,7 +19,7 @@ def _sections(fit: MagicFormulaFit, full: bool) -> list[Section]:
 
 
 def magic_formula_report(fit: MagicFormulaFit, full: bool = False) -> str:
-    """Residuals, noise, predictions of rows left out, guards and verdict of a fit.
+    """Verdict, residuals, noise, predictions of rows left out and guards of a fit.
 
     Args:
         full: with the stages, every guard and every coefficient.
@@ -28,8 +28,8 @@ def magic_formula_report(fit: MagicFormulaFit, full: bool = False) -> str:
     sentence, lines = _verdict(fit)
     verdict = Section("", named_lines("", lines))
     sections = [_data(fit)._replace(title=""), *_sections(fit, full)]
-    end = "\n".join(filter(None, [f"VERDICT: {sentence}", report_text([verdict])]))
-    return "\n".join([title, report_text(sections, apart=True), "", end])
+    first = [title, f"VERDICT: {sentence}", report_text([verdict])]
+    return "\n".join([*filter(None, first), report_text(sections, apart=True)])
 
 
 def magic_formula_page(fit: MagicFormulaFit) -> str:
