@@ -100,9 +100,9 @@ def test_a_cornering_test_of_any_design_is_prepared(seed):
             if part.begin < event.end - 50 and part.end > event.begin + 50
         }
         if event.note in kinds:
-            assert cut <= {*kinds[event.note], "steady", "transition", "load-step"}
+            assert cut <= {*kinds[event.note], "steady", "transition"}
         elif event.note == "spring-rate":
-            assert "spring-rate" in cut
+            assert "transition" in cut
         elif event.kind == "swept":
             assert cut == {"sweep"}
 
@@ -130,30 +130,12 @@ def test_a_constant_slip_angle_is_part_of_the_bin():
     assert bins == {f"{n} N {a} deg" for n in (2000, 4000) for a in (0, -3, -6)}
 
 
-@pytest.mark.parametrize("seed", range(7031, 7035))
-def test_rows_without_time_are_binned_and_sorted_by_direction(seed):
-    columns, truth = flat(seed)
-    result = prepared(columns)
-    for name in ("fz", "gamma"):
-        assert len(result.settings[name].center) == len(np.unique(truth[name]))
-        code = result.settings[name].code
-        assert np.array_equal(np.unique(truth[name])[code], truth[name])
-    direction = np.zeros(len(truth["fz"]))
-    for part in result.segments:
-        assert part.kind == "sweep"
-        direction[part.begin : part.end] = 1 if part.direction == "up" else -1
-    # The row at which a sweep turns belongs to either.
-    assert np.sum(direction != truth["direction"]) <= len(result.segments)
-    assert result.kept.all() and result.filter is None
-
-
-def test_points_without_order_are_steady_states():
+def test_points_without_time_are_refused_with_a_remedy():
     columns, _ = flat(7041)
-    order = np.random.default_rng(1).permutation(len(columns["fz"]))
-    result = prepared({name: values[order] for name, values in columns.items()})
-    assert {part.kind for part in result.segments} <= {"steady", "sweep"}
-    assert len({part.bin for part in result.segments}) == 8
-    assert result.kept.all()
+    with pytest.raises(DataError, match="no time that rises.*(?s:--rate).*without `prepare`"):
+        prepared(columns)
+    with pytest.raises(DataError, match="4 rows per second.*fewer than 4(?s:.*)longer `shortest`"):
+        prepared(columns, rate=4.0)
 
 
 def steady_points(rng):
@@ -192,11 +174,11 @@ def test_declared_settings_are_used():
     script, rng = cornering(7051, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng)
     sweeps = [e for e in script.events if e.kind == "swept" and e.channel == "alpha"]
-    result = prepared(seen, warm_up=0.0, keep=["sweep", "spring-rate"], bandwidth=6.0)
+    result = prepared(seen, warm_up=0.0, keep=["sweep"], bandwidth=6.0)
     assert result.filter.bandwidth == 6.0
     assert sum(part.kind == "sweep" for part in result.segments) == len(sweeps)
     kinds = {p.kind for p in result.segments if result.kept[p.begin : p.end].any()}
-    assert kinds == {"sweep", "spring-rate"}
+    assert kinds == {"sweep"}
     without = {name: values for name, values in seen.items() if name != "time"}
     timed = prepared(without, rate=100.0, warm_up=0.0, filter=False)
     assert sum(part.kind == "sweep" for part in timed.segments) == len(sweeps)
@@ -225,27 +207,6 @@ def test_prepared_data_can_be_fitted():
     assert len(by_segment.runs) == len(kept)
     with pytest.raises(UsageError, match="by = 'load'"):
         result.to_data("load")
-
-
-def test_repeated_sweeps_show_warming_without_temperature():
-    rng = np.random.default_rng(5)
-    script = Script(100, alpha=0.0, fz=2000.0, gamma=0.0, pressure=2e5, v=20.0)
-    for _ in range(16):
-        script.sweep("alpha", 0.15, 2)
-        script.sweep("alpha", -0.15, 4)
-        script.sweep("alpha", 0.0, 2)
-        script.hold(1)
-    seen, _ = measured(script, rng, tau=20.0)
-    del seen["temperature"]
-    result = prepared(seen)
-    warm = [p for p in result.segments if p.kind == "warm-up" and p.channel]
-    # Force is down by 12 % exp(-t / 20 s): 3 % are left at 28 s.
-    until = max(p.end for p in warm) / script.rate
-    assert 9 <= until <= 45
-    assert "repeated sweeps" in " ".join(result.notes)
-    flat_force, _ = measured(script, np.random.default_rng(5), tau=1e-3)
-    del flat_force["temperature"]
-    assert all(p.kind != "warm-up" for p in prepared(flat_force).segments)
 
 
 def warmed_in(gamma=4 * DEG, keep_on=False):

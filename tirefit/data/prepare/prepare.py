@@ -8,7 +8,6 @@ import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.far import without_far
-from tirefit.data.levels import levels
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
 from tirefit.data.prepare.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
 from tirefit.data.prepare.set_points import Settings, Window, bin_name, setting_names, settings_of
@@ -29,8 +28,7 @@ _LOOK = 5.0
 _SHARE_OF_RATE = 0.2
 _WINDOW = 1.0  # length [s] of the windows of a hold in which settings are searched
 _LEAST_ROWS = 4
-"""Smallest number of rows in the shortest hold: with fewer, rows are single points and no
-series. Also the smallest number of rows of a sweep among points."""
+"""Smallest number of rows in the shortest hold: with fewer, rows are points and no series."""
 _CYCLES = 40.0
 """Bandwidth times the duration of a fast sweep. The filter then changes a brush that slides above a
 fifth of the largest slip by 0.2 % of its peak in sweeps of constant speed, by 0.5 % in sines."""
@@ -83,10 +81,8 @@ class Prepared(Record):
         Raises:
             UsageError: ``by`` is something else.
         """
-        data, columns = self.data, dict(self.columns)
-        if "time" in data or self.series.rate is not None:
-            columns = {"time": self.series.time} | columns
-        data = replace(data, columns=columns, used=self.kept)
+        columns = {"time": self.series.time} | self.columns
+        data = replace(self.data, columns=columns, used=self.kept)
         if by == "run":
             return data
         if by not in ("segment", "bin"):
@@ -124,7 +120,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         Segments, settings and filtered channels; its ``to_data()`` can be fitted.
 
     Raises:
-        DataError: no slip was recorded, or no rows remain.
+        DataError: no slip or no time was recorded, or no rows remain.
         UsageError: unknown or impossible settings.
 
     Example:
@@ -148,14 +144,15 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
     absurd = absurd & ~data.used
     series = series_of(data, config.rate)
     raw = _channels(data, series, absurd)
-    is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
-    look = _looked_at if is_series else _points
-    settings, parts, messages = look(data, config, series, raw, slips)
-    chosen, how = _chosen_filter(config, series, parts, raw) if is_series else (None, "")
-    margin = 0
-    if is_series:
-        reach = chosen.reach if chosen else 0.0
-        margin = round((config.settle + reach) * series.hertz)
+    if series.rate * config.shortest < _LEAST_ROWS:
+        reason = f"{series.rate:.3g} rows per second: the shortest hold of {config.shortest:g} s"
+        reason += f" has fewer than {_LEAST_ROWS}, so that sweeps cannot be told from holds"
+        remedy = "fit such points without `prepare`, or give a longer `shortest` in [prepare]"
+        raise DataError(reason, remedy, data.file)
+    settings, parts, notes = _looked_at(data, config, series, raw, slips)
+    chosen, how = _chosen_filter(config, series, parts, raw)
+    reach = chosen.reach if chosen else 0.0
+    margin = round((config.settle + reach) * series.rate)
     ends = {piece.start for piece in series.pieces} | {len(data)}
     parts = trimmed(parts, margin, ends)
     columns = _filtered(raw, series, chosen)
@@ -173,7 +170,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         reason = f"no rows remain of {', '.join(dict.fromkeys(p.kind for p in parts))}"
         remedy = "look at the segments in the figure, or keep other kinds"
         raise DataError(reason, remedy, data.file)
-    notes = [*messages, how] if how else list(messages)
+    notes.append(how)
     if not any(part.direction for part in parts):
         ranges = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
         notes.append(
@@ -246,12 +243,9 @@ def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, n
     return out
 
 
-# --- a series in time -------------------------------------------------------------
-
-
 def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     """Settings, segments and notes of a series."""
-    rate = series.hertz
+    rate = series.rate
     shortest = max(round(config.shortest * rate), 2)
     look = zero_phase(min(_LOOK, _SHARE_OF_RATE * rate), rate)
     assert look is not None  # the bandwidth is below the limit of the rate
@@ -279,7 +273,6 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
         {k: conditions[k] for k in conditions if k in settings},
         its_legs,
         smooth,
-        smooth.get("fz"),
         shortest,
     )
     parts = [_with_held_slip(part, conditions, settings) for part in parts]
@@ -291,9 +284,7 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
 
 def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
     """The segments with the warm-up marked, and a note on how it was found."""
-    temperature, force = (channels.get(k) for k in ("temperature", FORCE_OF[swept]))
-    slip, declared = channels[swept], config.warm_up
-    cut, how = with_warmth(parts, series.time, temperature, declared, slip, force)
+    cut, how = with_warmth(parts, series.time, channels.get("temperature"), config.warm_up)
     if config.warm_up is None and not config.cut_last:
         cut = last_sweeps_kept(parts, cut, config.keep)
     return cut, how
@@ -359,7 +350,7 @@ def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
 
 def _chosen_filter(config: PrepareConfig, series: Series, parts, raw):
     """The filter of all channels, and a note on it."""
-    rate = series.hertz
+    rate = series.rate
     if not config.filter:
         return None, "not filtered, as declared"
     how, bandwidth = "as declared", config.bandwidth
@@ -409,39 +400,3 @@ def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.nda
         done = values if chosen is None else chosen.smoothed(values, series)
         out[name] = slip_to_sigma(done, "slip_ratio") if name == "sigma_x" else done
     return out
-
-
-# --- points without time ------------------------------------------------------------
-
-
-def _points(data, config: PrepareConfig, series: Series, raw, slips):
-    """As :func:`_looked_at` for rows without time: settings from the values only."""
-    settings = {}
-    for name in CONDITIONS:
-        if name in raw:
-            here = levels(raw[name])
-            if not here.is_swept:
-                width = np.maximum(here.high - here.center, here.center - here.low)
-                settings[name] = Settings(name, here.center, width, here.code)
-    messages = ["no time series: rows in the order of the file, not filtered, no settling times"]
-    n = len(data)
-    key = np.stack([data.run, *(s.code for s in settings.values())], axis=1)
-    bins = [slice(begin, end) for begin, end in runs_of(key)]
-    swept = max(slips, key=lambda name: np.ptp(raw[name]) / LEAST[name])
-    all_legs = legs(raw[swept], bins, 0.0, LEAST[swept], n + 1)
-    parts = []
-    for piece in bins:
-        level = {name: int(s.code[piece.start]) for name, s in settings.items()}
-        of_bin = [leg for leg in all_legs if piece.start <= leg.begin < piece.stop]
-        usual = np.median([leg.rows for leg in of_bin])
-        if usual < _LEAST_ROWS:  # the rows are in no order
-            parts.append(Segment("steady", piece.start, piece.stop, level=level))
-            continue
-        for leg in of_bin:
-            direction = {1: "up", -1: "down"}.get(leg.direction, "")
-            kind = "sweep" if leg.how == SWEPT else "steady"
-            channel = swept if leg.how == SWEPT else ""
-            parts.append(Segment(kind, leg.begin, leg.end, channel, direction, level))
-    timeless = {name: raw[name] for name in raw if name != "temperature"}
-    parts, how = _warmed(parts, config, series, timeless, swept)
-    return settings, parts, [*messages, how]
