@@ -164,7 +164,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     else:
         check_gives(tir, force.value)
         described = own_tire(tir)
-        tire = tire_of(tir, signs=signs)
+        tire = of_file = tire_of(tir, signs=signs)
         name = f"{file}: Magic Formula {tir.version}"
         name += f" in signs {signs}" if signs else ""
         v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
@@ -178,7 +178,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     )
     source = Source(path=str(file or ""), assumptions=assumptions)
     data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
-    for text in remarks(tir, tire, data, signs) if tir else ():
+    for text in remarks(tir, of_file, data, signs) if tir else ():
         complain(f"warning: {file}: {text}")
     result = fit_into(out, data, settings)
     say("MISFIT")

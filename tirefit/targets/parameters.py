@@ -167,9 +167,9 @@ class ParameterFile(NamedTuple):
         needs: keys of ``vehicle.toml`` that the car needs in addition to mass, yaw
             inertia and the axles.
         check: raises UsageError for what the file cannot hold.
+        ending: of the file.
     """
 
-    ending = ".yaml"
     what: str
     holds: str
     formula: Formula
@@ -177,6 +177,7 @@ class ParameterFile(NamedTuple):
     tires: int = 1
     needs: tuple[str, ...] = ()
     check: Callable[[Sheet], None] = lambda sheet: None
+    ending: str = ".yaml"
 
 
 def parameter_text(
