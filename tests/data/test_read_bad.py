@@ -254,11 +254,11 @@ CASES = {
     ),
     "signs of fy": (
         table("alpha,fy,fz", SLIP, FORCE, LOAD), {},
-        ["column 'fy'", "equal signs there", "fit --convention iso-w;"],
+        ["column 'fy'", "the side force rises with the slip angle, but", "--convention iso-w;"],
     ),
     "signs in iso": (
         table("alpha,fy,fz", SLIP, UP, LOAD), {"convention": "iso-w"},
-        ["opposite signs there", "fit --convention braking or adapted-sae;"],
+        ["signs contradict", "fit --convention braking or adapted-sae;"],
     ),
     "backwards": (
         table("omega,v,fx,fz", [50, -1, 49], [10, 10, 10], [0, 1, 2], [9] * 3),
