@@ -179,11 +179,6 @@ class _Reading:
     def file(self) -> str:
         return self.table.file
 
-    @property
-    def units(self) -> dict[str, str]:
-        """The unit in which each column was read."""
-        return {column.name: column.unit_text for column in self.plan.columns.values()}
-
     def bad(self) -> np.ndarray:
         """(n,) bool: rows with a fault."""
         bad = np.zeros(len(self.table.lines), bool)
@@ -448,7 +443,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
                 reading.signs,
                 reading.file,
                 reading.plan.slip or "sigma_x",
-                reading.units,
+                reading.plan.units,
                 "wheelbase" in reading.table.constants,
             )
         elif reading.options.mask_bad_rows or not of_rows:
@@ -479,7 +474,7 @@ def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
     read_as = reading.signs
     doubt = signs.doubt_convention(used, reading.headers, definition, read_as)
     doubts = [doubt] if doubt else []
-    doubts += signs.doubt_signs(used, reading.headers, definition, read_as, reading.units)
+    doubts += signs.doubt_signs(used, reading.headers, definition, read_as, reading.plan.units)
     doubts += reading.unread + reading.doubts + doubt_units(used, reading.headers, reading.plan)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")

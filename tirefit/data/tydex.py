@@ -38,10 +38,6 @@ MYH are moments about the wheel centre, not about the contact point."""
 _OF_TIRE = (
     ("UNLOADED_RADIUS", 1.0, "length", r"RFREE|.*(unloaded|free) radius"),
     ("UNLOADED_RADIUS", 0.5, "length", r"OVALLDIA|NOMDIAME|.*(overall|outer) diameter"),
-    ("RIM_RADIUS", 0.5, "length", r"RIMDIAM|.*rim diameter"),
-    ("RIM_WIDTH", 1.0, "length", r"RIMWIDTH|.*rim width"),
-    ("WIDTH", 1.0, "length", r"NOMWIDTH|.*section width"),
-    ("ASPECT_RATIO", 1.0, "ratio", r"ASPRATIO|.*aspect ratio"),
     ("FNOMIN", 1.0, "force", r"FNOMIN|NOMLOAD|.*nominal [a-z ]*(load|force)"),
     ("NOMPRES", 1.0, "pressure", r"NOMPRES|.*nominal [a-z ]*pressure"),
 )
@@ -49,10 +45,8 @@ _OF_TIRE = (
 constant; the first match of a key is used."""
 
 _INCH = 0.0254
-_METRIC_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d{2,3})\s?[A-Z]*-?\s?(\d\d)\b", re.I)
-"""205/60 R15: width [mm], aspect ratio [%] or diameter [mm], rim diameter [inch]."""
-_INCH_SIZE = re.compile(r"\b(\d\d(?:\.\d+)?)\s?x\s?\d+(?:\.\d+)?\s?-\s?\d\d\b", re.I)
-"""18.0x6.0-10: diameter, width, rim diameter [inch]."""
+_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d\d)\s?[A-Z]*-?\s?(\d\d)\b", re.I)
+"""Nominal size such as 205/60 R15: width [mm], aspect ratio [%], rim diameter [inch]."""
 _LARGEST = 2.1
 """Radius [m] of the largest earthmover tires: a larger value has a wrong unit."""
 
@@ -295,23 +289,18 @@ def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
                 take(key, factor * value, line)
     for _, line in [*lines, *header]:
         take("UNLOADED_RADIUS", _radius_of_size(line), line)
-    rim, width, ratio = map(found.get, ("RIM_RADIUS", "WIDTH", "ASPECT_RATIO"))
-    if rim and width and ratio:
-        take("UNLOADED_RADIUS", rim + width * ratio, "nominal width, ratio and rim")
     return found, notes
 
 
 def _si(value: float, unit: str, dimension: str) -> float:
     """A constant in SI units, NaN if its unit has another dimension.
 
-    Without a unit, a length from 3 to 30 is in inches (a rim), a longer one in mm, and
-    an aspect ratio above 3 in per cent.
+    Without a unit, a length above 3 is in mm.
     """
     if unit.casefold() in ("in", "inch", '"', "zoll"):
         return value * _INCH if dimension == "length" else np.nan
     if unit in ("", "-"):
-        scales = {"length": _INCH if value < 30 else 1e-3, "ratio": 0.01}
-        return value * (scales.get(dimension, 1.0) if value > 3 else 1.0)
+        return value * 1e-3 if dimension == "length" and value > 3 else value
     known = known_unit(unit)
     same = known is not None and known.dimension == dimension
     return float(known.to_si(value)) if known and same else np.nan
@@ -319,12 +308,9 @@ def _si(value: float, unit: str, dimension: str) -> float:
 
 def _radius_of_size(text: str) -> float:
     """Radius [m] of the free tire from its nominal size, NaN if the text has none."""
-    if inches := _INCH_SIZE.search(text):
-        return float(inches[1]) * _INCH / 2
-    if metric := _METRIC_SIZE.search(text):
-        width, height, rim = map(float, metric.groups())
-        high = height > 150  # 205/470 R13 states the diameter
-        return height / 2e3 if high else rim * _INCH / 2 + width * height * 1e-5
+    if size := _SIZE.search(text):
+        width, ratio, rim = map(float, size.groups())
+        return rim * _INCH / 2 + width * ratio * 1e-5
     return np.nan
 
 
