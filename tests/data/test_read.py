@@ -144,9 +144,7 @@ def test_headers_are_recognised_or_ignored(header, name, unit):
         ("temperature", "K", 273.15, 0), ("temperature", "degF", 212, 100),
         ("time", "ms", 5, 0.005), ("mz", "N m", 3, 3), ("mz", "N·mm", 1, 1e-3),
         ("fx", "-kN", 2, -2000), ("fx", "KN", 2, 2000), ("sigma_x", "-", 0.3, 0.3),
-        # through pint
-        ("fx", "dyne", 1, 1e-5), ("v", "knot", 1, 1852 / 3600),
-        ("alpha", "arcminute", 60, np.pi / 180), ("pressure", "inHg", 1, 3386.389),
+        ("fx", "kip", 1, 4448.2216152605), ("v", "knot", 1, 1852 / 3600),
     ],
 )  # fmt: skip
 def test_units_convert_in_both_directions(column, unit, value, si):
@@ -162,7 +160,6 @@ def test_a_std_column_has_neither_sign_nor_offset():
 
 def test_milli_is_not_read_as_mega():
     assert known_unit("mPa") is None
-    assert resolve_unit("mPa", "pressure").to_si(1) == pytest.approx(1e-3)
     assert resolve_unit("MPa", "pressure").to_si(1) == 1e6
 
 

@@ -223,7 +223,6 @@ CASES = {
     "wrong dimension": (
         WELL.replace("fx", "fx [deg]"), {}, ["unit of angle", "dimension force", "lbf"]
     ),
-    "wrong in pint": (WELL, {"units": {"fx": "furlong"}}, ["not a unit of force"]),
     "unused unit": (
         WELL, {"units": {"v": "km/h"}}, ["declared by --unit or [data.units] for v"]
     ),

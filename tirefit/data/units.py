@@ -1,8 +1,7 @@
 """Convert units and signs of a file to canonical SI values, and back.
 
-Common units are exact factors in a table; other units are converted by pint, which is
-imported only then as that is slow. A leading minus (``-N``) declares a column whose sign
-is opposite to the convention of the file.
+Units are exact factors in a table. A leading minus (``-N``) declares a column whose sign is
+opposite to the convention of the file.
 """
 
 from typing import NamedTuple
@@ -43,13 +42,6 @@ class Unit(NamedTuple):
         return (values - self.offset) / self.scale
 
 
-_SI = {
-    "time": "s", "ratio": "-", "angle": "rad", "angular speed": "rad/s",
-    "force": "N", "moment": "N m", "speed": "m/s", "pressure": "Pa",
-    "temperature": "degC", "acceleration": "m/s2", "angular acceleration": "rad/s2",
-    "length": "m",
-}  # fmt: skip
-
 _DIMENSION = {
     "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
     "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
@@ -80,6 +72,7 @@ _FACTORS = {
                       "degps": np.pi / 180, "rpm": _TURN / 60, "1/min": _TURN / 60,
                       "rev/min": _TURN / 60, "rev/s": _TURN, "Hz": _TURN},
     "force": {"N": 1, "kN": 1e3, "daN": 10, "kgf": GRAVITY,
+              "kip": 4448.2216152605,
               **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605)},
     "moment": {"Nm": 1, "N-m": 1, "kNm": 1e3, "Nmm": 1e-3,
                **dict.fromkeys(("lbfft", "ftlbf", "ft-lb", "ft-lbs", "ft-lbf", "lb-ft"),
@@ -139,10 +132,12 @@ def resolve_unit(text: str, column: str) -> Unit:
     """
     text = text.strip()
     if text.startswith("-") and len(text) > 1:
-        unit = resolve_unit(text[1:], column)
-        return unit._replace(scale=-unit.scale)
+        opposite = resolve_unit(text[1:], column)
+        return opposite._replace(scale=-opposite.scale)
     wanted = dimension_of(column)
-    unit = known_unit(text) or _ask_pint(text, column, wanted)
+    unit = known_unit(text)
+    if unit is None:
+        raise DataError(f"unknown unit {text!r}", _unit_remedy(text, column, wanted))
     if unit.dimension != wanted:
         raise DataError(
             f"unit {text!r} is a unit of {unit.dimension}, but {column} is of dimension {wanted}",
@@ -161,24 +156,6 @@ def _unit_remedy(text: str, column: str, dimension: str) -> str:
     listed = ", ".join(map(repr, units))
     meant = did_you_mean(text, units)
     return f"{meant}give a unit of {dimension} with --unit {column}=...: {listed}"
-
-
-def _ask_pint(text: str, column: str, dimension: str) -> Unit:
-    """A unit of pint as an affine map to SI, found by converting 0 and 1."""
-    import pint  # slow to import, and for units outside the table alone
-
-    remedy = _unit_remedy(text, column, dimension)
-    target = {"-": "", "N m": "N*m"}.get(_SI[dimension], _SI[dimension])
-    try:
-        registry: pint.UnitRegistry = pint.UnitRegistry(on_redefinition="ignore")
-        unit = registry.Unit(text)
-        zero, one = (registry.Quantity(x, unit).to(target).magnitude for x in (0.0, 1.0))
-    except pint.DimensionalityError as error:
-        reason = f"unit {text!r} is not a unit of {dimension}, which {column} needs"
-        raise DataError(reason, remedy) from error
-    except Exception as error:  # pint raises its own, tokenizer and syntax errors
-        raise DataError(f"unknown unit {text!r}", remedy) from error
-    return Unit(dimension, one - zero, zero)
 
 
 def sign_of(convention: str, column: str) -> int:
