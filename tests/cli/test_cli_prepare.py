@@ -92,12 +92,12 @@ def test_workers_give_the_result_of_one_process(run, unrendered, recording, work
 
 def test_settings_come_from_the_configuration(run, unrendered, recording, tmp_path):
     path, _, _ = recording
-    (tmp_path / "fit.toml").write_text("[prepare]\nfilter = false\nkeep = ['cold']\n")
+    (tmp_path / "fit.toml").write_text("[prepare]\nfilter = false\nkeep = ['warm-up']\n")
     run("prepare", path, "--config", "fit.toml", "--out", "out")
     record = json.loads((tmp_path / "out/run7.prepare.json").read_text())
-    assert record["filter"] is None and record["config"]["keep"] == ["cold"]
+    assert record["filter"] is None and record["config"]["keep"] == ["warm-up"]
     kinds = {s["kind"] for s in record["segments"] if s["kept"]}
-    assert kinds == {"cold"}
+    assert kinds == {"warm-up"}
     (tmp_path / "fit.toml").write_text("[prepare]\nbandwith = 5\n")
     said = run("prepare", path, "--config", "fit.toml", "--out", "o", exit_code=2)
     assert "did you mean 'bandwidth'?" in said.stderr

@@ -25,7 +25,7 @@ def unlike(script, prepared, channel, tolerance):
     asked = [e for e in script.events if e.kind == "swept" and e.channel == channel]
     named = channel.replace("kappa", "sigma_x")
     cut = [p for p in prepared.segments if named in p.channel.split("+")]
-    cut = [p for p in cut if p.kind in ("sweep", "cold", "warm-up")]
+    cut = [p for p in cut if p.kind in ("sweep", "warm-up")]
     if len(asked) != len(cut):
         faults.append(f"{len(cut)} sweeps of {len(asked)}")
     for event, part in zip(asked, cut, strict=False):
@@ -92,7 +92,7 @@ def test_a_cornering_test_of_any_design_is_prepared(seed):
         # A separate warm-up is at one of them; the wander is at least 1 %.
         largest = max(map(abs, true)) or 1.0
         np.testing.assert_allclose(center, true, atol=0.03 * largest)
-    kinds = {"cold": ("cold", "warm-up"), "warm-up": ("warm-up",)}
+    kinds = {"cold": ("warm-up",), "warm-up": ("warm-up",)}
     for event in script.events:
         cut = {
             part.kind
@@ -238,25 +238,15 @@ def swept_rows(result, gamma):
     return sum(int(result.kept[p.begin : p.end].sum()) for p in parts), parts
 
 
-def test_the_last_sweeps_of_a_warming_condition_are_kept_and_reported():
+def test_a_condition_that_is_lost_in_the_warm_up_is_reported():
     _, seen = warmed_in()
     result = prepared(seen)
-    rows, parts = swept_rows(result, 4 * DEG)
-    assert rows and {p.direction for p in parts if p.early} == {"up", "down"}
-    assert parts[-1].early and not parts[0].early and parts[0].kind != "sweep"
-    (note,) = [note for note in result.notes if "no sweep after the warm-up" in note]
-    assert "1 of 2 conditions" in note and ": 4 deg (" in note and "--cut-last" in note
-    upright, others = swept_rows(result, 0.0)
-    assert upright and not any(p.early for p in others)
-    assert any(p.kind != "sweep" for p in others)  # its early sweeps stay cut
-    # Asked to, it cuts them and says so; as it does where the time is declared.
-    for config in ({"cut_last": True}, {"warm_up": 60.0}):
-        cut = prepared(seen, **config)
-        assert swept_rows(cut, 4 * DEG)[0] == 0
-        (note,) = [note for note in cut.notes if "no kept rows" in note]
-        assert "1 of 2 conditions have no kept rows: 4 deg (alpha): " in note
-    colds = prepared(seen, keep=["cold", "warm-up"])
-    assert not any(part.early for part in colds.segments)
+    assert swept_rows(result, 4 * DEG)[0] == 0
+    (note,) = [note for note in result.notes if "no kept rows" in note]
+    assert "1 of 2 conditions have no kept rows: 4 deg (alpha) (if" in note and "--warm-up" in note
+    rows, parts = swept_rows(result, 0.0)
+    assert rows and any(p.kind == "warm-up" for p in parts)
+    assert swept_rows(prepared(seen, warm_up=2.0), 4 * DEG)[0]
 
 
 def test_bins_name_every_setting_that_differs():

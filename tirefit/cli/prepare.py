@@ -26,7 +26,7 @@ from tirefit.results import ExitCode
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-_KEPT = ("sweep", "steady", "cold", "warm-up")
+_KEPT = ("sweep", "steady", "warm-up")
 
 
 @takes_data_options
@@ -48,12 +48,6 @@ def prepare(
     warm_up: Annotated[
         float | None,
         typer.Option(metavar="S", help="duration of the warm-up [s] (default: found in the data)"),
-    ] = None,
-    cut_last: Annotated[
-        bool | None,
-        typer.Option(
-            "--cut-last", help="also cut warm-up sweeps of conditions without a later sweep"
-        ),
     ] = None,
     keep: Annotated[
         list[str] | None,
@@ -79,7 +73,6 @@ def prepare(
             "filter": False if unfiltered else None,
             "rate": rate,
             "warm_up": warm_up,
-            "cut_last": cut_last,
             "keep": keep,
         }
         changes = {key: value for key, value in changes.items() if value is not None}

@@ -18,7 +18,6 @@ _COLOR = {
     "sweep up": BLUE,
     "sweep down": _SKY,
     "steady": _GREEN,
-    "cold": _PURPLE,
     "warm-up": ORANGE,
     "standing": "#d8d8d8",
     "transition": GREY,

@@ -13,7 +13,7 @@ from tirefit.data.prepare.series import Series, ZeroPhase, bridged, runs_of, ser
 from tirefit.data.prepare.set_points import Settings, Window, bin_name, setting_names, settings_of
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
-from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
+from tirefit.data.prepare.warmth import with_warmth
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.display import Record
@@ -177,7 +177,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
             f"no sweep was found ({', '.join(ranges)}; rad and ratio): if the rig swept a slip,"
             " check its column and unit (--column alpha=HEADER, --unit alpha=rad)"
         )
-    notes += _conditions_at_risk(parts, kept)
+    notes += _lost_conditions(parts, kept)
     if absurd.any():
         load = float(np.max(np.abs(data.columns["fz"][absurd])))
         notes.append(f"{absurd.sum()} rows have a load far from all others (up to {load:.3g} N)")
@@ -189,28 +189,18 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
     )
 
 
-def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
-    """Notes on conditions without kept sweeps, or with early ones only.
-
-    A condition that was not swept is checked by its other rows.
-    """
+def _lost_conditions(parts: list[Segment], kept: np.ndarray) -> list[str]:
+    """A note on conditions without kept rows; one that was swept needs rows of sweeps."""
     swept = {part.bin for part in parts if part.is_held and part.direction}
     rows: dict[str, int] = {}
-    kinds: dict[str, dict[str, None]] = {}
     for part in parts:
         if part.is_held and (part.direction or part.bin not in swept):
             name = f"{part.bin} ({part.channel})" if part.channel else part.bin
-            count = int(kept[part.begin : part.end].sum())
-            rows[name] = rows.get(name, 0) + count
-            kinds.setdefault(name, {})[part.kind] = None
-    early = list(dict.fromkeys(part.bin for part in parts if part.early))
-    lost = [f"{k}: {', '.join(kinds[k])}" for k, count in rows.items() if not count]
-    notes = [
-        f"{len(early)} of {len(rows)} conditions have no sweep after the warm-up; their"
-        f" last sweeps are kept: {'; '.join(early)} (--cut-last cuts them)",
-        f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)}",
-    ]
-    return [note for note, named in zip(notes, (early, lost), strict=True) if named]
+            rows[name] = rows.get(name, 0) + int(kept[part.begin : part.end].sum())
+    lost = [name for name, count in rows.items() if not count]
+    remedy = "if their warm-up was cut, shorten it with --warm-up"
+    words = f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)} ({remedy})"
+    return [words] if lost else []
 
 
 def _binned(parts: list[Segment], names) -> list[Segment]:
@@ -277,17 +267,8 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     )
     parts = [_with_held_slip(part, conditions, settings) for part in parts]
     parts = _standing(parts, settings.get("v"))
-    swept = _mostly_swept(parts, slips)
-    parts, how = _warmed(parts, config, series, smooth, swept)
+    parts, how = with_warmth(parts, series.time, smooth.get("temperature"), config.warm_up)
     return conditions, parts, [*messages, how]
-
-
-def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
-    """The segments with the warm-up marked, and a note on how it was found."""
-    cut, how = with_warmth(parts, series.time, channels.get("temperature"), config.warm_up)
-    if config.warm_up is None and not config.cut_last:
-        cut = last_sweeps_kept(parts, cut, config.keep)
-    return cut, how
 
 
 def _windows(its_legs, n: int, second: int) -> list[Window]:
@@ -341,13 +322,6 @@ def _with_held_slip(part: Segment, conditions, settings) -> Segment:
     return replace(part, level=level)
 
 
-def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
-    rows = {
-        name: sum(p.end - p.begin for p in parts if name in p.channel.split("+")) for name in slips
-    }
-    return max(slips, key=lambda name: rows[name])
-
-
 def _chosen_filter(config: PrepareConfig, series: Series, parts, raw):
     """The filter of all channels, and a note on it."""
     rate = series.rate
@@ -355,7 +329,7 @@ def _chosen_filter(config: PrepareConfig, series: Series, parts, raw):
         return None, "not filtered, as declared"
     how, bandwidth = "as declared", config.bandwidth
     if bandwidth is None:
-        times = [(p.end - p.begin) / rate for p in parts if p.kind in ("sweep", "cold")]
+        times = [(p.end - p.begin) / rate for p in parts if p.kind == "sweep"]
         fast = float(np.quantile(times, _FASTEST)) if times else 0.0
         bandwidth = _CYCLES / fast if times else _LOOK
         bandwidth = float(np.clip(bandwidth, _LOWEST, _HIGHEST))

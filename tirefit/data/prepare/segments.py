@@ -14,8 +14,7 @@ _PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
 
 @dataclass(frozen=True)
 class Segment:
-    """Rows ``begin`` to ``end`` (exclusive) of one kind. ``early`` marks a sweep before
-    the tire was warm, kept because its condition has no later one."""
+    """Rows ``begin`` to ``end`` (exclusive) of one kind."""
 
     kind: str  # a key of ``settings.KINDS``
     begin: int
@@ -26,12 +25,11 @@ class Segment:
     first: int = 0  # to ``last`` (exclusive): rows without settling times at the ends
     last: int = 0
     bin: str = ""  # name of the settings
-    early: bool = False
 
     @property
     def is_held(self) -> bool:
         """Whether its conditions are held."""
-        return self.kind in ("sweep", "steady", "cold", "warm-up")
+        return self.kind in ("sweep", "steady", "warm-up")
 
 
 def segments_of(

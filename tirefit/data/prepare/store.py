@@ -81,7 +81,6 @@ def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
         "rows": part.end - part.begin,
         "kept": int(prepared.kept[part.begin : part.end].sum()),
         "bin": part.bin,
-        "early": int(part.early),
     }
     for name in prepared.settings:
         level = part.level.get(name, -1) if part.is_held else -1

@@ -1,6 +1,5 @@
 """Find the sweeps before the tire was warm."""
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +7,7 @@ import numpy as np
 from tirefit.data.prepare.segments import Segment
 
 _RISE = 5.0  # smallest rise of temperature [K] by which a warm-up is found
-_WARM, _COLD = 0.8, 0.33
-"""Shares of the rise of temperature: above the first the tire is warm; a sweep below the
-second is cold."""
+_WARM = 0.8  # share of the rise of temperature above which the tire is warm
 _STILL_WARMING = 0.1
 """Share of the rise above which a tire that still warms in the last third is not warm."""
 
@@ -18,7 +15,7 @@ _STILL_WARMING = 0.1
 def with_warmth(
     parts: list[Segment], time: np.ndarray, temperature: np.ndarray | None, declared: float | None
 ) -> tuple[list[Segment], str]:
-    """The segments with ``cold`` and ``warm-up`` marked, and a note on how.
+    """The segments with ``warm-up`` marked, and a note on how.
 
     Args:
         time: (n,) [s].
@@ -28,52 +25,18 @@ def with_warmth(
     if declared is not None:
         until = time[0] + declared
         message = f"warm-up: the first {declared:g} s, as declared"
-        return _cut(parts, time, until, None), message
+        return _cut(parts, time, until), message
     if temperature is not None:
         return _by_temperature(parts, time, temperature)
     return parts, "warm-up: not searched, as there is no temperature; give its end with --warm-up"
 
 
-def last_sweeps_kept(
-    before: list[Segment], after: list[Segment], keep: Collection[str]
-) -> list[Segment]:
-    """``after``, with the last sweeps of each condition that has no later ones.
-
-    A condition is the set of all settings and the swept channel. Its last sweep in each
-    direction becomes a sweep again and is marked ``early``.
-
-    Args:
-        before, after: the same segments before and after the cut of the warm-up.
-        keep: kinds of segments that are written.
-    """
-    if "sweep" not in keep:
-        return after
-    last: dict[tuple, dict[str, int]] = {}
-    left = set()
-    for number, (was, part) in enumerate(zip(before, after, strict=True)):
-        if was.kind == "sweep":
-            held = sorted((name, k) for name, k in was.level.items() if k >= 0)
-            condition = (was.channel, *held)
-            last.setdefault(condition, {})[was.direction] = number
-            if part.kind in keep:
-                left.add(condition)
-    back = {k for one, ks in last.items() if one not in left for k in ks.values()}
+def _cut(parts: list[Segment], time: np.ndarray, until: float) -> list[Segment]:
+    """The segments with those that begin before ``until`` marked ``warm-up``."""
     return [
-        replace(part, kind="sweep", early=True) if k in back else part
-        for k, part in enumerate(after)
+        replace(part, kind="warm-up") if part.is_held and time[part.begin] < until else part
+        for part in parts
     ]
-
-
-def _cut(parts, time, until: float, cold_until: float | None) -> list[Segment]:
-    """Mark segments before ``until`` warm-up, sweeps before ``cold_until`` cold."""
-    out = []
-    for part in parts:
-        if part.is_held and time[part.begin] < until:
-            early = cold_until is not None and time[part.end - 1] <= cold_until
-            cold = early and part.kind == "sweep"
-            part = replace(part, kind="cold" if cold else "warm-up")
-        out.append(part)
-    return out
 
 
 def _by_temperature(parts, time, temperature):
@@ -98,10 +61,9 @@ def _by_temperature(parts, time, temperature):
         )
     levels = (temperature - start) / rise
     warm = int(np.argmax(levels >= _WARM))
-    cold = int(np.argmax(levels >= _COLD))
     message = (
         f"warm-up: until {time[warm]:.4g} s, when the tire was at"
         f" {temperature[warm]:.0f} degC, {_WARM:.0%} of the way from"
-        f" {start:.0f} to {hot:.0f} degC; sweeps below {_COLD:.0%} of it are cold"
+        f" {start:.0f} to {hot:.0f} degC"
     )
-    return _cut(parts, time, time[warm], time[cold]), message
+    return _cut(parts, time, time[warm]), message
