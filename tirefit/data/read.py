@@ -16,7 +16,7 @@ from tirefit.data import check, missing, signs
 from tirefit.data.cells import words_of
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
-from tirefit.data.declared import Options, Signs
+from tirefit.data.declared import Options, Signs, declared
 from tirefit.data.doubtful_units import doubt_units
 from tirefit.data.findings import findings
 from tirefit.data.kinds import read_table
@@ -103,11 +103,11 @@ def read(
         >>> data.n, [*data.columns]
         (432, ['time', 'alpha', 'fy', 'fz', 'v'])
     """
-    options = Options(
-        columns or {}, units or {}, convention, slip, constants or {},
-        rolling_radius, mask_bad_rows, forces, curve, otherwise,
+    options = declared(
+        columns=columns, units=units, convention=convention, slip=slip, constants=constants,
+        rolling_radius=rolling_radius, mask_bad_rows=mask_bad_rows, forces=forces,
+        curve=curve, otherwise=otherwise,
     )  # fmt: skip
-    options.check()
     return _checked(read_table(file_at(path), options.columns.values()), options)
 
 
@@ -132,11 +132,7 @@ def read_frame(frame: Columns, name: str = "data", **options) -> TireData:
         >>> float(data["alpha"].max().round(4))
         0.1396
     """
-    known = Options({}, {}, None, None, {}, None, False, True)._replace(
-        **{key: value for key, value in options.items() if value is not None}
-    )
-    known.check()
-    return _checked(table_of_frame(frame, name), known)
+    return _checked(table_of_frame(frame, name), declared(**options))
 
 
 def require(data: TireData, columns: Sequence[str], why: str) -> None:

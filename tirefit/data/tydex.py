@@ -50,9 +50,6 @@ _SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d\d)\s?[A-Z]*-?\s?(\d\d)\b", re.I)
 _LARGEST = 2.1
 """Radius [m] of the largest earthmover tires: a larger value has a wrong unit."""
 
-_RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
-"""A ruling or a heading in a section, as many files have them."""
-
 _SECTIONS = "HEADER COMMENTS CONSTANTS MEASURCHANNELS MEASURDATA END".split()
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
 _WIDTH = 10
@@ -140,18 +137,15 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
 
 
 def _sections(text: str) -> dict[str, list[tuple[int, str]]]:
-    """Keyword -> lines with content as (number, text); comments in **COMMENTS only."""
+    """Keyword -> lines with content as (number, text), without comments."""
     sections: dict[str, list[tuple[int, str]]] = {}
     current = None
     for number, line in enumerate(text.splitlines(), 1):
         keyword = _KEYWORD.match(line)
         if keyword:
             current = sections.setdefault(keyword[1].upper(), [])
-        elif current is not None and line.strip():
-            if line.lstrip()[0] != "!":
-                current.append((number, line))
-            elif current is sections.get("COMMENTS") and not _RULE.search(line):
-                current.append((number, line.lstrip(" !")))
+        elif current is not None and line.strip() and line.lstrip()[0] != "!":
+            current.append((number, line))
     return sections
 
 
@@ -332,11 +326,6 @@ def _said(sections, channels, constants, unread, meant) -> Iterator[str]:
     }
     release = header.get("RELEASE", "of no stated release")
     yield (f"TYDEX {release}: signs read as 'iso-w' (ISO 8855), slip positive in driving")
-    for key in ("SUPPLIER", "MEASID", "DATE"):
-        if header.get(key):
-            yield f"{key} = {header[key]}"
-    for _, line in sections.get("COMMENTS", []):
-        yield f"comment: {line.strip()}"
     for channel in channels:
         factor, before, after = channel.conversion
         if channel.conversion != (1, 0, 0):
