@@ -320,10 +320,7 @@ def _meant(names, constants) -> dict[str, str]:
 
 def _said(sections, channels, constants, unread, meant) -> Iterator[str]:
     """Sentences on the signs, the header, and what was read how or not at all."""
-    header = {
-        line.split()[0].upper(): line[40:].strip() or line.split()[-1]
-        for _, line in sections.get("HEADER", [])
-    }
+    header = {line.split()[0].upper(): line.split()[-1] for _, line in sections.get("HEADER", [])}
     release = header.get("RELEASE", "of no stated release")
     yield (f"TYDEX {release}: signs read as 'iso-w' (ISO 8855), slip positive in driving")
     for channel in channels:

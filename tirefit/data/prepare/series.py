@@ -101,12 +101,6 @@ class ZeroPhase(NamedTuple):
         a cycle of the bandwidth (correlation 0.01; from there on -0.13 to 0.03)."""
         return max(int(np.ceil(round(self.rate / (2 * self.bandwidth), 3))), 1)
 
-    def gain(self, frequency):
-        """Gain (as a factor) at frequencies [Hz], by the formula of the filter."""
-        prewarped = np.tan(np.pi * np.asarray(frequency, float) / self.rate)
-        ratio = prewarped / np.tan(np.pi * self.corner / self.rate)
-        return 1 / (1 + ratio ** (2 * _ORDER))
-
     def __call__(self, values: np.ndarray, time: np.ndarray | None = None):
         """The filtered series.
 
