@@ -60,46 +60,55 @@ _DIMENSION = {
 
 _TURN = 2 * np.pi
 
-_FACTORS = {
-    "time": {"s": 1, "sec": 1, "second": 1, "seconds": 1, "ms": 1e-3, "us": 1e-6,
-             "ns": 1e-9,
-             "min": 60, "h": 3600},
-    "ratio": {"-": 1, "": 1, "1": 1, "none": 1, "dimensionless": 1, "ratio": 1,
-              "%": 0.01, "pct": 0.01, "percent": 0.01},
-    "angle": {"rad": 1, "mrad": 1e-3, "deg": np.pi / 180, "degree": np.pi / 180,
-              "degrees": np.pi / 180},
-    "angular speed": {"rad/s": 1, "radps": 1, "rads": 1, "1/s": 1, "deg/s": np.pi / 180,
-                      "degps": np.pi / 180, "rpm": _TURN / 60, "1/min": _TURN / 60,
-                      "rev/min": _TURN / 60, "rev/s": _TURN, "Hz": _TURN},
-    "force": {"N": 1, "kN": 1e3, "daN": 10, "kgf": GRAVITY,
-              "kip": 4448.2216152605,
-              **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605)},
-    "moment": {"Nm": 1, "N-m": 1, "kNm": 1e3, "Nmm": 1e-3,
-               **dict.fromkeys(("lbfft", "ftlbf", "ft-lb", "ft-lbs", "ft-lbf", "lb-ft"),
-                               1.3558179483314004), "in-lb": 0.11298482902761668},
-    "speed": {"m/s": 1, "mps": 1, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6,
-              "mph": 0.44704, "mm/s": 1e-3, "mmps": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048,
-              "knot": 1852 / 3600},
-    "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100,
-                 "psi": 6894.757293168361},
-    "acceleration": {"m/s2": 1, "m/s^2": 1, "m/s²": 1, "g": GRAVITY, "mm/s2": 1e-3,
-                     "ft/s2": 0.3048},
-    "angular acceleration": {"rad/s2": 1, "rad/s^2": 1, "rad/s²": 1,
-                             "deg/s2": np.pi / 180, "deg/s^2": np.pi / 180},
-    "length": {"m": 1, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048},
+_DEG, _FOOT, _INCH = np.pi / 180, 0.3048, 0.0254
+_LBF = 4.4482216152605
+"""Pound-force [N]."""
+
+_SPELLED = {
+    "time": {1: "s sec second seconds", 1e-3: "ms millisecond milliseconds", 1e-6: "us microsecond",
+             1e-9: "ns nanosecond", 60: "min minute minutes", 3600: "h hr hour hours"},
+    "ratio": {1: "- 1 none dimensionless ratio", 0.01: "% pct percent"},
+    "angle": {1: "rad radian radians", 1e-3: "mrad", _DEG: "deg degree degrees",
+              _DEG / 60: "arcmin arcminute", _DEG / 3600: "arcsec", _TURN: "turn"},
+    "angular speed": {
+        1: "rad/s radps rads 1/s rad/sec radian/second",
+        _DEG: "deg/s degps deg/sec degree/second degrees/second", _DEG / 60: "deg/min",
+        _TURN / 60: "rpm 1/min rev/min revolutionsperminute", _TURN: "rev/s Hz"},
+    "force": {1: "N newton newtons", 1e3: "kN kilonewton", 1e6: "MN", 1e-3: "mN", 10: "daN",
+              GRAVITY: "kgf", GRAVITY / 1e3: "gf", 1e3 * GRAVITY: "metrictonforce",
+              _LBF: "lbf lb lbs poundforce", _LBF / 16: "ozf", 1e3 * _LBF: "kip", 1e-5: "dyn dyne"},
+    "moment": {1: "Nm N-m newtonmeter", 1e3: "kNm", 10: "daNm", 0.01: "Ncm", 1e-3: "Nmm",
+               GRAVITY: "kgfm", _LBF * _INCH: "in-lb inlbf lbfin",
+               _LBF * _FOOT: "lbfft ftlbf ft-lb ft-lbs ft-lbf lb-ft"},
+    "speed": {1: "m/s mps meter/second", 1e3: "km/s", 1e-2: "cm/s", 1e-3: "mm/s mmps",
+              1 / 60: "m/min", 1 / 3.6: "km/h kmh kph kilometer/hour", 0.44704: "mph mile/hour",
+              1852 / 3600: "knot knots kt", _FOOT: "ft/s foot/second", _INCH: "in/s"},
+    "pressure": {1: "Pa pascal", 100: "hPa mbar millibar", 1e3: "kPa kilopascal", 1e6: "MPa N/mm2",
+                 1e5: "bar", _LBF / _INCH**2: "psi", 101_325: "atm", 3386.38864: "inHg",
+                 133.32238741: "mmHg", 101_325 / 760: "torr", 1e4 * GRAVITY: "kgf/cm2"},
+    "acceleration": {1: "m/s2 m/s^2 m/s² meter/second2", 1e-2: "cm/s2 cm/s^2 Gal",
+                     1e-3: "mm/s2 mm/s^2", GRAVITY: "g g0 gravity", _FOOT: "ft/s2 ft/s^2"},
+    "angular acceleration": {1: "rad/s2 rad/s^2 rad/s²", _DEG: "deg/s2 deg/s^2 degree/second2"},
+    "length": {1: "m meter meters metre", 1e3: "km kilometer", 1e-2: "cm centimeter",
+               1e-3: "mm millimeter", _FOOT: "ft foot feet", _INCH: "inch inches",
+               3 * _FOOT: "yd yard", 1609.344: "mi mile"},
 }  # fmt: skip
+"""Dimension -> size in SI -> the names, without blanks, points and underscores."""
 
 _KNOWN = {
     name: Unit(dimension, float(factor))
-    for dimension, factors in _FACTORS.items()
-    for name, factor in factors.items()
+    for dimension, sizes in _SPELLED.items()
+    for factor, names in sizes.items()
+    for name in names.split()
 } | {
+    "": Unit("ratio", 1.0),
     **dict.fromkeys(("degC", "C", "celsius"), Unit("temperature", 1.0)),
     **dict.fromkeys(("K", "kelvin"), Unit("temperature", 1.0, -273.15)),
     **dict.fromkeys(("degF", "F", "fahrenheit"), Unit("temperature", 5 / 9, -160 / 9)),
 }
-# MPa is left out: reading mPa as MPa would be wrong by a factor of 1e9.
-_ANY_CASE = {name.casefold(): unit for name, unit in _KNOWN.items() if name != "MPa"}
+# Milli and mega differ by their case alone: mPa read as MPa would be wrong by a factor of 1e9.
+_MEGA = ("MPa", "MN", "mN")
+_ANY_CASE = {name.casefold(): unit for name, unit in _KNOWN.items() if name not in _MEGA}
 
 _SPELLING = str.maketrans({"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "_": "", "\xa0": ""})
 
@@ -147,8 +156,12 @@ def resolve_unit(text: str, column: str) -> Unit:
 
 
 def units_of(dimension: str) -> list[str]:
-    """Common units of a dimension as text, SI first."""
-    return [name for name, unit in _KNOWN.items() if name and unit[0] == dimension]
+    """A name of each unit of a dimension, SI first."""
+    names: dict[tuple[float, float], str] = {}
+    for name, unit in _KNOWN.items():
+        if unit.dimension == dimension and name:
+            names.setdefault((unit.scale, unit.offset), name)
+    return [*names.values()]
 
 
 def _unit_remedy(text: str, column: str, dimension: str) -> str:
