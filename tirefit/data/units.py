@@ -64,40 +64,51 @@ _DEG, _FOOT, _INCH = np.pi / 180, 0.3048, 0.0254
 _LBF = 4.4482216152605
 """Pound-force [N]."""
 
-_SPELLED = {
+_USUAL = {
     "time": {1: "s sec second seconds", 1e-3: "ms millisecond milliseconds", 1e-6: "us microsecond",
              1e-9: "ns nanosecond", 60: "min minute minutes", 3600: "h hr hour hours"},
     "ratio": {1: "- 1 none dimensionless ratio", 0.01: "% pct percent"},
-    "angle": {1: "rad radian radians", 1e-3: "mrad", _DEG: "deg degree degrees",
-              _DEG / 60: "arcmin arcminute", _DEG / 3600: "arcsec", _TURN: "turn"},
+    "angle": {1: "rad radian radians", 1e-3: "mrad", _DEG: "deg degree degrees"},
     "angular speed": {
         1: "rad/s radps rads 1/s rad/sec radian/second",
-        _DEG: "deg/s degps deg/sec degree/second degrees/second", _DEG / 60: "deg/min",
+        _DEG: "deg/s degps deg/sec degree/second degrees/second",
         _TURN / 60: "rpm 1/min rev/min revolutionsperminute", _TURN: "rev/s Hz"},
-    "force": {1: "N newton newtons", 1e3: "kN kilonewton", 1e6: "MN", 1e-3: "mN", 10: "daN",
-              GRAVITY: "kgf", GRAVITY / 1e3: "gf", 1e3 * GRAVITY: "metrictonforce",
-              _LBF: "lbf lb lbs poundforce", _LBF / 16: "ozf", 1e3 * _LBF: "kip", 1e-5: "dyn dyne"},
-    "moment": {1: "Nm N-m newtonmeter", 1e3: "kNm", 10: "daNm", 0.01: "Ncm", 1e-3: "Nmm",
-               GRAVITY: "kgfm", _LBF * _INCH: "in-lb inlbf lbfin",
+    "force": {1: "N newton newtons", 1e3: "kN kilonewton", 10: "daN", GRAVITY: "kgf",
+              _LBF: "lbf lb lbs poundforce"},
+    "moment": {1: "Nm N-m newtonmeter", 1e3: "kNm", 1e-3: "Nmm", _LBF * _INCH: "in-lb inlbf lbfin",
                _LBF * _FOOT: "lbfft ftlbf ft-lb ft-lbs ft-lbf lb-ft"},
-    "speed": {1: "m/s mps meter/second", 1e3: "km/s", 1e-2: "cm/s", 1e-3: "mm/s mmps",
-              1 / 60: "m/min", 1 / 3.6: "km/h kmh kph kilometer/hour", 0.44704: "mph mile/hour",
-              1852 / 3600: "knot knots kt", _FOOT: "ft/s foot/second", _INCH: "in/s"},
+    "speed": {1: "m/s mps meter/second", 1 / 3.6: "km/h kmh kph kilometer/hour",
+              0.44704: "mph mile/hour", 1e-3: "mm/s mmps", 1e-2: "cm/s",
+              _FOOT: "ft/s foot/second", 1852 / 3600: "knot knots kt"},
     "pressure": {1: "Pa pascal", 100: "hPa mbar millibar", 1e3: "kPa kilopascal", 1e6: "MPa N/mm2",
-                 1e5: "bar", _LBF / _INCH**2: "psi", 101_325: "atm", 3386.38864: "inHg",
-                 133.32238741: "mmHg", 101_325 / 760: "torr", 1e4 * GRAVITY: "kgf/cm2"},
-    "acceleration": {1: "m/s2 m/s^2 m/s² meter/second2", 1e-2: "cm/s2 cm/s^2 Gal",
-                     1e-3: "mm/s2 mm/s^2", GRAVITY: "g g0 gravity", _FOOT: "ft/s2 ft/s^2"},
+                 1e5: "bar", _LBF / _INCH**2: "psi"},
+    "acceleration": {1: "m/s2 m/s^2 m/s² meter/second2", GRAVITY: "g g0 gravity",
+                     1e-3: "mm/s2 mm/s^2", _FOOT: "ft/s2 ft/s^2"},
     "angular acceleration": {1: "rad/s2 rad/s^2 rad/s²", _DEG: "deg/s2 deg/s^2 degree/second2"},
-    "length": {1: "m meter meters metre", 1e3: "km kilometer", 1e-2: "cm centimeter",
-               1e-3: "mm millimeter", _FOOT: "ft foot feet", _INCH: "inch inches",
-               3 * _FOOT: "yd yard", 1609.344: "mi mile"},
+    "length": {1: "m meter meters metre", 1e-2: "cm centimeter", 1e-3: "mm millimeter",
+               _FOOT: "ft foot feet"},
 }  # fmt: skip
 """Dimension -> size in SI -> the names, without blanks, points and underscores."""
 
+_RARE = {
+    "angle": {_DEG / 60: "arcmin arcminute", _DEG / 3600: "arcsec", _TURN: "turn"},
+    "angular speed": {_DEG / 60: "deg/min"},
+    "force": {1e6: "MN", 1e-3: "mN", GRAVITY / 1e3: "gf", 1e3 * GRAVITY: "metrictonforce",
+              _LBF / 16: "ozf", 1e3 * _LBF: "kip", 1e-5: "dyn dyne"},
+    "moment": {10: "daNm", 0.01: "Ncm", GRAVITY: "kgfm"},
+    "speed": {1e3: "km/s", 1 / 60: "m/min", _INCH: "in/s"},
+    "pressure": {101_325: "atm", 3386.38864: "inHg", 133.32238741: "mmHg", 101_325 / 760: "torr",
+                 1e4 * GRAVITY: "kgf/cm2"},
+    "acceleration": {1e-2: "cm/s2 cm/s^2 Gal"},
+    "length": {1e3: "km kilometer", _INCH: "inch inches", 3 * _FOOT: "yd yard",
+               1609.344: "mi mile"},
+}  # fmt: skip
+"""Units that are read, but not proposed as the one that a column may be in."""
+
 _KNOWN = {
     name: Unit(dimension, float(factor))
-    for dimension, sizes in _SPELLED.items()
+    for table in (_USUAL, _RARE)
+    for dimension, sizes in table.items()
     for factor, names in sizes.items()
     for name in names.split()
 } | {
@@ -156,12 +167,10 @@ def resolve_unit(text: str, column: str) -> Unit:
 
 
 def units_of(dimension: str) -> list[str]:
-    """A name of each unit of a dimension, SI first."""
-    names: dict[tuple[float, float], str] = {}
-    for name, unit in _KNOWN.items():
-        if unit.dimension == dimension and name:
-            names.setdefault((unit.scale, unit.offset), name)
-    return [*names.values()]
+    """A name of each usual unit of a dimension, SI first."""
+    if dimension == "temperature":
+        return ["degC", "K", "degF"]
+    return [names.split()[0] for names in _USUAL[dimension].values()]
 
 
 def _unit_remedy(text: str, column: str, dimension: str) -> str:
