@@ -95,16 +95,6 @@ def car_document():
     }
 
 
-@cache
-def prepared_document():
-    from tirefit.data.prepare.store import SCHEMA
-
-    how = dict(columns={}, units={}, constants={"v": 1.0}, convention=None, slip=None)
-    how |= dict(rolling_radius=None, mask_bad_rows=False)
-    content = {"schema": SCHEMA, "input": {"path": "a.csv", "sha256": "0"}, "read": how}
-    return sealed(content | {"config": {}})
-
-
 def predicted(path):
     rows = {"alpha": np.linspace(-0.1, 0.1, 5), "fz": np.full(5, 7.0), "v": np.full(5, 2.0)}
     tirefit.predict(path, rows | {"sigma_x": np.zeros(5)})
@@ -128,17 +118,10 @@ def applied_to_a_car(path):
     applied(path)
 
 
-def repeated(path):
-    from tirefit.data.prepare.store import load_record
-
-    load_record(path)
-
-
 OF_FIT = (predicted, exported, axle_tire, simulated)
 READERS = {
     "fit.json": (fit_document, OF_FIT),
     "vehicle_diagnosis.json": (car_document, (applied_to_a_car,)),
-    "a.prepare.json": (prepared_document, (repeated,)),
 }
 
 

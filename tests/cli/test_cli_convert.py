@@ -1,6 +1,5 @@
-"""``tirefit convert``: a refit of a Magic Formula, and a reduced ``.tir``."""
+"""``tirefit convert``: a refit of a Magic Formula."""
 
-import csv
 import json
 import re
 from pathlib import Path
@@ -17,7 +16,6 @@ FOLDER = Path(__file__).parents[1] / "data" / "tir"
 MF52 = FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir"
 TRUCK = FOLDER / "chrono/335_65R22_5_G275MSA_60psi.tir"
 SLIPS = 61
-REDUCED = ("--cpa2", 50000, "--mu", 0.9, "--fz", 4000, "--radius", 0.3)
 
 
 def brush(points, cpa2, mu):
@@ -95,101 +93,6 @@ def test_brush_of_a_magic_formula_curve_agrees_with_scipy(run, no_figures):
     said = " ".join(content["data"]["assumptions"])
     assert "B = 12, C = 1.4, D = 0.9, E = -0.5" in said
     assert "sigma_x = -0.1 to 0.25, F_z = 2000, 4000, 6000 N" in said
-
-
-def test_a_reduced_tir_has_slope_and_peak_of_the_brush(run):
-    result = run("convert", *REDUCED, "--out", "reduced.tir")
-    assert "slope 2 c_p a^2 = 100000 N, largest force 3600 N" in result.stdout
-    small = 1e-6
-    rows = ["-1e-6,0,4000", "1e-6,0,4000", "0,-1e-6,4000", "0,1e-6,4000"]
-    Path("points.csv").write_text("\n".join(["kappa,alpha,fz", *rows]) + "\n")
-    run("predict", "reduced.tir", "points.csv", "--out", "out.csv")
-    with open("out.csv") as file:
-        found = np.array([(row["fx"], row["fy"]) for row in csv.DictReader(file)], float)
-    slope = 2 * 50000
-    np.testing.assert_allclose(found[:2, 0], [-slope * small, slope * small], rtol=1e-4)
-    np.testing.assert_allclose(found[2:, 1], [slope * small, -slope * small], rtol=1e-4)
-    tir = read_tir("reduced.tir")
-    tire = mf_tire(tir.version, tir.numbers)
-    slip = np.geomspace(1e-3, 1e6, 500)
-    along = forces(tire, TireInputs(slip, 0.0, 4000.0)).fx
-    across = forces(tire, TireInputs(0.0, np.arctan(slip), 4000.0)).fy
-    for force in (along, across):
-        np.testing.assert_allclose(np.max(force), 0.9 * 4000, rtol=1e-3)
-
-
-def test_a_reduced_tir_replaces_only_an_unchanged_one(run):
-    Path("mine.tir").write_text("mine")
-    said = run("convert", *REDUCED, "--out", "mine.tir", exit_code=2).stderr
-    assert "mine.tir: the file exists and is not an export" in said and "--out" in said
-    assert Path("mine.tir").read_text() == "mine"
-    run("convert", *REDUCED, "--out", "own.tir")
-    run("convert", *REDUCED[:-1], 0.4, "--out", "own.tir")
-    text = Path("own.tir").read_text()
-    assert read_tir("own.tir").numbers["UNLOADED_RADIUS"] == 0.4
-    Path("own.tir").write_text(text + "$ a note of mine\n")
-    run("convert", *REDUCED, "--out", "own.tir", exit_code=2)
-
-
-@pytest.mark.parametrize(("model", "force"), [("brush", "fx"), ("brush-d", "fy")])
-def test_a_brush_is_recovered_exactly_from_its_tir(run, no_figures, model, force):
-    run("convert", *REDUCED, "--out", "reduced.tir")
-    options = ("--model", model, "--force", force, "--out", "out")
-    result = run("convert", "reduced.tir", *options)
-    content = json.loads(Path("out/fit.json").read_text())
-    for name, value in (("cpa2", 50000), ("mu", 0.9)):
-        estimate = content["parameters"][name]
-        np.testing.assert_allclose(estimate["value"], value, rtol=1e-6)
-        np.testing.assert_allclose(estimate["ci95"], value, rtol=1e-4)
-    said = " ".join(result.stdout.split())
-    assert "the .tir of a brush, cpa2 = 50000, mu = 0.9, whose curve" in said
-
-
-def test_a_changed_tir_of_a_brush_is_converted_like_any_magic_formula(run, no_figures):
-    run("convert", *REDUCED, "--out", "reduced.tir")
-    tir = re.sub(r"(PEX1 += )-0.44", r"\g<1>-0.4", Path("reduced.tir").read_text())
-    Path("other.tir").write_text(tir)
-    run("convert", "other.tir", "--out", "out")
-    content = json.loads(Path("out/fit.json").read_text())
-    assert "Magic Formula 6.1" in " ".join(content["data"]["assumptions"])
-
-
-def test_losses_of_the_format_are_reported_with_their_size(run):
-    """The reported differences agree with predictions of the file and of the brush."""
-    said = run("convert", *REDUCED, "--out", "reduced.tir").stdout
-    rows = re.findall(r"F_z (\d+) N: ([\d.]+)% in fx, ([\d.]+)% in fy", said)
-    assert [float(load) for load, *_ in rows] == [2000, 4000, 6000]
-    kappa, alpha = -np.linspace(0, 0.98, 400), np.linspace(0, 1.4, 400)
-    for load, *shares in rows:
-        for share, name, slip in zip(
-            shares, ("fx", "fy"), ((kappa, 0 * kappa), (0 * alpha, alpha)), strict=True
-        ):
-            lines = [f"{k},{a},{load}" for k, a in zip(*slip, strict=True)]
-            Path("p.csv").write_text("\n".join(["kappa,alpha,fz", *lines]) + "\n")
-            both = []
-            brush_values = ("--set", "cpa2=50000", "--set", "mu=0.9")
-            for tire in (("reduced.tir",), ("brush", *brush_values)):
-                how = ("--convention", "iso-w", "--out", "f.csv")
-                run("predict", tire[0], "p.csv", *tire[1:], *how)
-                with open("f.csv") as file:
-                    both.append([float(r[name]) for r in csv.DictReader(file)])
-            worst = np.max(np.abs(np.subtract(*both))) / (0.9 * float(load))
-            np.testing.assert_allclose(100 * worst, float(share), atol=0.1)
-
-
-def test_mixed_options_of_both_directions_are_all_reported(run):
-    options = ("--cpa2", -1, "--fz", 4000, "--radius", 0.3, "--model", "brush")
-    result = run("convert", *options, "--out", "none/r.tir", exit_code=2)
-    for text in (
-        "4 problems",
-        "the folder none does not exist",
-        "--model with --cpa2",
-        "needs --mu too",
-        "cpa2 = -1 is not positive",
-    ):
-        assert text in result.stderr
-    result = run("convert", MF52, *REDUCED, "--out", "r.tir", exit_code=2)
-    assert "FILE.tir with --cpa2" in result.stderr and not Path("r.tir").exists()
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,6 @@ REPORTS = {
 
 INTO_FILES = {
     "predict": ("predict", "brush", "rig.csv"),
-    "convert": ("convert", "--cpa2", "5e4", "--mu", "1", "--fz", "4000", "--radius", "0.3"),
     "simulate": ("simulate", "rig", "--truth", "truth.csv"),
     "derive": ("derive", "drive.csv", "--vehicle", "car.toml"),
 }

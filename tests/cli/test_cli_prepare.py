@@ -90,36 +90,14 @@ def test_workers_give_the_result_of_one_process(run, unrendered, recording, work
     assert said[:-1] == alone.stdout.splitlines() and "no.csv" in shared.stderr
 
 
-def test_the_stored_settings_reproduce_the_result(run, unrendered, recording, tmp_path):
-    path, _, _ = recording
-    copy = tmp_path / "run7.dat"
-    copy.write_bytes(path.read_bytes())
-    run("prepare", copy, "--out", "one", "--bandwidth", 6, "--keep", "sweep")
-    record = "one/run7.prepare.json"
-    run("prepare", "--repeat", record, "--out", "two")
-    for name in ("run7.csv", "run7.segments.tsv", "run7.prepare.json"):
-        one, two = (tmp_path / folder / name for folder in ("one", "two"))
-        assert one.read_bytes() == two.read_bytes()
-    said = run("prepare", "--repeat", record, "--rate", 9, "--out", "x", exit_code=2)
-    assert "--repeat with other settings" in said.stderr
-    copy.write_text(copy.read_text().replace("0.02\t", "0.021\t", 1))
-    said = run("prepare", "--repeat", record, "--out", "x", exit_code=3).stderr
-    assert "its sha256 differs" in said
-    said = run("prepare", copy, "--repeat", record, "--out", "one", exit_code=3).stderr
-    assert f"{record}: it is an input file (--repeat), which would be replaced" in said
-    run("prepare", copy, "--repeat", record, "--out", "three")
-    other = json.loads((tmp_path / "three" / "run7.prepare.json").read_text())
-    assert other["config"]["bandwidth"] == 6.0
-
-
 def test_settings_come_from_the_configuration(run, unrendered, recording, tmp_path):
     path, _, _ = recording
-    (tmp_path / "fit.toml").write_text("[prepare]\nfilter = false\nkeep = ['cold']\n")
+    (tmp_path / "fit.toml").write_text("[prepare]\nfilter = false\nkeep = ['warm-up']\n")
     run("prepare", path, "--config", "fit.toml", "--out", "out")
     record = json.loads((tmp_path / "out/run7.prepare.json").read_text())
-    assert record["filter"] is None and record["config"]["keep"] == ["cold"]
+    assert record["filter"] is None and record["config"]["keep"] == ["warm-up"]
     kinds = {s["kind"] for s in record["segments"] if s["kept"]}
-    assert kinds == {"cold"}
+    assert kinds == {"warm-up"}
     (tmp_path / "fit.toml").write_text("[prepare]\nbandwith = 5\n")
     said = run("prepare", path, "--config", "fit.toml", "--out", "o", exit_code=2)
     assert "did you mean 'bandwidth'?" in said.stderr

@@ -45,8 +45,6 @@ def test_inspect_counts_loads_runs_and_directions():
     assert [run.n for run in report.runs] == [22, 22]
     assert [level.median for run in report.runs for level in run.loads] == [2e3, 4e3]
     assert report.runs[0].directions == ("sigma_x both signs",)
-    assert report.runs[0].replicates == 11
-    assert inspect(read_frame(sweep(repeats=1))).runs[0].replicates == 0
     assert "2.0 kN (n=22)" in report.summary()
     assert support(report, "fx from sigma_x").possible
     assert support(report, "load dependence").possible
@@ -55,12 +53,11 @@ def test_inspect_counts_loads_runs_and_directions():
     assert support(report, "fy from alpha").reason == "no fy and no alpha"
 
 
-def test_a_sweep_at_several_loads_has_no_replicates():
+def test_noisy_loads_are_levels():
     slip = np.tile(RNG.uniform(-0.1, 0.1, 50), 3)
     fz = np.repeat([2e3, 4e3, 6e3], 50) + RNG.normal(0, 20, 150)
     kappa = slip + RNG.normal(0, 1e-3, 150)
     (run,) = inspect(read_frame({"kappa": kappa, "fx": fz * kappa, "fz": fz})).runs
-    assert run.replicates == 0
     assert [level.n for level in run.loads] == [50, 50, 50]
 
 
@@ -86,11 +83,10 @@ def test_combined_slip_is_reported():
     assert inspect(read_frame(sweep())).combined_rows == 0
 
 
-def test_a_continuous_sweep_is_not_replicated():
+def test_a_continuous_sweep_has_a_rate_and_a_direction():
     kappa = np.sort(RNG.uniform(0, 0.2, 2000))
     frame = {"kappa": kappa, "fx": kappa, "fz": np.full(2000, 4e3), "time": np.arange(2000) / 50}
     run = inspect(read_frame(frame)).runs[0]
-    assert run.replicates == 0
     assert run.directions == ("sigma_x braking only",)
     assert run.sampling_rate == pytest.approx(50)
 

@@ -284,7 +284,7 @@ def test_one_wrong_row_does_not_shift_the_day(tmp_path, start, at, stray):
     k = int(np.argmin(abs(exact - start - at)))
     found = times(path)
     np.testing.assert_allclose(np.delete(found, k), np.delete(exact, k), atol=1e-6)
-    assert found[k] == stray
+    assert found[k] % 86_400 == stray
 
 
 def test_the_course_of_a_vbo_file_is_no_yaw_and_minutes_are_no_metres(tmp_path):

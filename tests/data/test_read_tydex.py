@@ -37,10 +37,7 @@ def test_a_tydex_file_is_recognised_by_its_content(tmp_path, name, per_line):
     assert data.source.line[0] == lines.index("**MEASURDATA") + 2
     for sentence in (
         "TYDEX 1.3: signs read as 'iso-w'",
-        "comment: New tyre used",
-        "SUPPLIER = DEMO",
-        "constants not read: MANUFACT",
-        "WIDTH = 0.225: NOMWIDTH Nominal section width mm 225",
+        "constants not read: MANUFACT, NOMWIDTH",
         "FNOMIN = 700: FZW Nominal vertical force N 700",
         "INCLANGL = 3.0 deg in all rows (**CONSTANTS)",
         "SLIPANGL = 0.5 * value + 1 [deg]",
@@ -141,17 +138,7 @@ def stating(tmp_path, *constants, name="test.tdx", seed=3):
         ([("DIA_X", "Overall diameter of the tyre", "cm", "63.4")], 0.317),
         ([("TYRESIZE", "Nominal size", "-", "205/60 R15")], 0.1905 + 0.123),
         ([("TYRESIZE", "Nominal size", "", "LT205/60ZR15")], 0.1905 + 0.123),
-        ([("TYRESIZE", "Size", "-", "205/470R13")], 0.235),
-        ([("TYRESIZE", "Size", "-", "18.0x6.0-10")], 0.2286),
         ([("OVALLDIA", "", "m", "0.64"), ("SIZE", "", "-", "205/60 R15")], 0.32),
-        (
-            [
-                ("NOMWIDTH", "", "mm", "205"),
-                ("ASPRATIO", "", "-", "60"),
-                ("RIMDIAME", "", "inch", "15"),
-            ],
-            0.1905 + 0.123,
-        ),
         ([("RIMDIAME", "Nominal rim diameter", "inch", "15")], None),
         ([("OVALLDIA", "Overall diameter", "m", "634")], None),
         ([("OVALLDIA", "Overall diameter", "N", "0.634")], None),
@@ -172,8 +159,6 @@ def test_the_radius_is_read_from_the_constants(tmp_path, lines, radius):
 
 NOMINAL = (
     ("OVALLDIA", "Overall diameter", "mm", "634"),
-    ("RIMDIAME", "Nominal rim diameter", "inch", "15"),
-    ("RIMWIDTH", "Rim width", "inch", "6.5"),
     ("FNOMIN", "Nominal vertical load", "kN", "1.2"),
     ("NOMPRES", "Nominal inflation pressure", "kPa", "90"),
 )
@@ -186,8 +171,6 @@ def test_the_nominal_state_of_a_magic_formula_is_read_from_the_constants(tmp_pat
 
     data = stating(tmp_path, *(constant(*line) for line in NOMINAL))
     known = data.source.constants
-    assert known["RIM_RADIUS"] == pytest.approx(0.1905)
-    assert known["RIM_WIDTH"] == pytest.approx(0.1651)
     config = parse_config({"parameters": {"NOMPRES": {"value": 8e4}}})
     rows = rows_of_forces(data, ["fy", "mz"], config)
     tire, notes = nominal_of("mf61", rows, config, known)

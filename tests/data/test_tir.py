@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.read import read
-from tirefit.data.tir import brush_of, notes_on, parse_tir, read_tir, reduced_tir
+from tirefit.data.tir import notes_on, parse_tir, read_tir, reduced_tir
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.params import with_values
@@ -267,18 +267,6 @@ def test_reduced_file_has_the_slope_and_friction_of_the_brush(tmp_path):
     assert moments.mz == 0
 
 
-def test_a_brush_is_recovered_to_the_last_digit():
-    rng = np.random.default_rng(3)
-    for _ in range(100):
-        cpa2, mu, fz = (np.exp(rng.normal(10, 1)), rng.uniform(0.1, 1.5), rng.uniform(1, 9e3))
-        values = brush_of(parse_tir(reduced_tir(cpa2, mu, fz, 0.3).text))
-        assert values["mu"] == mu
-        np.testing.assert_allclose(values["cpa2"], cpa2, rtol=3e-16)
-    assert brush_of(read_tir(MF61)) is None
-    other = reduced_tir(CPA2, MU, FZ, 0.31).text.replace("1e-08", "0.5")
-    assert brush_of(parse_tir(other)) is None
-
-
 def test_reduced_lateral_stiffness_is_that_of_the_brush_at_every_load():
     point = TireInputs(fz=FZ * np.array([0.2, 0.5, 1.0, 2.0]), alpha=1e-7)
     force = np.asarray(forces(reduced(), point).fy)
@@ -318,11 +306,6 @@ def test_reduced_tire_keeps_to_the_friction_circle():
     share = MU * FZ / np.sqrt(1 + x**2 + y**2)
     np.testing.assert_allclose(fx, x * share, rtol=1e-12)
     np.testing.assert_allclose(fy, y * share, rtol=1e-12)
-
-
-def test_all_reduced_values_are_checked():
-    with pytest.raises(UsageError, match="(?s)mu = -1.*radius = 0"):
-        reduced_tir(CPA2, -1.0, FZ, 0.0)
 
 
 def test_an_empty_pressure_is_nominal_and_other_empty_cells_exclude_the_row(tmp_path):

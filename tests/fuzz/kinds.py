@@ -228,11 +228,11 @@ def _read_rig(path: Path):
 
 
 def _read_tir(path: Path):
-    from tirefit.data.tir import brush_of, notes_on, read_tir
+    from tirefit.data.tir import notes_on, read_tir
     from tirefit.models.mf import mf_tire
 
     tir = read_tir(path)
-    return notes_on(tir), brush_of(tir), mf_tire(tir.version, tir.numbers)
+    return notes_on(tir), mf_tire(tir.version, tir.numbers)
 
 
 def _read_table(path: Path):

@@ -132,10 +132,10 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("target", ["c", "numpy", "tir", "gazebo", "commonroad"])
+@pytest.mark.parametrize("target", ["c", "numpy", "tir", "commonroad"])
 @pytest.mark.parametrize("how", CHANGES)
 def test_only_an_unchanged_export_is_replaced(how, target, tmp_path):
-    ends = {"c": ".h", "numpy": ".py", "tir": ".tir", "gazebo": ".sdf", "commonroad": ".yaml"}
+    ends = {"c": ".h", "numpy": ".py", "tir": ".tir", "commonroad": ".yaml"}
     path = tmp_path / f"tire{ends[target]}"
     given = {"wheel": {"radius": 0.3}, "force": True} if target == "tir" else {}
     again = {**given, "values": {"mu": 0.8}}

@@ -1,4 +1,4 @@
-"""``tirefit convert``: Magic Formula to brush parameters, and back to a ``.tir``."""
+"""``tirefit convert``: a Magic Formula as a brush or as another version."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from tirefit import __version__
 from tirefit.cli.fit_one import fit_files, fit_into
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
@@ -25,7 +24,7 @@ from tirefit.cli.options import (
     start_jax,
 )
 from tirefit.cli.output import check_results
-from tirefit.results import InputProblem, TirefitError, UsageError, exit_code
+from tirefit.results import InputProblem, UsageError, exit_code
 
 _SLIPS = 61  # slips of the grid, both ends included
 
@@ -40,10 +39,7 @@ def convert(
         Path | None, typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2")
     ] = None,
     *,
-    out: Annotated[
-        Path,
-        path_option("FOLDER|FILE.tir", "folder of the results; with --cpa2: .tir file to write"),
-    ],
+    out: Annotated[Path, path_option("FOLDER", "folder of the results")],
     magic_formula: Annotated[
         str | None,
         typer.Option(metavar="B,C,D,E", help="coefficients of one curve, instead of a .tir file"),
@@ -70,35 +66,13 @@ def convert(
     signs: SignsOption = None,
     combination: CombinationOption = None,
     seed: SeedOrNone = None,
-    cpa2: Annotated[
-        float | None, typer.Option(help="write a reduced .tir of a brush with this c_p a^2 [N]")
-    ] = None,
-    mu: Annotated[float | None, typer.Option(help="with --cpa2: friction coefficient")] = None,
-    fz: Annotated[float | None, typer.Option(help="with --cpa2: nominal load [N]")] = None,
-    radius: Annotated[float | None, typer.Option(help="with --cpa2: unloaded radius [m]")] = None,
 ) -> None:
-    """Convert a Magic Formula to a brush or another version, or a brush to a .tir.
+    """Convert a Magic Formula to a brush or another version.
 
     The standard errors are those of the systematic misfit over the slips and loads: the
     curve has no noise.
     """
-    brush = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
-    refit = {
-        "FILE.tir": file,
-        "--magic-formula": magic_formula,
-        "--model": model,
-        "--force": force,
-        "--slip-max": slip_max,
-        "--slip-min": slip_min,
-        "--loads": loads,
-        "--seed": seed,
-        "--signs": signs,
-        "--combination": combination,
-    }
     with errors_to_exit():
-        if any(value is not None for value in brush.values()):
-            _write_reduced(brush, [k for k, v in refit.items() if v is not None], out)
-            return
         coefficients, slips, chosen = _checked(file, magic_formula, slip_min, slip_max, loads, out)
         if signs and file is None:
             raise UsageError("--signs applies to .tir files only", "leave it out")
@@ -116,45 +90,6 @@ def convert(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen, seed, out, signs
         )
         raise typer.Exit(exit_code(result.outcomes))
-
-
-def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
-    from tirefit.data.tir import reduced_tir
-    from tirefit.data.write import output_problems
-    from tirefit.door import UNSEALED, sealed_text, unsealed
-    from tirefit.files import write_text_atomic
-
-    problems = output_problems(out) or unsealed(out, "choose another file with --out")
-    if mixed:
-        reason = f"{', '.join(mixed)} with --cpa2, --mu, --fz, --radius"
-        remedy = "either convert a Magic Formula, or write the .tir of a brush"
-        problems.append(InputProblem(reason, remedy))
-    missing = [f"--{name}" for name, value in brush.items() if value is None]
-    if missing:
-        reason = f"a reduced .tir needs {', '.join(missing)} too"
-        problems.append(InputProblem(reason, "give all of --cpa2 --mu --fz --radius"))
-    try:
-        given = {name: 1.0 if value is None else value for name, value in brush.items()}
-        tir = reduced_tir(**given)
-    except TirefitError as error:
-        problems += error.problems
-    UsageError.raise_for(problems)
-    head = f"$ written by tirefit convert, {UNSEALED}, tirefit {__version__}\n"
-    write_text_atomic(out, sealed_text(head + tir.text))
-    start_jax()
-    from tirefit.fitting.convert import reduced_misfit
-
-    slope, peak = 2 * given["cpa2"], given["mu"] * given["fz"]
-    say(
-        f"wrote {out}: Magic Formula {tir.version}, slope 2 c_p a^2 = {slope:g} N,"
-        f" largest force {peak:g} N at F_z = {given['fz']:g} N; `tirefit convert {out}`"
-        " reads c_p a^2 and mu back exactly"
-    )
-    loads = [share * given["fz"] for share in _SHARES_OF_NOMINAL]
-    say("MISFIT: no Magic Formula has the curve of a brush; that of the file differs by up to")
-    for load, missed in reduced_misfit(tir, loads).items():
-        shares = ", ".join(f"{share:.1%} in {name}" for name, share in missed.items())
-        say(f"  F_z {load:g} N: {shares} (of mu F_z, pure slip)")
 
 
 def _checked(file, magic_formula, slip_min, slip_max, loads, out):
@@ -206,7 +141,7 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
 
 def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     """Fit the model to the curve, print the result and save it in the folder."""
-    from tirefit.data.tir import brush_of, read_tir
+    from tirefit.data.tir import read_tir
 
     tir = None if file is None else read_tir(file)
     start_jax()
@@ -216,8 +151,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
     from tirefit.fitting.tir import check_gives, own_tire, remarks, tire_of
-    from tirefit.models import MODELS, AbstractTire
-    from tirefit.params import with_values
+    from tirefit.models import AbstractTire
 
     find_model(model)
     # A curve has no outliers.
@@ -235,11 +169,6 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
         name += f" in signs {signs}" if signs else ""
         v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
         loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
-        written = brush_of(tir)
-        if written is not None:
-            tire = with_values(MODELS["brush"], written)
-            values = ", ".join(f"{key} = {x:g}" for key, x in written.items())
-            name = f"{file}: the .tir of a brush, {values}, whose curve is used"
     assumptions = (
         f"{name}: {force.value} at {len(slips)} slips, {CHANNEL_SLIP[force]} ="
         f" {slips[0]:g} to {slips[-1]:g}, F_z ="

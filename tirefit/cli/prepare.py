@@ -1,6 +1,5 @@
 """``tirefit prepare``: convert recordings of a rig to data for a fit."""
 
-import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +14,6 @@ from tirefit.cli.options import (
     Folder,
     completed,
     errors_to_exit,
-    path_option,
     read_config,
     read_options,
     say,
@@ -23,20 +21,19 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import check_distinct, check_results, claimed, staged
 from tirefit.data.remote import expanded, file_at
-from tirefit.results import DataError, ExitCode, UsageError
+from tirefit.results import ExitCode
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-_KEPT = ("sweep", "steady", "cold", "warm-up", "spring-rate", "load-step")
+_KEPT = ("sweep", "steady", "warm-up")
 
 
 @takes_data_options
 def prepare(
     files: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig"),
-    ] = None,
+        list[Path], typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig")
+    ],
     *,
     out: Folder,
     options: DataOptions,
@@ -52,12 +49,6 @@ def prepare(
         float | None,
         typer.Option(metavar="S", help="duration of the warm-up [s] (default: found in the data)"),
     ] = None,
-    cut_last: Annotated[
-        bool | None,
-        typer.Option(
-            "--cut-last", help="also cut warm-up sweeps of conditions without a later sweep"
-        ),
-    ] = None,
     keep: Annotated[
         list[str] | None,
         typer.Option(
@@ -65,12 +56,6 @@ def prepare(
             help=f"kind of segment to write (repeat for more): {', '.join(_KEPT)};"
             " default: sweep and steady",
             autocompletion=completed(*_KEPT),
-        ),
-    ] = None,
-    repeat: Annotated[
-        Path | None,
-        path_option(
-            "PREPARE.JSON", "repeat the steps of this record, on the same file or on others"
         ),
     ] = None,
     jobs: Jobs = None,
@@ -82,24 +67,18 @@ def prepare(
     NAME.png (the whole test), NAME.prepare.json (all that was done).
     """
     with errors_to_exit():
-        sharing, files = Sharing(jobs, scheduler), expanded(files or [])
+        sharing, files = Sharing(jobs, scheduler), expanded(files)
         changes = {
             "bandwidth": bandwidth,
             "filter": False if unfiltered else None,
             "rate": rate,
             "warm_up": warm_up,
-            "cut_last": cut_last,
             "keep": keep,
         }
         changes = {key: value for key, value in changes.items() if value is not None}
-        if repeat is not None:
-            files, how, config = _repeated(repeat, files, options, changes)
-        else:
-            base = read_config(options.config)
-            how = read_options(options, base)
-            config = _settings(base, changes)
-        if not files:
-            raise UsageError("no FILE given", "name one, or --repeat")
+        base = read_config(options.config)
+        how = read_options(options, base)
+        config = _settings(base, changes)
         names = [Path(file.name.removesuffix(".gz")).stem for file in files]
         check_distinct(names, "prepare them into different --out")
         ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
@@ -122,31 +101,6 @@ def _settings(base, changes: dict[str, Any]):
 
     below = {} if base is None else base.prepare.model_dump()
     return parse_settings(PrepareConfig, below | changes, "prepare")
-
-
-def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]):
-    """Files, reading options and settings of a record; no option may contradict it."""
-    if changes or options != DataOptions():
-        reason = "--repeat with other settings"
-        raise UsageError(reason, "give only the files, or no --repeat")
-    from tirefit.data.prepare.settings import PrepareConfig
-    from tirefit.data.prepare.store import load_record
-    from tirefit.settings import parse_settings
-
-    content = load_record(record)
-    config, how = parse_settings(PrepareConfig, content.config, str(record)), dict(content.read)
-    if files:
-        return files, how, config
-    file = Path(content.input.path)
-    if not file.is_file():
-        reason = f"{file}, from which it was made, does not exist"
-        remedy = "name the file: tirefit prepare FILE --repeat ..."
-        raise DataError(reason, remedy, str(record))
-    if hashlib.sha256(file.read_bytes()).hexdigest() != content.input.sha256:
-        reason = f"{file} is not the file from which it was made: its sha256 differs"
-        remedy = f"to prepare it anyway: tirefit prepare {file} --repeat {record}"
-        raise DataError(reason, remedy, str(record))
-    return [file], how, config
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,11 @@ class Plan:
         """Definition of the slip column, or None without one."""
         return next((name for name in self.columns if name in SLIP_DEFINITIONS), None)
 
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each column as text."""
+        return {name: column.unit_text for name, column in self.columns.items()}
+
 
 def guess(header: str) -> Guess | None:
     """Name and unit that a header states, or None. ``Fx_std_N`` is fx_std in N, and

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tirefit.data.table import CANONICAL, SIMULATED, Layout
 from tirefit.data.units import base_column, sign_of
@@ -55,14 +55,14 @@ class Signs(NamedTuple):
 class Options(NamedTuple):
     """The user's declarations on a file; see :func:`tirefit.data.read.read`."""
 
-    columns: Mapping[str, str]
-    units: Mapping[str, str]
-    convention: str | None
-    slip: str | None
-    constants: Mapping[str, float]
-    rolling_radius: float | None
-    mask_bad_rows: bool
-    forces: bool
+    columns: Mapping[str, str] = {}
+    units: Mapping[str, str] = {}
+    convention: str | None = None
+    slip: str | None = None
+    constants: Mapping[str, float] = {}
+    rolling_radius: float | None = None
+    mask_bad_rows: bool = False
+    forces: bool = True
     curve: bool = True
     otherwise: tuple[str, str] | None = None
 
@@ -121,3 +121,14 @@ class Options(NamedTuple):
                 reason = f"--constant {name}={value:g} is not {kind} number"
                 problems.append(InputProblem(reason, "give it in SI units and signs"))
         UsageError.raise_for(problems)
+
+
+def declared(**how: Any) -> Options:
+    """The declarations of a user, checked; None counts as not given.
+
+    Raises:
+        UsageError: an option has an unknown name or value; it lists all of them.
+    """
+    options = Options(**{key: value for key, value in how.items() if value is not None})
+    options.check()
+    return options

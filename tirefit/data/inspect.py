@@ -56,7 +56,6 @@ class RunSummary:
     slip: dict[str, tuple[float, float]]  # sigma_x and alpha -> (min, max)
     directions: tuple[str, ...]
     sampling_rate: float | None
-    replicates: int  # operating points measured more than once, 0 in a continuous sweep
 
 
 @dataclass(frozen=True)
@@ -112,19 +111,17 @@ class Inspection:
         for support in self.supports:
             answer = "yes" if support.possible else "no "
             lines += _wrap(f"{answer} {support.fit}: {support.reason}", "      ")
-        if self.warnings:
-            lines += ["", "warnings"]
-            lines += [line for message in self.warnings for line in _wrap(message)]
-        lines += ["", "what was assumed"] if self.assumptions else []
-        lines += [line for message in self.assumptions for line in _wrap(message)]
-        if self.far_rows:
-            lines += ["", "outliers (a fit decides itself which of them to exclude)"]
-            lines += [line for why in self.far_rows[:_FAR_ROWS] for line in _wrap(why)]
-            more = len(self.far_rows) - _FAR_ROWS
-            lines += [f"  and {more} more: --json lists them"] if more > 0 else []
-        if self.masked:
-            lines += ["", "masked rows"]
-            lines += [line for why in self.masked for line in _wrap(why)]
+        far = [*self.far_rows[:_FAR_ROWS]]
+        if more := len(self.far_rows) - len(far):
+            far.append(f"and {more} more: --json lists them")
+        for title, messages in (
+            ("warnings", self.warnings),
+            ("what was assumed", self.assumptions),
+            ("outliers (a fit decides itself which of them to exclude)", far),
+            ("masked rows", self.masked),
+        ):
+            if messages:
+                lines += ["", title, *(line for text in messages for line in _wrap(text))]
         return "\n".join(lines)
 
 
@@ -202,7 +199,6 @@ def _inspect_run(data: TireData, code: int) -> RunSummary:
         slip=ranges,
         directions=tuple(_direction(name, *ranges[name]) for name in slips),
         sampling_rate=_sampling_rate(part),
-        replicates=_replicates(part),
     )
 
 
@@ -239,28 +235,6 @@ def _sampling_rate(part: TireData) -> float | None:
         return None
     step = float(np.median(np.diff(part.usable("time"))))
     return 1 / step if step > 0 else None
-
-
-def _replicates(part: TireData) -> int:
-    """Operating points measured at least twice.
-
-    A point is a setting of each slip and of the load; a continuous sweep has no settings,
-    and therefore no replicated points.
-    """
-    slips = [name for name in ("sigma_x", "alpha") if name in part]
-    if not slips or part.n < 6:
-        return 0
-    points = []
-    for name in slips:
-        values = part.usable(name)
-        bounded = slip_ratio_from_sigma(values) if name == "sigma_x" else values
-        points.append(levels(bounded))
-    if all(settings.is_swept for settings in points):
-        return 0
-    points.append(levels(part.usable("fz")))
-    codes = np.stack([settings.code for settings in points])
-    _, counts = np.unique(codes, axis=1, return_counts=True)
-    return int(np.sum(counts >= 2)) if len(counts) >= 3 else 0
 
 
 def _supports(data: TireData) -> list[Support]:
@@ -336,8 +310,6 @@ def _run_lines(run: RunSummary) -> list[str]:
     parts = [f"{run.n} rows", *run.directions]
     if run.sampling_rate:
         parts.append(f"{run.sampling_rate:.4g} Hz")
-    if run.replicates:
-        parts.append(f"{run.replicates} operating points replicated")
     lines = _wrap(f"{run.name}: {', '.join(parts)}")
     for word, held, unit in (("loads", run.loads, "N"), ("speeds", run.speeds, "m/s")):
         if held:

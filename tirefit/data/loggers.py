@@ -9,6 +9,8 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from tirefit.results import DataError
 
 _EXPORT = re.compile(r'"?Format"?\s*[,;\t]\s*"?(AiM|MoTeC) CSV File', re.IGNORECASE)
@@ -35,7 +37,7 @@ NO_UNIT = "not stated"
 """Unit of a column whose line in [channel units] is not known: no reader accepts it."""
 
 _KNOTS = "velocity knots"  # title in [header] of a velocity in knots, else it is in km/h
-_DAY, _HOUR = 86_400.0, 3600.0
+_DAY = 86_400.0  # s
 
 
 class VboTable(NamedTuple):
@@ -139,28 +141,17 @@ def _plain(name: str) -> str:
 def _to_seconds(rows: Sequence[list[str]], column: int) -> None:
     """Rewrite times of day, HHMMSS.SS, as seconds since midnight of the first row's day.
 
-    Another text becomes no number, so that the check of numbers reports row and column. A
-    new day begins after an evening if two of three rows are of a morning; a single one is
-    an error of the clock, as is one of the evening before in the new day.
+    Another text becomes no number, so that the check of numbers reports row and column. A step
+    by more than half a day is one over midnight; an error of a single row leaves the others.
     """
     clocks = [(cells, _second(cells[column])) for cells in rows if len(cells) > column]
     for cells, second in clocks:
         if second is None:
             cells[column] += " (no time of day)"
     known = [(cells, second) for cells, second in clocks if second is not None]
-    days, last = 0, 0.0
-    for k, (cells, second) in enumerate(known):
-        is_morning, was_evening = second < 6 * _HOUR, last > 18 * _HOUR
-        day = days
-        if is_morning and was_evening:
-            if any(later < 6 * _HOUR for _, later in known[k + 1 : k + 3]):
-                days = day = days + 1
-                last = second
-        elif days and last < 6 * _HOUR and second > 18 * _HOUR:
-            day = days - 1
-        else:
-            last = second
-        cells[column] = f"{day * _DAY + second:.10g}"
+    seconds = np.unwrap([second for _, second in known], period=_DAY)
+    for (cells, _), second in zip(known, seconds, strict=True):
+        cells[column] = f"{second:.10g}"
 
 
 def _second(clock: str) -> float | None:

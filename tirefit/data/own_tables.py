@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from tirefit.results import InputProblem
 
 _TABLES = {
-    frozenset(("segment", "first_line", "last_line", "kept", "early")): (
+    frozenset(("segment", "first_line", "last_line", "kept")): (
         "the table of segments that tirefit prepare writes beside the rows to fit",
         "give NAME.csv, not NAME.segments.tsv",
     ),

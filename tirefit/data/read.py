@@ -16,7 +16,7 @@ from tirefit.data import check, missing, signs
 from tirefit.data.cells import words_of
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
-from tirefit.data.declared import Options, Signs
+from tirefit.data.declared import Options, Signs, declared
 from tirefit.data.doubtful_units import doubt_units
 from tirefit.data.findings import findings
 from tirefit.data.kinds import read_table
@@ -103,11 +103,11 @@ def read(
         >>> data.n, [*data.columns]
         (432, ['time', 'alpha', 'fy', 'fz', 'v'])
     """
-    options = Options(
-        columns or {}, units or {}, convention, slip, constants or {},
-        rolling_radius, mask_bad_rows, forces, curve, otherwise,
+    options = declared(
+        columns=columns, units=units, convention=convention, slip=slip, constants=constants,
+        rolling_radius=rolling_radius, mask_bad_rows=mask_bad_rows, forces=forces,
+        curve=curve, otherwise=otherwise,
     )  # fmt: skip
-    options.check()
     return _checked(read_table(file_at(path), options.columns.values()), options)
 
 
@@ -132,11 +132,7 @@ def read_frame(frame: Columns, name: str = "data", **options) -> TireData:
         >>> float(data["alpha"].max().round(4))
         0.1396
     """
-    known = Options({}, {}, None, None, {}, None, False, True)._replace(
-        **{key: value for key, value in options.items() if value is not None}
-    )
-    known.check()
-    return _checked(table_of_frame(frame, name), known)
+    return _checked(table_of_frame(frame, name), declared(**options))
 
 
 def require(data: TireData, columns: Sequence[str], why: str) -> None:
@@ -440,9 +436,10 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
             whole += signs.check_signs(
                 used,
                 reading.headers,
-                reading.signs.convention,
+                reading.signs,
                 reading.file,
                 reading.plan.slip or "sigma_x",
+                reading.plan.units,
                 "wheelbase" in reading.table.constants,
             )
         elif reading.options.mask_bad_rows or not of_rows:
@@ -473,8 +470,7 @@ def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
     read_as = reading.signs
     doubt = signs.doubt_convention(used, reading.headers, definition, read_as)
     doubts = [doubt] if doubt else []
-    units = {c.name: c.unit_text for c in reading.plan.columns.values()}
-    doubts += signs.doubt_signs(used, reading.headers, definition, read_as, units)
+    doubts += signs.doubt_signs(used, reading.headers, definition, read_as, reading.plan.units)
     doubts += reading.unread + reading.doubts + doubt_units(used, reading.headers, reading.plan)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")

@@ -16,24 +16,50 @@ from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
-_SMALL_ANGLE = np.radians(4.0)
-"""Slip angle up to which the aligning moment does not change its sign."""
+_DEG = np.pi / 180
 
 _SMALL_SLIP = 0.03  # largest longitudinal slip of rows that show the effect of alpha
 
-_LEAST_ANGLE, _LEAST_CAMBER = np.radians([0.5, 1.0])
-_FEWEST = 10  # rows that show the effect of camber
-_LEAST_BRAKING = 0.5  # acceleration [m/s2] above the noise of its sensor
-
 
 class Evidence(NamedTuple):
-    """Two related columns. ``trend`` is 1 if they are related as physics requires in
-    canonical signs, -1 if in the opposite way, 0 if the data do not determine it."""
+    """Two related columns, and how the data relate them."""
 
     fields: tuple[str, ...]  # fields of a convention whose signs multiply in the trend
     columns: tuple[str, str]  # the canonical columns
-    trend: int
+    sign: int  # of their relation in canonical signs
+    least: float  # smallest largest value of the first that shows it, in its unit
     rule: str  # the relation that must hold, for messages
+    without: tuple[str, ...] = ()  # what is regressed out of both: 1 (the mean), columns
+    within: float = np.inf  # largest slip angle [rad] of rows that show it, without other slip
+    is_refused: bool = False  # whether the opposite relation is an error
+    trend: int = 0  # 1 as required, -1 opposite, 0 if the data do not determine it
+
+
+_FORCES = tuple(
+    Evidence(("slip", "fx"), ("sigma_x", f"fx{end}"), 1, 0.005,
+             "the force rises with the slip", is_refused=True)
+    for end in ("", "_sim")
+) + tuple(
+    Evidence(("alpha", "fy"), ("alpha", f"fy{end}"), 1, 0.5 * _DEG,
+             "the side force rises with the slip angle", is_refused=True)
+    for end in ("", "_sim")
+)  # fmt: skip
+_RULES = (
+    *_FORCES,
+    # Beyond 4 deg the aligning moment may change its sign; camber acts beside little force.
+    Evidence(("alpha", "mz"), ("alpha", "mz"), -1, 0.5 * _DEG,
+             "the aligning moment reduces a small slip angle", ("1",), 4 * _DEG),
+    Evidence(("gamma", "fy"), ("gamma", "fy"), 1, 0.5 * _DEG,
+             "a tire pushes to the side that it leans to", ("1", "alpha"), 2 * _DEG),
+    Evidence(("fx",), ("brake_pressure", "fx"), 1, 1.0,
+             "the braking force rises with the brake pressure", ("1",)),
+    Evidence(("fx",), ("a_x", "fx"), -1, 0.5, "a force that brakes slows the vehicle"),
+    Evidence(("slip",), ("sigma_x", "omega"), -1, 0.005,
+             "a braked wheel turns slower than a freely rolling one (omega / v)", ("1",)),
+)  # fmt: skip
+_LOCKED = Evidence(
+    ("slip",), ("sigma_x", "sigma_x"), 1, 0.98, "a slip of 1 is that of a wheel locked by its brake"
+)
 
 
 def trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
@@ -57,90 +83,42 @@ def evidence_of(columns: Mapping[str, np.ndarray], definition: str = "kappa") ->
         columns: (n,) canonical columns, finite, used rows only.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
     """
-    return [
-        *_of_forces(columns),
-        *_of_small_angles(columns),
-        *_of_brakes(columns),
-        *_of_slip(columns, definition),
-    ]
-
-
-def _of_forces(columns) -> Iterator[Evidence]:
-    for end in ("", "_sim"):
-        if {"sigma_x", f"fx{end}"} <= columns.keys():
-            slip = slip_ratio_from_sigma(columns["sigma_x"])
-            sign = trend(slip, columns[f"fx{end}"], 0.005)
-            rule = "the force rises with the slip"
-            yield Evidence(("slip", "fx"), ("sigma_x", f"fx{end}"), sign, rule)
-        if {"alpha", f"fy{end}"} <= columns.keys():
-            sign = trend(columns["alpha"], columns[f"fy{end}"], _LEAST_ANGLE)
-            rule = "the side force rises with the slip angle"
-            yield Evidence(("alpha", "fy"), ("alpha", f"fy{end}"), sign, rule)
-
-
-def _of_small_angles(columns) -> Iterator[Evidence]:
-    """Evidence of the aligning moment, and of camber thrust (the part of F_y / F_z that
-    alpha does not explain), in rows of small slip angle and no other slip."""
-    if "alpha" not in columns:
-        return
-    angle = abs(columns["alpha"])
-    free = abs(columns.get("sigma_x", 0 * angle)) < _SMALL_SLIP
-    rows = (angle < _SMALL_ANGLE) & free
-    if "mz" in columns and rows.any():
-        alpha, moment = columns["alpha"][rows], columns["mz"][rows]
-        sign = -trend(alpha - alpha.mean(), moment - moment.mean(), _LEAST_ANGLE)
-        rule = "the aligning moment reduces a small slip angle"
-        yield Evidence(("alpha", "mz"), ("alpha", "mz"), sign, rule)
-    rows = (angle < _SMALL_ANGLE / 2) & free
-    if {"fy", "fz", "gamma"} <= columns.keys() and np.count_nonzero(rows) >= _FEWEST:
-        alpha, gamma, fy, fz = (columns[k][rows] for k in ("alpha", "gamma", "fy", "fz"))
-        if np.ptp(gamma) < _LEAST_CAMBER:
-            return
-        others = np.stack([np.ones(len(gamma)), alpha], axis=1)
-        both = np.stack([gamma, fy / fz], axis=1)
-        left = both - others @ np.linalg.lstsq(others, both)[0]
-        sign = trend(left[:, 0], left[:, 1], _LEAST_CAMBER / 4)
-        rule = "a tire pushes to the side that it leans to"
-        yield Evidence(("gamma", "fy"), ("gamma", "fy"), sign, rule)
-
-
-def _of_brakes(columns) -> Iterator[Evidence]:
-    """Evidence of the brake pressure and of the acceleration of the vehicle."""
-    if {"brake_pressure", "fx"} <= columns.keys():
-        pressure, force = columns["brake_pressure"], columns["fx"]
-        sign = trend(pressure - pressure.mean(), force - force.mean(), 1.0)
-        rule = "the braking force rises with the brake pressure"
-        yield Evidence(("fx",), ("brake_pressure", "fx"), sign, rule)
-    if {"a_x", "fx"} <= columns.keys():
-        sign = -trend(columns["a_x"], columns["fx"], _LEAST_BRAKING)
-        rule = "a force that brakes slows the vehicle"
-        yield Evidence(("fx",), ("a_x", "fx"), sign, rule)
-
-
-def _of_slip(columns, definition: str) -> Iterator[Evidence]:
-    """Evidence of the speeds of wheel and vehicle, and of a locked wheel."""
-    if "sigma_x" not in columns:
-        return
-    rule = "a braked wheel turns slower than a freely rolling one (omega / v)"
-    yield Evidence(("slip",), ("omega", "sigma_x"), -turning(columns), rule)
-    if definition in ("kappa", "s") and len(columns["sigma_x"]):
+    known = dict(columns)
+    if "sigma_x" in known:  # bounded for a locked wheel
+        known["sigma_x"] = slip_ratio_from_sigma(known["sigma_x"])
+    moving = known.get("v", np.zeros(0)) > 0
+    if "omega" in known:
+        known["omega"] = np.full(len(known["omega"]), np.nan)
+        if moving.any():
+            known["omega"][moving] = columns["omega"][moving] / columns["v"][moving]
+    found = [*_trends(known)]
+    if definition in ("kappa", "s") and len(columns.get("sigma_x", ())):
         slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
         low, high = np.percentile(slip, [1, 99])
-        sign = int(high > 0.98 and low > -0.9) - int(low < -0.98 and high < 0.9)
-        rule = "a slip of 1 is that of a wheel locked by its brake"
-        yield Evidence(("slip",), ("sigma_x", "sigma_x"), sign, rule)
+        most = _LOCKED.least
+        sign = int(high > most and low > -0.9) - int(low < -most and high < 0.9)
+        found.append(_LOCKED._replace(trend=sign))
+    return found
 
 
-def turning(columns: Mapping[str, np.ndarray]) -> int:
-    """Sign of the trend of omega / v over the slip; 0 if there is none."""
-    if not {"omega", "v"} <= columns.keys():
-        return 0
-    moving = columns["v"] > 0
-    if not moving.any():
-        return 0
-    slip = slip_ratio_from_sigma(columns["sigma_x"][moving])
-    wheel = columns["omega"][moving] / columns["v"][moving]
-    return trend(slip - slip.mean(), wheel - wheel.mean(), 0.005)
+def _trends(known: Mapping[str, np.ndarray]) -> Iterator[Evidence]:
+    """The rules whose columns are known, with their trends."""
+    for rule in _RULES:
+        x, y = (known.get(name) for name in rule.columns)
+        if x is None or y is None or "alpha" in rule.without and "alpha" not in known:
+            continue
+        rows = np.isfinite(x + y)
+        if rule.within < np.inf:
+            rows &= abs(known["alpha"]) < rule.within
+            rows &= abs(known.get("sigma_x", np.zeros(len(x)))) < _SMALL_SLIP
+        if rule.columns[0] == "gamma":  # camber thrust is proportional to load
+            y = y / known["fz"] if "fz" in known else np.zeros(len(x))
+        both = np.stack([x, y], axis=1)[rows]
+        if rule.without and len(both):
+            others = [np.ones(len(x)) if name == "1" else known[name] for name in rule.without]
+            base = np.stack(others, axis=1)[rows]
+            both = both - base @ np.linalg.lstsq(base, both)[0]
+        yield rule._replace(trend=rule.sign * trend(both[:, 0], both[:, 1], rule.least))
 
 
 def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int = 1) -> list[str]:
@@ -163,13 +141,10 @@ def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int
     return fitting
 
 
-_REFUSED = ("fx", "fy", "fx_sim", "fy_sim")
-"""Forces that must rise with their slip: the opposite sign is an error."""
+_ALONE = {"fx": "N", "fy": "N", "fx_sim": "N", "fy_sim": "N", "mz": "Nm"}
+"""Columns whose sign is often opposite alone -> a unit with which to flip it."""
 
-_TURNED = {"mz": "Nm", "gamma": "deg"}
-"""Columns that often have the opposite sign alone -> a unit with which to flip it."""
-
-_LEAST_DRIVING = 0.01
+_DRIVING = 0.01
 """Driving slip above the noise about zero in a braking test."""
 
 _SLIGHT = 0.002
@@ -179,20 +154,14 @@ _LIMIT = 0.01
 """Median difference of slip ratios that noise and an offset of the slip may cause; a
 fifth of the scatter of the slips if that is larger."""
 
-_DRIVING_POSITIVE = {
-    "LONGSLIP": "TYDEX",
-    "SR": "Tire Test Consortium",
-    "SL": "Tire Test Consortium",
-}
-"""Headers of a slip -> the files that have them, where driving is positive."""
-
 
 def check_signs(
     columns: Mapping[str, np.ndarray],
     headers: Mapping[str, str],
-    convention: str,
+    signs: Signs,
     file: str,
-    definition: str = "sigma_x",
+    definition: str,
+    units: Mapping[str, str],
     is_derived: bool = False,
 ) -> list[InputProblem]:
     """Problems if force and slip have a negative correlation in canonical signs.
@@ -200,45 +169,121 @@ def check_signs(
     Args:
         columns: (n,) canonical columns, used rows only.
         headers: the header of each column in the file.
-        convention: the one in which the file was read.
+        signs: convention in which the file was read.
         file: named in the problems.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
+        units: the unit in which each column was read.
         is_derived: whether ``tirefit derive`` wrote the file, whose signs are known.
     """
-    evidence, signs = evidence_of(columns, definition), CONVENTIONS[convention]
-    fitting, problems = fitting_conventions(evidence, convention), []
+    evidence, problems = evidence_of(columns, definition), []
     for item in evidence:
-        if item.trend >= 0 or not _is_refused(item):
-            continue
-        (field, other), (slip, force) = item.fields, item.columns
-        names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
-        relation = "equal" if getattr(signs, field) == getattr(signs, other) else "opposite"
-        reason = (
-            f"signs contradict the convention {convention!r}: {names} have {relation}"
-            " signs there, but not in the data"
-        )
-        remedy = (
-            "if the sign of one column differs, put a minus before its unit:"
-            f" --unit {force}=-N, or {force}=-kN if it is in kN"
-        )
-        if is_derived:
-            reason = (
-                f"{names} have the wrong signs against each other: the force would act in the"
-                " direction of the axle's slip"
-            )
-            remedy = (
-                "tirefit derive wrote this file: correct tracked_point, or the signs in [units],"
-                " of vehicle.toml and derive it again; its report names the point that the log"
-                " fits"
-            )
-        elif fitting:
-            remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
-        problems.append(InputProblem(reason, remedy, file, column=headers.get(force, force)))
+        if item.trend < 0 and item.is_refused:
+            reason = f"signs contradict the convention {signs.convention!r}: "
+            reason += f"{_names(item, headers)}: {item.rule}, but not in the data"
+            remedy = _remedy(item, evidence, signs.convention, units)
+            if is_derived:
+                remedy = (
+                    "tirefit derive wrote this file: correct tracked_point, or the signs in"
+                    " [units], of vehicle.toml and derive it again; its report names the point"
+                    " that the log fits"
+                )
+            header = headers.get(item.columns[1], item.columns[1])
+            problems.append(InputProblem(reason, remedy, file, column=header))
     return problems
 
 
-def _is_refused(item: Evidence) -> bool:
-    return item.columns[0] in ("sigma_x", "alpha") and item.columns[1] in _REFUSED
+def doubt_signs(
+    columns: Mapping[str, np.ndarray],
+    headers: Mapping[str, str],
+    definition: str,
+    signs: Signs,
+    units: Mapping[str, str],
+) -> list[str]:
+    """Warnings on signs that moment, camber, brakes, speeds or a locked wheel contradict.
+
+    Args:
+        columns, headers, definition, signs, units: as in :func:`check_signs`. The slip of a
+            file without declared convention is checked by :func:`doubt_convention`.
+    """
+    evidence, messages = evidence_of(columns, definition), []
+    assumed = "" if signs.is_declared else ", which were assumed"
+    for item in evidence:
+        of_slip = item.fields == ("slip",)
+        if item.trend < 0 and not item.is_refused and (signs.is_declared or not of_slip):
+            messages.append(
+                f"{_names(item, headers)}: {item.rule}, but not with the signs of"
+                f" {signs.convention!r}{assumed}:"
+                f" {_remedy(item, evidence, signs.convention, units)}"
+            )
+    return messages
+
+
+def _names(item: Evidence, headers: Mapping[str, str]) -> str:
+    return " and ".join(dict.fromkeys(repr(headers.get(name, name)) for name in item.columns))
+
+
+def _remedy(
+    item: Evidence, evidence: list[Evidence], convention: str, units: Mapping[str, str]
+) -> str:
+    """The remedies: a declaration that fits, or one that flips a column."""
+    ways = []
+    fitting = fitting_conventions(evidence, convention)
+    if fitting:
+        ways.append(f"these signs fit --convention {' or '.join(fitting)}")
+    elif turned := fitting_conventions(evidence, convention, load=-1):
+        both = " or ".join(turned)
+        ways.append(
+            f"if the sign of F_z was turned: --convention {both} --unit fz=-{units.get('fz', 'N')}"
+        )
+    own = "gamma" if item.columns[0] == "gamma" else item.columns[1]
+    if own in (*_ALONE, "gamma") and len(item.fields) == 2:
+        unit = units.get(own) or _ALONE.get(own, "deg")
+        flipped = unit[1:] if unit.startswith("-") else f"-{unit}"
+        ways.append(f"if the sign of {own} alone differs: --unit {own}={flipped}")
+    return "; ".join(ways) or "check --convention"
+
+
+def doubt_convention(
+    columns: Mapping[str, np.ndarray], headers: Mapping[str, str], definition: str, signs: Signs
+) -> str | None:
+    """A warning if no convention was declared and the sign of the slip may be wrong.
+
+    Forces change their sign with the slip, so :func:`check_signs` cannot distinguish
+    driving from braking: a file read with the wrong signs fits a mirrored tire as well.
+    Driving slips cause a warning unless the speeds of wheel and vehicle confirm them:
+    omega / v falls as the braking slip rises.
+
+    Args:
+        columns, headers, definition, signs: as in :func:`check_signs`.
+    """
+    if signs.is_declared or not {"sigma_x"} <= headers.keys() & columns.keys():
+        return None  # no slip column: computed from speeds, or none at all
+    pairs, convention = evidence_of(columns, definition), signs.convention
+    speeds = sum(item.trend for item in pairs if item.columns == ("sigma_x", "omega"))
+    header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
+    slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
+    has_driving = np.percentile(slip, 1) < -_DRIVING
+    if speeds > 0 or not (speeds or has_driving):
+        return None
+    brakes = sign > 0  # whether a positive slip was read as braking
+    taken = f"{'' if brakes else 'minus '}{header!r} is taken as braking"
+    if has_driving:
+        side, end = ("negative", "down") if brakes else ("positive", "up")
+        worst = f"{end} to {sign * np.min(slip):.3g}"
+        taken = f"{side} {header!r} ({worst}) is taken as driving"
+    if speeds < 0:
+        way = "rises" if brakes else "falls"
+        taken += f", but the wheel turns faster as it {way} (omega / v)"
+    now, other = ("braking", "driving")[::sign]
+    forces = [item for item in pairs if item.is_refused]
+    either = fitting_conventions(pairs, convention), fitting_conventions(forces, convention)
+    turned = [[n for n in names if CONVENTIONS[n].slip != sign] for names in either]
+    whose = signs.whose.removeprefix("assumed")
+    return (
+        f"no convention declared: read as {convention}{whose}, so {taken}; if positive slip"
+        f" means {other} in this file, pass --convention {' or '.join(turned[0] or turned[1])};"
+        f" if it means {now}, --convention {convention}"
+    )
 
 
 def check_slip(
@@ -256,168 +301,44 @@ def check_slip(
         definition: in which the slip column was read, a key of ``SLIP_DEFINITIONS``.
         alpha: (n,) slip angle [rad], if there is one.
         radius: R [m].
+
+    Returns:
+        Their difference, and a sentence on its probable cause: the one that explains two
+        thirds of it.
     """
-    logged, rolled = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
-    difference = float(np.median(abs(logged - rolled)))
-    limit = max(_LIMIT, 0.2 * np.std(logged))
-    cause = _cause(given, computed, definition, alpha, radius)
-    if difference <= limit:
-        text = cause and (
-            f"the slip differs from (v - omega R)/(omega R) by {difference:.2g} in the"
-            f" median; {cause}"
-        )
-        return SlipCheck(radius, difference, False, text)
-    cause = cause or "check the rolling radius, the slip definition (--slip), the units"
-    if np.median(abs(-logged - rolled)) < limit:
-        cause = "it has the opposite sign: declare the file's --convention"
-    text = (
-        "the slip contradicts (v - omega R)/(omega R): they differ by"
-        f" {difference:.3g} in the median; {cause}"
-    )
-    return SlipCheck(radius, difference, True, text)
+    rolled = slip_ratio_from_sigma(computed)
+
+    def apart(sigma: np.ndarray) -> float:
+        return float(np.median(abs(slip_ratio_from_sigma(sigma) - rolled)))
+
+    difference = apart(given)
+    contradicts = difference > max(_LIMIT, 0.2 * np.std(slip_ratio_from_sigma(given)))
+    causes = dict(_causes(given, computed, definition, alpha, radius))
+    cause = min(causes, key=lambda text: apart(causes[text]))
+    if difference <= _SLIGHT or apart(causes[cause]) > difference / 3:
+        cause = "check the rolling radius, the slip definition (--slip), the units"
+        if not contradicts:
+            return SlipCheck(radius, difference, False)
+    verb = "contradicts" if contradicts else "differs from"
+    text = f"the slip {verb} (v - omega R)/(omega R): by {difference:.3g} in the median; {cause}"
+    return SlipCheck(radius, difference, contradicts, text)
 
 
-def _cause(given, computed, definition: str, alpha, radius: float) -> str:
-    """A sentence on the probable cause of a systematic difference of the two slips.
-
-    The cause may be another definition of slip, another scale or another radius. The
-    text is empty if the two agree or no cause explains most of the difference. Arguments
-    are those of :func:`check_slip`.
-    """
-
-    def apart(one, other):
-        difference = slip_ratio_from_sigma(one) - slip_ratio_from_sigma(other)
-        return float(np.median(abs(difference)))
-
+def _causes(given, computed, definition: str, alpha, radius: float) -> Iterator[tuple]:
+    """Sentence on a cause of a difference -> the slip sigma_x (n,) that would then be right."""
     logged = slip_from_sigma(given, definition, alpha)
     meant = slip_from_sigma(computed, definition, alpha)
-    explained = {}
+    mirrored = "it has the opposite sign: declare the file's --convention"
+    yield mirrored, slip_to_sigma(-logged, definition, alpha)
     for other in ("kappa", "sigma_x", "slip_ratio"):
         if other != definition and (definition, other) != ("s", "kappa"):
             text = f"it agrees if read as {other}: pass --slip {other}"
-            explained[text] = apart(slip_to_sigma(logged, other), computed)
+            yield text, slip_to_sigma(logged, other)
     clear = abs(meant) > max(np.median(abs(meant)), _SLIGHT)
-    if clear.any():
-        factor = np.median(logged[clear] / meant[clear])
+    factor = np.median(logged[clear] / meant[clear]) if clear.any() else 0.0
+    if factor > 0:
         text = f"it agrees if divided by {factor:.3g}: check its unit and scale"
-        mended = slip_to_sigma(logged / (factor or 1), definition, alpha)
-        explained[text] = apart(mended, computed)
+        yield text, slip_to_sigma(logged / factor, definition, alpha)
     ratio = np.median((1 + given) / (1 + computed))
     text = f"a rolling radius of {radius / ratio:.4g} m would give it, not {radius:g} m"
-    explained[text] = apart(given, ratio * (1 + computed) - 1)
-    now, best = apart(given, computed), min(explained, key=explained.__getitem__)
-    if now <= _SLIGHT or explained[best] > now / 3:
-        return ""
-    return best
-
-
-def doubt_convention(
-    columns: Mapping[str, np.ndarray], headers: Mapping[str, str], definition: str, signs: Signs
-) -> str | None:
-    """A warning if the sign in which the slip was read may be wrong.
-
-    Forces change their sign with the slip, so :func:`check_signs` cannot distinguish
-    driving from braking: a file read with the wrong signs fits a mirrored tire as well.
-    If no convention was declared, driving slips cause a warning unless the speeds of
-    wheel and vehicle confirm them: omega / v falls as the braking slip rises.
-
-    Args:
-        columns, headers, definition: as in :func:`check_signs`.
-        signs: convention in which the file was read.
-    """
-    if "sigma_x" not in headers or "sigma_x" not in columns:
-        return None  # no slip column: computed from speeds, or none at all
-    sense = turning(columns)
-    pairs, convention = evidence_of(columns, definition), signs.convention
-    if signs.is_declared:
-        if sense <= 0:
-            return None
-        fitting = fitting_conventions(pairs, convention)
-        remedy = f"these signs fit --convention {' or '.join(fitting)}"
-        return (
-            f"the slip contradicts omega / v: by the signs of {convention!r}, the wheel turns"
-            " slower while driven; " + (remedy if fitting else "check --convention")
-        )
-    header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
-    slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
-    low, high = np.percentile(slip, [1, 99])
-    has_driving = low < -_LEAST_DRIVING
-    if sense < 0 or not (sense or has_driving):
-        return None
-    brakes = sign > 0  # whether a positive slip was read as braking
-    taken = f"{'' if brakes else 'minus '}{header!r} is taken as braking"
-    if has_driving:
-        side, end = ("negative", "down") if brakes else ("positive", "up")
-        worst = f"{end} to {sign * np.min(slip):.3g}"
-        taken = f"{side} {header!r} ({worst}) is taken as driving"
-    now, other = ("braking", "driving")[::sign]
-    whose = signs.whose.removeprefix("assumed")
-    reason = ""
-    if sense > 0:
-        way = "rises" if brakes else "falls"
-        reason = f", but the wheel turns faster as it {way} (omega / v)"
-    elif definition in ("kappa", "s") and low < -0.98 and high < 0.9:
-        reason = f", but {-sign} is where a wheel locks if {other} is positive"
-    elif brakes and header in _DRIVING_POSITIVE:
-        reason = f", but in {_DRIVING_POSITIVE[header]} files driving is positive"
-    forces = [item for item in pairs if _is_refused(item)]
-    either = fitting_conventions(pairs, convention), fitting_conventions(forces, convention)
-    turned = [[n for n in names if CONVENTIONS[n].slip != sign] for names in either]
-    fitting = turned[0] or turned[1]
-    return (
-        f"no convention declared: read as {convention}{whose}, so {taken}"
-        f"{reason}; if positive slip means {other} in this file, pass --convention"
-        f" {' or '.join(fitting)}; if it means {now}, --convention {convention}"
-    )
-
-
-def doubt_signs(
-    columns: Mapping[str, np.ndarray],
-    headers: Mapping[str, str],
-    definition: str,
-    signs: Signs,
-    units: Mapping[str, str],
-) -> list[str]:
-    """Warnings on signs that moment, camber, brakes or a locked wheel contradict.
-
-    Args:
-        columns, headers, definition: as in :func:`check_signs`.
-        signs: convention in which the file was read. If it was not declared,
-            :func:`doubt_convention` checks the slip.
-        units: the unit in which each column was read.
-    """
-    evidence, messages = evidence_of(columns, definition), []
-    convention, is_declared = signs.convention, signs.is_declared
-    for item in evidence:
-        of_slip = item.fields == ("slip",)
-        refused = _is_refused(item) or item.columns[0] == "omega"
-        if item.trend >= 0 or refused or (of_slip and not is_declared):
-            continue
-        names = dict.fromkeys(repr(headers.get(c, c)) for c in item.columns)
-        assumed = "" if is_declared else ", which were assumed"
-        messages.append(
-            f"{' and '.join(names)}: {item.rule}, but not with the signs of"
-            f" {convention!r}{assumed}: {_remedy(item, evidence, convention, units)}"
-        )
-    return messages
-
-
-def _remedy(
-    item: Evidence, evidence: list[Evidence], convention: str, units: Mapping[str, str]
-) -> str:
-    """The remedies: a declaration that fits, or one that flips a column."""
-    ways = []
-    fitting = fitting_conventions(evidence, convention)
-    if fitting:
-        ways.append(f"these signs fit --convention {' or '.join(fitting)}")
-    elif turned := fitting_conventions(evidence, convention, load=-1):
-        both = " or ".join(turned)
-        ways.append(
-            f"if the sign of F_z was turned: --convention {both} --unit fz=-{units.get('fz', 'N')}"
-        )
-    ways += [
-        f"if the sign of {name} alone differs: --unit {name}=-{units.get(name, unit)}"
-        for name, unit in _TURNED.items()
-        if name in item.columns
-    ]
-    return "; ".join(ways) or "check --convention"
+    yield text, (1 + given) / ratio - 1

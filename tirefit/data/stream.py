@@ -12,7 +12,7 @@ from typing import TextIO
 import numpy as np
 
 from tirefit.data.columns import is_number, plan_columns
-from tirefit.data.declared import Options, stated_convention
+from tirefit.data.declared import declared, stated_convention
 from tirefit.data.units import sign_of, slip_from_speeds, slip_to_sigma
 from tirefit.results import DataError
 from tirefit.slip import SLIP_DEFINITIONS
@@ -30,17 +30,8 @@ class RowReader:
     """
 
     def __init__(self, lines: TextIO, name: str = "standard input", **how):
-        self._options = Options(
-            how.get("columns") or {},
-            how.get("units") or {},
-            how.get("convention"),
-            how.get("slip"),
-            how.get("constants") or {},
-            how.get("rolling_radius"),
-            True,
-            True,
-        )
-        self._options.check()
+        known = "columns", "units", "convention", "slip", "constants", "rolling_radius"
+        self._options = declared(mask_bad_rows=True, **{key: how.get(key) for key in known})
         # Do not iterate over the file itself, which would read ahead.
         above: list[str] = []
         while (first := lines.readline()).startswith("#"):

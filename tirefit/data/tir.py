@@ -5,10 +5,9 @@ only changed values are rewritten. Numbers are converted to SI on reading and ba
 the units of the file on writing.
 """
 
-import math
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,9 +26,9 @@ from tirefit.data.tir_keys import (
 )
 from tirefit.data.tire_file import other_tire
 from tirefit.door import TIRE, content_of, control_character
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, InputProblem
 
-__all__ = ["TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
+__all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 
 PRESSURES = (1e4, 5e6)
 """Range of inflation pressures [Pa], from a kart to an aircraft."""
@@ -254,15 +253,6 @@ def read_tir(path) -> TirFile:
     return parse_tir(text, str(path), notes)
 
 
-_UNITS = """\
-[UNITS]
-LENGTH                   = 'meter'
-FORCE                    = 'newton'
-ANGLE                    = 'radians'
-MASS                     = 'kg'
-TIME                     = 'second'
-"""
-
 _CURVATURE = -0.44  # E that follows the brush best where C = 1, see :func:`reduced_tir`
 
 _REDUCED = (
@@ -271,7 +261,6 @@ _REDUCED = (
     "before (C = 1); E follows the curve of the brush, which no Magic Formula has. The",
     "lateral stiffness is that of the brush at every load, the longitudinal one stationary",
     "at FNOMIN. Combined slip keeps to the friction circle there. No aligning moment.",
-    "c_p a^2 = PKX1 FNOMIN / 2 and mu = PDX1, exactly: tirefit reads them back.",
 )
 
 
@@ -293,62 +282,16 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
         mu: friction coefficient [-].
         fz: nominal load [N], at which both hold.
         radius: radius of the free tire [m].
-
-    Raises:
-        UsageError: values that are not positive; it lists all of them.
     """
-    given = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
-    UsageError.raise_for(
-        [
-            InputProblem(f"{name} = {value:g} is not positive", "give it in SI")
-            for name, value in given.items()
-            if not 0 < value < math.inf
-        ]
-    )
     slope, weight = 2 * cpa2 / fz, 2 * cpa2 / (mu * fz)
     values = {"UNLOADED_RADIUS": radius, "FNOMIN": fz, "QBZ1": 0.0, "QCZ1": 1.0, "QDZ1": 0.0}
     values |= {"PKX3": -1.0, "PKY2": 1e-8, "PKY4": 1.0}
-    notes = {"FNOMIN": "Nominal wheel load", "UNLOADED_RADIUS": "Free tyre radius"}
-    notes |= dict.fromkeys(("PKY2", "PKY4"), "Stiffness the same at every load")
-    notes |= {"PKX3": "Stiffness stationary at FNOMIN", "QBZ1": "No aligning moment"}
     for axis, sign in (("X", 1), ("Y", -1)):  # in ISO-W axes the cornering stiffness is negative
-        for start, value, note in (
-            ("PC", 1.0, "Shape: no peak"),
-            ("PD", mu, "mu"),
-            ("PE", _CURVATURE, "Curvature of the brush"),
-            ("PK", sign * slope, f"{2 * sign} c_p a^2 / FNOMIN"),
-            ("RB", weight, "2 c_p a^2 / (mu FNOMIN)"),
-            ("RC", 1.0, "Friction circle"),
-        ):
-            values[f"{start}{axis}1"], notes[f"{start}{axis}1"] = value, note
-        values[f"RB{axis}2"] = weight
-    tir = new_tir("6.1", values, {}, notes, _REDUCED, number=_exact)
+        values |= {f"PC{axis}1": 1.0, f"PD{axis}1": mu, f"PE{axis}1": _CURVATURE}
+        values |= {f"PK{axis}1": sign * slope, f"RC{axis}1": 1.0}
+        values |= {f"RB{axis}1": weight, f"RB{axis}2": weight}
+    tir = new_tir("6.1", values, {}, {}, _REDUCED)
     return replace(tir.with_values({"TYRESIDE": "SYMMETRIC"}), path="reduced.tir")
-
-
-def _exact(number: float) -> str:
-    """The shortest text that is read as exactly this number."""
-    text = shortest(number)
-    return text if float(text) == number else repr(float(number))
-
-
-def brush_of(tir: TirFile) -> dict[str, float] | None:
-    """``cpa2`` [N] and ``mu`` of a file that :func:`reduced_tir` wrote, else None.
-
-    Every coefficient must be that of the brush; with a changed one, the file is an
-    ordinary Magic Formula.
-    """
-    numbers = tir.numbers
-    try:
-        nominal, radius = numbers["FNOMIN"], numbers["UNLOADED_RADIUS"]
-        cpa2, mu = numbers["PKX1"] * nominal / 2, numbers["PDX1"]
-        ours = reduced_tir(cpa2, mu, nominal, radius).numbers
-    except (KeyError, UsageError):
-        return None
-    if ours.keys() != numbers.keys():
-        return None
-    alike = (math.isclose(numbers[k], ours[k], rel_tol=1e-12) for k in ours)
-    return {"cpa2": cpa2, "mu": mu} if all(alike) else None
 
 
 _FITTYP = {"5.2": 6, "6.1": 61, "6.2": 62}
@@ -364,7 +307,13 @@ _HEAD = """\
 FILE_TYPE                = 'tir'
 FILE_VERSION             = 3.0
 FILE_FORMAT              = 'ASCII'
-{comment}{units}[MODEL]
+{comment}[UNITS]
+LENGTH                   = 'meter'
+FORCE                    = 'newton'
+ANGLE                    = 'radians'
+MASS                     = 'kg'
+TIME                     = 'second'
+[MODEL]
 PROPERTY_FILE_FORMAT     = 'MF{format}'
 FITTYP                   = {fittyp}
 TYRESIDE                 = 'UNKNOWN'
@@ -377,7 +326,6 @@ def new_tir(
     ranges: Mapping[str, tuple[float, float]],
     notes: Mapping[str, str],
     comment: Sequence[str] = (),
-    number: Callable[[float], str] = shortest,
 ) -> TirFile:
     """A file of this version with these coefficients, in SI units.
 
@@ -387,14 +335,13 @@ def new_tir(
         ranges: (least, largest) value by input of :data:`tir_keys.LIMITS`, in ISO-W.
         notes: comment behind the value of a key.
         comment: lines above the first section of values.
-        number: the text of a value.
 
     Raises:
         DataError: values that do not describe a tire.
     """
     above = "".join(f"$ {line}\n" for line in comment)
     kind = "-Tyre" if version == "5.2" else version.replace(".", "")
-    text = _HEAD.format(units=_UNITS, comment=above, fittyp=_FITTYP[version], format=kind)
+    text = _HEAD.format(comment=above, fittyp=_FITTYP[version], format=kind)
     lines = text.splitlines()
     section = "MODEL"
     of_version = [k for k in COEFFICIENTS if ONLY_IN.get(k, version[0]) == version[0]]
@@ -406,7 +353,7 @@ def new_tir(
             section = COEFFICIENTS[key]
             lines.append(f"[{section}]")
         message = f"          ${notes[key]}" if key in notes else ""
-        lines.append(f"{key:<24} = {number(float(values[key]))}{message}")
+        lines.append(f"{key:<24} = {shortest(float(values[key]))}{message}")
     for name, (low, high) in ranges.items():
         lines.append(f"[{_RANGES[name]}]")
         for key, value in zip(LIMITS[name], (low, high), strict=True):

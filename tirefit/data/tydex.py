@@ -38,10 +38,6 @@ MYH are moments about the wheel centre, not about the contact point."""
 _OF_TIRE = (
     ("UNLOADED_RADIUS", 1.0, "length", r"RFREE|.*(unloaded|free) radius"),
     ("UNLOADED_RADIUS", 0.5, "length", r"OVALLDIA|NOMDIAME|.*(overall|outer) diameter"),
-    ("RIM_RADIUS", 0.5, "length", r"RIMDIAM|.*rim diameter"),
-    ("RIM_WIDTH", 1.0, "length", r"RIMWIDTH|.*rim width"),
-    ("WIDTH", 1.0, "length", r"NOMWIDTH|.*section width"),
-    ("ASPECT_RATIO", 1.0, "ratio", r"ASPRATIO|.*aspect ratio"),
     ("FNOMIN", 1.0, "force", r"FNOMIN|NOMLOAD|.*nominal [a-z ]*(load|force)"),
     ("NOMPRES", 1.0, "pressure", r"NOMPRES|.*nominal [a-z ]*pressure"),
 )
@@ -49,15 +45,10 @@ _OF_TIRE = (
 constant; the first match of a key is used."""
 
 _INCH = 0.0254
-_METRIC_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d{2,3})\s?[A-Z]*-?\s?(\d\d)\b", re.I)
-"""205/60 R15: width [mm], aspect ratio [%] or diameter [mm], rim diameter [inch]."""
-_INCH_SIZE = re.compile(r"\b(\d\d(?:\.\d+)?)\s?x\s?\d+(?:\.\d+)?\s?-\s?\d\d\b", re.I)
-"""18.0x6.0-10: diameter, width, rim diameter [inch]."""
+_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d\d)\s?[A-Z]*-?\s?(\d\d)\b", re.I)
+"""Nominal size such as 205/60 R15: width [mm], aspect ratio [%], rim diameter [inch]."""
 _LARGEST = 2.1
 """Radius [m] of the largest earthmover tires: a larger value has a wrong unit."""
-
-_RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
-"""A ruling or a heading in a section, as many files have them."""
 
 _SECTIONS = "HEADER COMMENTS CONSTANTS MEASURCHANNELS MEASURDATA END".split()
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
@@ -146,18 +137,15 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
 
 
 def _sections(text: str) -> dict[str, list[tuple[int, str]]]:
-    """Keyword -> lines with content as (number, text); comments in **COMMENTS only."""
+    """Keyword -> lines with content as (number, text), without comments."""
     sections: dict[str, list[tuple[int, str]]] = {}
     current = None
     for number, line in enumerate(text.splitlines(), 1):
         keyword = _KEYWORD.match(line)
         if keyword:
             current = sections.setdefault(keyword[1].upper(), [])
-        elif current is not None and line.strip():
-            if line.lstrip()[0] != "!":
-                current.append((number, line))
-            elif current is sections.get("COMMENTS") and not _RULE.search(line):
-                current.append((number, line.lstrip(" !")))
+        elif current is not None and line.strip() and line.lstrip()[0] != "!":
+            current.append((number, line))
     return sections
 
 
@@ -295,23 +283,18 @@ def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
                 take(key, factor * value, line)
     for _, line in [*lines, *header]:
         take("UNLOADED_RADIUS", _radius_of_size(line), line)
-    rim, width, ratio = map(found.get, ("RIM_RADIUS", "WIDTH", "ASPECT_RATIO"))
-    if rim and width and ratio:
-        take("UNLOADED_RADIUS", rim + width * ratio, "nominal width, ratio and rim")
     return found, notes
 
 
 def _si(value: float, unit: str, dimension: str) -> float:
     """A constant in SI units, NaN if its unit has another dimension.
 
-    Without a unit, a length from 3 to 30 is in inches (a rim), a longer one in mm, and
-    an aspect ratio above 3 in per cent.
+    Without a unit, a length above 3 is in mm.
     """
     if unit.casefold() in ("in", "inch", '"', "zoll"):
         return value * _INCH if dimension == "length" else np.nan
     if unit in ("", "-"):
-        scales = {"length": _INCH if value < 30 else 1e-3, "ratio": 0.01}
-        return value * (scales.get(dimension, 1.0) if value > 3 else 1.0)
+        return value * 1e-3 if dimension == "length" and value > 3 else value
     known = known_unit(unit)
     same = known is not None and known.dimension == dimension
     return float(known.to_si(value)) if known and same else np.nan
@@ -319,12 +302,9 @@ def _si(value: float, unit: str, dimension: str) -> float:
 
 def _radius_of_size(text: str) -> float:
     """Radius [m] of the free tire from its nominal size, NaN if the text has none."""
-    if inches := _INCH_SIZE.search(text):
-        return float(inches[1]) * _INCH / 2
-    if metric := _METRIC_SIZE.search(text):
-        width, height, rim = map(float, metric.groups())
-        high = height > 150  # 205/470 R13 states the diameter
-        return height / 2e3 if high else rim * _INCH / 2 + width * height * 1e-5
+    if size := _SIZE.search(text):
+        width, ratio, rim = map(float, size.groups())
+        return rim * _INCH / 2 + width * ratio * 1e-5
     return np.nan
 
 
@@ -340,17 +320,9 @@ def _meant(names, constants) -> dict[str, str]:
 
 def _said(sections, channels, constants, unread, meant) -> Iterator[str]:
     """Sentences on the signs, the header, and what was read how or not at all."""
-    header = {
-        line.split()[0].upper(): line[40:].strip() or line.split()[-1]
-        for _, line in sections.get("HEADER", [])
-    }
+    header = {line.split()[0].upper(): line.split()[-1] for _, line in sections.get("HEADER", [])}
     release = header.get("RELEASE", "of no stated release")
     yield (f"TYDEX {release}: signs read as 'iso-w' (ISO 8855), slip positive in driving")
-    for key in ("SUPPLIER", "MEASID", "DATE"):
-        if header.get(key):
-            yield f"{key} = {header[key]}"
-    for _, line in sections.get("COMMENTS", []):
-        yield f"comment: {line.strip()}"
     for channel in channels:
         factor, before, after = channel.conversion
         if channel.conversion != (1, 0, 0):

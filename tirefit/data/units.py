@@ -1,8 +1,7 @@
 """Convert units and signs of a file to canonical SI values, and back.
 
-Common units are exact factors in a table; other units are converted by pint, which is
-imported only then as that is slow. A leading minus (``-N``) declares a column whose sign
-is opposite to the convention of the file.
+Units are exact factors in a table. A leading minus (``-N``) declares a column whose sign is
+opposite to the convention of the file.
 """
 
 from typing import NamedTuple
@@ -43,13 +42,6 @@ class Unit(NamedTuple):
         return (values - self.offset) / self.scale
 
 
-_SI = {
-    "time": "s", "ratio": "-", "angle": "rad", "angular speed": "rad/s",
-    "force": "N", "moment": "N m", "speed": "m/s", "pressure": "Pa",
-    "temperature": "degC", "acceleration": "m/s2", "angular acceleration": "rad/s2",
-    "length": "m",
-}  # fmt: skip
-
 _DIMENSION = {
     "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
     "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
@@ -68,45 +60,66 @@ _DIMENSION = {
 
 _TURN = 2 * np.pi
 
-_FACTORS = {
-    "time": {"s": 1, "sec": 1, "second": 1, "seconds": 1, "ms": 1e-3, "us": 1e-6,
-             "ns": 1e-9,
-             "min": 60, "h": 3600},
-    "ratio": {"-": 1, "": 1, "1": 1, "none": 1, "dimensionless": 1, "ratio": 1,
-              "%": 0.01, "pct": 0.01, "percent": 0.01},
-    "angle": {"rad": 1, "mrad": 1e-3, "deg": np.pi / 180, "degree": np.pi / 180,
-              "degrees": np.pi / 180},
-    "angular speed": {"rad/s": 1, "radps": 1, "rads": 1, "1/s": 1, "deg/s": np.pi / 180,
-                      "degps": np.pi / 180, "rpm": _TURN / 60, "1/min": _TURN / 60,
-                      "rev/min": _TURN / 60, "rev/s": _TURN, "Hz": _TURN},
-    "force": {"N": 1, "kN": 1e3, "daN": 10, "kgf": GRAVITY,
-              **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605)},
-    "moment": {"Nm": 1, "N-m": 1, "kNm": 1e3, "Nmm": 1e-3,
-               **dict.fromkeys(("lbfft", "ftlbf", "ft-lb", "ft-lbs", "ft-lbf", "lb-ft"),
-                               1.3558179483314004), "in-lb": 0.11298482902761668},
-    "speed": {"m/s": 1, "mps": 1, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6,
-              "mph": 0.44704, "mm/s": 1e-3, "mmps": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048,
-              "knot": 1852 / 3600},
-    "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100,
-                 "psi": 6894.757293168361},
-    "acceleration": {"m/s2": 1, "m/s^2": 1, "m/s²": 1, "g": GRAVITY, "mm/s2": 1e-3,
-                     "ft/s2": 0.3048},
-    "angular acceleration": {"rad/s2": 1, "rad/s^2": 1, "rad/s²": 1,
-                             "deg/s2": np.pi / 180, "deg/s^2": np.pi / 180},
-    "length": {"m": 1, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048},
+_DEG, _FOOT, _INCH = np.pi / 180, 0.3048, 0.0254
+_LBF = 4.4482216152605
+"""Pound-force [N]."""
+
+_USUAL = {
+    "time": {1: "s sec second seconds", 1e-3: "ms millisecond milliseconds", 1e-6: "us microsecond",
+             1e-9: "ns nanosecond", 60: "min minute minutes", 3600: "h hr hour hours"},
+    "ratio": {1: "- 1 none dimensionless ratio", 0.01: "% pct percent"},
+    "angle": {1: "rad radian radians", 1e-3: "mrad", _DEG: "deg degree degrees"},
+    "angular speed": {
+        1: "rad/s radps rads 1/s rad/sec radian/second",
+        _DEG: "deg/s degps deg/sec degree/second degrees/second",
+        _TURN / 60: "rpm 1/min rev/min revolutionsperminute", _TURN: "rev/s Hz"},
+    "force": {1: "N newton newtons", 1e3: "kN kilonewton", 10: "daN", GRAVITY: "kgf",
+              _LBF: "lbf lb lbs poundforce"},
+    "moment": {1: "Nm N-m newtonmeter", 1e3: "kNm", 1e-3: "Nmm", _LBF * _INCH: "in-lb inlbf lbfin",
+               _LBF * _FOOT: "lbfft ftlbf ft-lb ft-lbs ft-lbf lb-ft"},
+    "speed": {1: "m/s mps meter/second", 1 / 3.6: "km/h kmh kph kilometer/hour",
+              0.44704: "mph mile/hour", 1e-3: "mm/s mmps", 1e-2: "cm/s",
+              _FOOT: "ft/s foot/second", 1852 / 3600: "knot knots kt"},
+    "pressure": {1: "Pa pascal", 100: "hPa mbar millibar", 1e3: "kPa kilopascal", 1e6: "MPa N/mm2",
+                 1e5: "bar", _LBF / _INCH**2: "psi"},
+    "acceleration": {1: "m/s2 m/s^2 m/s² meter/second2", GRAVITY: "g g0 gravity",
+                     1e-3: "mm/s2 mm/s^2", _FOOT: "ft/s2 ft/s^2"},
+    "angular acceleration": {1: "rad/s2 rad/s^2 rad/s²", _DEG: "deg/s2 deg/s^2 degree/second2"},
+    "length": {1: "m meter meters metre", 1e-2: "cm centimeter", 1e-3: "mm millimeter",
+               _FOOT: "ft foot feet"},
 }  # fmt: skip
+"""Dimension -> size in SI -> the names, without blanks, points and underscores."""
+
+_RARE = {
+    "angle": {_DEG / 60: "arcmin arcminute", _DEG / 3600: "arcsec", _TURN: "turn"},
+    "angular speed": {_DEG / 60: "deg/min"},
+    "force": {1e6: "MN", 1e-3: "mN", GRAVITY / 1e3: "gf", 1e3 * GRAVITY: "metrictonforce",
+              _LBF / 16: "ozf", 1e3 * _LBF: "kip", 1e-5: "dyn dyne"},
+    "moment": {10: "daNm", 0.01: "Ncm", GRAVITY: "kgfm"},
+    "speed": {1e3: "km/s", 1 / 60: "m/min", _INCH: "in/s"},
+    "pressure": {101_325: "atm", 3386.38864: "inHg", 133.32238741: "mmHg", 101_325 / 760: "torr",
+                 1e4 * GRAVITY: "kgf/cm2"},
+    "acceleration": {1e-2: "cm/s2 cm/s^2 Gal"},
+    "length": {1e3: "km kilometer", _INCH: "inch inches", 3 * _FOOT: "yd yard",
+               1609.344: "mi mile"},
+}  # fmt: skip
+"""Units that are read, but not proposed as the one that a column may be in."""
 
 _KNOWN = {
     name: Unit(dimension, float(factor))
-    for dimension, factors in _FACTORS.items()
-    for name, factor in factors.items()
+    for table in (_USUAL, _RARE)
+    for dimension, sizes in table.items()
+    for factor, names in sizes.items()
+    for name in names.split()
 } | {
+    "": Unit("ratio", 1.0),
     **dict.fromkeys(("degC", "C", "celsius"), Unit("temperature", 1.0)),
     **dict.fromkeys(("K", "kelvin"), Unit("temperature", 1.0, -273.15)),
     **dict.fromkeys(("degF", "F", "fahrenheit"), Unit("temperature", 5 / 9, -160 / 9)),
 }
-# MPa is left out: reading mPa as MPa would be wrong by a factor of 1e9.
-_ANY_CASE = {name.casefold(): unit for name, unit in _KNOWN.items() if name != "MPa"}
+# Milli and mega differ by their case alone: mPa read as MPa would be wrong by a factor of 1e9.
+_MEGA = ("MPa", "MN", "mN")
+_ANY_CASE = {name.casefold(): unit for name, unit in _KNOWN.items() if name not in _MEGA}
 
 _SPELLING = str.maketrans({"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "_": "", "\xa0": ""})
 
@@ -139,10 +152,12 @@ def resolve_unit(text: str, column: str) -> Unit:
     """
     text = text.strip()
     if text.startswith("-") and len(text) > 1:
-        unit = resolve_unit(text[1:], column)
-        return unit._replace(scale=-unit.scale)
+        opposite = resolve_unit(text[1:], column)
+        return opposite._replace(scale=-opposite.scale)
     wanted = dimension_of(column)
-    unit = known_unit(text) or _ask_pint(text, column, wanted)
+    unit = known_unit(text)
+    if unit is None:
+        raise DataError(f"unknown unit {text!r}", _unit_remedy(text, column, wanted))
     if unit.dimension != wanted:
         raise DataError(
             f"unit {text!r} is a unit of {unit.dimension}, but {column} is of dimension {wanted}",
@@ -152,8 +167,10 @@ def resolve_unit(text: str, column: str) -> Unit:
 
 
 def units_of(dimension: str) -> list[str]:
-    """Common units of a dimension as text, SI first."""
-    return [name for name, unit in _KNOWN.items() if name and unit[0] == dimension]
+    """A name of each usual unit of a dimension, SI first."""
+    if dimension == "temperature":
+        return ["degC", "K", "degF"]
+    return [names.split()[0] for names in _USUAL[dimension].values()]
 
 
 def _unit_remedy(text: str, column: str, dimension: str) -> str:
@@ -161,24 +178,6 @@ def _unit_remedy(text: str, column: str, dimension: str) -> str:
     listed = ", ".join(map(repr, units))
     meant = did_you_mean(text, units)
     return f"{meant}give a unit of {dimension} with --unit {column}=...: {listed}"
-
-
-def _ask_pint(text: str, column: str, dimension: str) -> Unit:
-    """A unit of pint as an affine map to SI, found by converting 0 and 1."""
-    import pint  # slow to import, and for units outside the table alone
-
-    remedy = _unit_remedy(text, column, dimension)
-    target = {"-": "", "N m": "N*m"}.get(_SI[dimension], _SI[dimension])
-    try:
-        registry: pint.UnitRegistry = pint.UnitRegistry(on_redefinition="ignore")
-        unit = registry.Unit(text)
-        zero, one = (registry.Quantity(x, unit).to(target).magnitude for x in (0.0, 1.0))
-    except pint.DimensionalityError as error:
-        reason = f"unit {text!r} is not a unit of {dimension}, which {column} needs"
-        raise DataError(reason, remedy) from error
-    except Exception as error:  # pint raises its own, tokenizer and syntax errors
-        raise DataError(f"unknown unit {text!r}", remedy) from error
-    return Unit(dimension, one - zero, zero)
 
 
 def sign_of(convention: str, column: str) -> int:

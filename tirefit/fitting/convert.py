@@ -6,13 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.table import Source, TireData
-from tirefit.data.tir import TirFile, brush_of
 from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.predict import predict
 from tirefit.fitting.result import FitResult
-from tirefit.fitting.tir import own_tire
-from tirefit.models import MODELS, AbstractTire, TireInputs, forces
-from tirefit.params import with_values
+from tirefit.models import AbstractTire
 
 
 def curve(
@@ -73,28 +70,3 @@ def misfit_by_load(result: FitResult) -> dict[float, float]:
     return {
         float(load): float(np.sqrt(np.mean(residual[fz == load] ** 2))) for load in np.unique(fz)
     }
-
-
-def reduced_misfit(tir: TirFile, loads: Sequence[float]) -> dict[float, dict]:
-    """Load [N] -> force -> largest difference over mu F_z, at any pure slip up to 1 or
-    1.5 rad, between the file of a brush and that brush.
-
-    Raises:
-        ValueError: the file is not that of a brush.
-    """
-    values = brush_of(tir)
-    if values is None:
-        raise ValueError("not a reduced file")
-    slip = np.linspace(0.0, 0.99, 2000)
-    points = {"fx": {"sigma_x": slip / (1 - slip)}, "fy": {"alpha": 1.5 * slip}}
-    brush = with_values(MODELS["brush"], values)
-    tire = own_tire(tir)
-    missed: dict[float, dict] = {}
-    for load in loads:
-        missed[load] = {}
-        for force, at in points.items():
-            inputs = TireInputs(fz=load)._replace(**at)
-            ours, theirs = (getattr(forces(t, inputs), force) for t in (brush, tire))
-            worst = float(np.max(np.abs(np.asarray(ours - theirs))))
-            missed[load][force] = worst / (values["mu"] * load)
-    return missed

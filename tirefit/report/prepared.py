@@ -10,7 +10,7 @@ from tirefit.data.prepare.prepare import Prepared
 from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.prepare.slips import LEAST, swept_range
 from tirefit.data.units import slip_from_sigma
-from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, WIDE, Picture, frame, tidy
+from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, WIDE, Picture, frame, tidy
 
 _GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
 
@@ -18,10 +18,7 @@ _COLOR = {
     "sweep up": BLUE,
     "sweep down": _SKY,
     "steady": _GREEN,
-    "cold": _PURPLE,
     "warm-up": ORANGE,
-    "spring-rate": RED,
-    "load-step": "#4d4d4d",
     "standing": "#d8d8d8",
     "transition": GREY,
     "unusable": DARK,

@@ -6,7 +6,6 @@ languages, so that no formula is written twice.
 """
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -122,7 +121,6 @@ def traced(
         found = {n: found[n] for n in (*outputs, *(n for n in found if n not in outputs))}
     results = {name: value.item() for name, value in found.items()}
     program = _pruned(Program(tuple(inputs), results, graph.operations))
-    program = _pruned(_with_reciprocals(program))
     if len(program.operations) > MOST_OPERATIONS:
         raise NotImplementedError(_TOO_LONG)
     return program
@@ -249,10 +247,6 @@ def _simplified(graph: Graph, op: str, args: tuple) -> Any:
     match (op, *(one if known(one) else graph.operations[one.place] for one in args)):
         case ("add", 0.0, _):
             return y
-        case ("add", ("neg", (a,)), _):
-            return apply("sub", y, a)
-        case ("add" | "sub", _, ("neg", (a,))):
-            return apply("sub" if op == "add" else "add", x, a)
         case ("sub", _, 0.0) | ("pow", _, 1.0):
             return x
         case ("sub", 0.0, _) | ("mul", -1.0, _):
@@ -263,29 +257,13 @@ def _simplified(graph: Graph, op: str, args: tuple) -> Any:
             return y
         case ("mul", _, ("mul", (a, b))) if known(x, a):
             return apply("mul", x * a, b)
-        case ("mul", _, ("neg", (a,))) if known(x):
-            return apply("mul", -x, a)
-        case ("mul", ("neg", (a,)), _):
-            return apply("neg", apply("mul", a, y))
-        case ("mul", _, ("neg", (a,))):
-            return apply("neg", apply("mul", a, x))
         case ("div", _, _) if known(y):
             usual = y != 0.0 and math.isfinite(1 / y)
             return apply("mul", 1 / y, x) if usual else None
-        case ("div", ("neg", (a,)), _):
-            return apply("neg", apply("div", a, y))
-        case ("div", _, ("neg", (a,))):
-            return apply("neg", apply("div", x, a))
         case ("div", _, ("mul", (a, b))) if known(a):
             return apply("mul", 1 / a, apply("div", x, b))
         case ("div", _, ("where", (condition, a, b))) if known(a, b) and a and b:
             return apply("mul", x, apply("where", condition, 1 / a, 1 / b))
-        case ("neg", ("neg", (a,))):
-            return a
-        case ("neg", ("sub", (a, b))):
-            return apply("sub", b, a)
-        case ("neg", ("mul", (a, b))) if known(a):
-            return apply("mul", -a, b)
         case ("pow", _, 0.0):
             return 1.0
         case ("pow", _, 0.5):
@@ -297,26 +275,6 @@ def _simplified(graph: Graph, op: str, args: tuple) -> Any:
         case ("where", _, _, _) if args[1] == y:
             return y
     return None
-
-
-def _with_reciprocals(program: Program) -> Program:
-    """Several quotients with the same denominator as products with its reciprocal."""
-    graph, terms = Graph(), list[Any]()
-    count = Counter(args[1] for op, args in program.operations if op == "div")
-
-    def read(value):
-        return terms[value.place] if isinstance(value, Term) else value
-
-    for op, args in program.operations:
-        if op == "div" and isinstance(args[1], Term) and count[args[1]] > 1:
-            one = graph.term("div", 1.0, read(args[1]))
-            terms.append(graph.apply("mul", read(args[0]), one))
-        elif op == "input":
-            terms.append(graph.term(op, *args))
-        else:
-            terms.append(graph.apply(op, *map(read, args)))
-    outputs = {name: read(value) for name, value in program.outputs.items()}
-    return Program(program.inputs, outputs, graph.operations)
 
 
 def _pruned(program: Program) -> Program:

@@ -8,13 +8,12 @@ import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.far import without_far
-from tirefit.data.levels import levels
 from tirefit.data.prepare.segments import Segment, segments_of, trimmed
 from tirefit.data.prepare.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
 from tirefit.data.prepare.set_points import Settings, Window, bin_name, setting_names, settings_of
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
-from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
+from tirefit.data.prepare.warmth import with_warmth
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.display import Record
@@ -29,8 +28,7 @@ _LOOK = 5.0
 _SHARE_OF_RATE = 0.2
 _WINDOW = 1.0  # length [s] of the windows of a hold in which settings are searched
 _LEAST_ROWS = 4
-"""Smallest number of rows in the shortest hold: with fewer, rows are single points and no
-series. Also the smallest number of rows of a sweep among points."""
+"""Smallest number of rows in the shortest hold: with fewer, rows are points and no series."""
 _CYCLES = 40.0
 """Bandwidth times the duration of a fast sweep. The filter then changes a brush that slides above a
 fifth of the largest slip by 0.2 % of its peak in sweeps of constant speed, by 0.5 % in sines."""
@@ -83,10 +81,8 @@ class Prepared(Record):
         Raises:
             UsageError: ``by`` is something else.
         """
-        data, columns = self.data, dict(self.columns)
-        if "time" in data or self.series.rate is not None:
-            columns = {"time": self.series.time} | columns
-        data = replace(data, columns=columns, used=self.kept)
+        columns = {"time": self.series.time} | self.columns
+        data = replace(self.data, columns=columns, used=self.kept)
         if by == "run":
             return data
         if by not in ("segment", "bin"):
@@ -124,7 +120,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         Segments, settings and filtered channels; its ``to_data()`` can be fitted.
 
     Raises:
-        DataError: no slip was recorded, or no rows remain.
+        DataError: no slip or no time was recorded, or no rows remain.
         UsageError: unknown or impossible settings.
 
     Example:
@@ -148,14 +144,15 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
     absurd = absurd & ~data.used
     series = series_of(data, config.rate)
     raw = _channels(data, series, absurd)
-    is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
-    look = _looked_at if is_series else _points
-    settings, parts, messages = look(data, config, series, raw, slips)
-    chosen, how = _chosen_filter(config, series, parts, raw) if is_series else (None, "")
-    margin = 0
-    if is_series:
-        reach = chosen.reach if chosen else 0.0
-        margin = round((config.settle + reach) * series.hertz)
+    if series.rate * config.shortest < _LEAST_ROWS:
+        reason = f"{series.rate:.3g} rows per second: the shortest hold of {config.shortest:g} s"
+        reason += f" has fewer than {_LEAST_ROWS}, so that sweeps cannot be told from holds"
+        remedy = "fit such points without `prepare`, or give a longer `shortest` in [prepare]"
+        raise DataError(reason, remedy, data.file)
+    settings, parts, notes = _looked_at(data, config, series, raw, slips)
+    chosen, how = _chosen_filter(config, series, parts, raw)
+    reach = chosen.reach if chosen else 0.0
+    margin = round((config.settle + reach) * series.rate)
     ends = {piece.start for piece in series.pieces} | {len(data)}
     parts = trimmed(parts, margin, ends)
     columns = _filtered(raw, series, chosen)
@@ -173,14 +170,14 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
         reason = f"no rows remain of {', '.join(dict.fromkeys(p.kind for p in parts))}"
         remedy = "look at the segments in the figure, or keep other kinds"
         raise DataError(reason, remedy, data.file)
-    notes = [*messages, how] if how else list(messages)
+    notes.append(how)
     if not any(part.direction for part in parts):
         ranges = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
         notes.append(
             f"no sweep was found ({', '.join(ranges)}; rad and ratio): if the rig swept a slip,"
             " check its column and unit (--column alpha=HEADER, --unit alpha=rad)"
         )
-    notes += _conditions_at_risk(parts, kept)
+    notes += _lost_conditions(parts, kept)
     if absurd.any():
         load = float(np.max(np.abs(data.columns["fz"][absurd])))
         notes.append(f"{absurd.sum()} rows have a load far from all others (up to {load:.3g} N)")
@@ -192,28 +189,18 @@ def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepa
     )
 
 
-def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
-    """Notes on conditions without kept sweeps, or with early ones only.
-
-    A condition that was not swept is checked by its other rows.
-    """
+def _lost_conditions(parts: list[Segment], kept: np.ndarray) -> list[str]:
+    """A note on conditions without kept rows; one that was swept needs rows of sweeps."""
     swept = {part.bin for part in parts if part.is_held and part.direction}
     rows: dict[str, int] = {}
-    kinds: dict[str, dict[str, None]] = {}
     for part in parts:
         if part.is_held and (part.direction or part.bin not in swept):
             name = f"{part.bin} ({part.channel})" if part.channel else part.bin
-            count = int(kept[part.begin : part.end].sum())
-            rows[name] = rows.get(name, 0) + count
-            kinds.setdefault(name, {})[part.kind] = None
-    early = list(dict.fromkeys(part.bin for part in parts if part.early))
-    lost = [f"{k}: {', '.join(kinds[k])}" for k, count in rows.items() if not count]
-    notes = [
-        f"{len(early)} of {len(rows)} conditions have no sweep after the warm-up; their"
-        f" last sweeps are kept: {'; '.join(early)} (--cut-last cuts them)",
-        f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)}",
-    ]
-    return [note for note, named in zip(notes, (early, lost), strict=True) if named]
+            rows[name] = rows.get(name, 0) + int(kept[part.begin : part.end].sum())
+    lost = [name for name, count in rows.items() if not count]
+    remedy = "if their warm-up was cut, shorten it with --warm-up"
+    words = f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)} ({remedy})"
+    return [words] if lost else []
 
 
 def _binned(parts: list[Segment], names) -> list[Segment]:
@@ -246,12 +233,9 @@ def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, n
     return out
 
 
-# --- a series in time -------------------------------------------------------------
-
-
 def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     """Settings, segments and notes of a series."""
-    rate = series.hertz
+    rate = series.rate
     shortest = max(round(config.shortest * rate), 2)
     look = zero_phase(min(_LOOK, _SHARE_OF_RATE * rate), rate)
     assert look is not None  # the bandwidth is below the limit of the rate
@@ -279,24 +263,12 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
         {k: conditions[k] for k in conditions if k in settings},
         its_legs,
         smooth,
-        smooth.get("fz"),
         shortest,
     )
     parts = [_with_held_slip(part, conditions, settings) for part in parts]
     parts = _standing(parts, settings.get("v"))
-    swept = _mostly_swept(parts, slips)
-    parts, how = _warmed(parts, config, series, smooth, swept)
+    parts, how = with_warmth(parts, series.time, smooth.get("temperature"), config.warm_up)
     return conditions, parts, [*messages, how]
-
-
-def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
-    """The segments with the warm-up marked, and a note on how it was found."""
-    temperature, force = (channels.get(k) for k in ("temperature", FORCE_OF[swept]))
-    slip, declared = channels[swept], config.warm_up
-    cut, how = with_warmth(parts, series.time, temperature, declared, slip, force)
-    if config.warm_up is None and not config.cut_last:
-        cut = last_sweeps_kept(parts, cut, config.keep)
-    return cut, how
 
 
 def _windows(its_legs, n: int, second: int) -> list[Window]:
@@ -350,21 +322,14 @@ def _with_held_slip(part: Segment, conditions, settings) -> Segment:
     return replace(part, level=level)
 
 
-def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
-    rows = {
-        name: sum(p.end - p.begin for p in parts if name in p.channel.split("+")) for name in slips
-    }
-    return max(slips, key=lambda name: rows[name])
-
-
 def _chosen_filter(config: PrepareConfig, series: Series, parts, raw):
     """The filter of all channels, and a note on it."""
-    rate = series.hertz
+    rate = series.rate
     if not config.filter:
         return None, "not filtered, as declared"
     how, bandwidth = "as declared", config.bandwidth
     if bandwidth is None:
-        times = [(p.end - p.begin) / rate for p in parts if p.kind in ("sweep", "cold")]
+        times = [(p.end - p.begin) / rate for p in parts if p.kind == "sweep"]
         fast = float(np.quantile(times, _FASTEST)) if times else 0.0
         bandwidth = _CYCLES / fast if times else _LOOK
         bandwidth = float(np.clip(bandwidth, _LOWEST, _HIGHEST))
@@ -409,39 +374,3 @@ def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.nda
         done = values if chosen is None else chosen.smoothed(values, series)
         out[name] = slip_to_sigma(done, "slip_ratio") if name == "sigma_x" else done
     return out
-
-
-# --- points without time ------------------------------------------------------------
-
-
-def _points(data, config: PrepareConfig, series: Series, raw, slips):
-    """As :func:`_looked_at` for rows without time: settings from the values only."""
-    settings = {}
-    for name in CONDITIONS:
-        if name in raw:
-            here = levels(raw[name])
-            if not here.is_swept:
-                width = np.maximum(here.high - here.center, here.center - here.low)
-                settings[name] = Settings(name, here.center, width, here.code)
-    messages = ["no time series: rows in the order of the file, not filtered, no settling times"]
-    n = len(data)
-    key = np.stack([data.run, *(s.code for s in settings.values())], axis=1)
-    bins = [slice(begin, end) for begin, end in runs_of(key)]
-    swept = max(slips, key=lambda name: np.ptp(raw[name]) / LEAST[name])
-    all_legs = legs(raw[swept], bins, 0.0, LEAST[swept], n + 1)
-    parts = []
-    for piece in bins:
-        level = {name: int(s.code[piece.start]) for name, s in settings.items()}
-        of_bin = [leg for leg in all_legs if piece.start <= leg.begin < piece.stop]
-        usual = np.median([leg.rows for leg in of_bin])
-        if usual < _LEAST_ROWS:  # the rows are in no order
-            parts.append(Segment("steady", piece.start, piece.stop, level=level))
-            continue
-        for leg in of_bin:
-            direction = {1: "up", -1: "down"}.get(leg.direction, "")
-            kind = "sweep" if leg.how == SWEPT else "steady"
-            channel = swept if leg.how == SWEPT else ""
-            parts.append(Segment(kind, leg.begin, leg.end, channel, direction, level))
-    timeless = {name: raw[name] for name in raw if name != "temperature"}
-    parts, how = _warmed(parts, config, series, timeless, swept)
-    return settings, parts, [*messages, how]

@@ -10,14 +10,11 @@ from tirefit.data.prepare.set_points import Settings
 from tirefit.data.prepare.slips import SWEPT, Leg
 
 _PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
-_SLOW = 3.0  # shortest duration [s] of a load change that measures the spring rate
-_FAR = 0.3  # smallest change of load for a spring rate, over the largest load
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Rows ``begin`` to ``end`` (exclusive) of one kind. ``early`` marks a sweep before
-    the tire was warm, kept because its condition has no later one."""
+    """Rows ``begin`` to ``end`` (exclusive) of one kind."""
 
     kind: str  # a key of ``settings.KINDS``
     begin: int
@@ -28,12 +25,11 @@ class Segment:
     first: int = 0  # to ``last`` (exclusive): rows without settling times at the ends
     last: int = 0
     bin: str = ""  # name of the settings
-    early: bool = False
 
     @property
     def is_held(self) -> bool:
         """Whether its conditions are held."""
-        return self.kind in ("sweep", "steady", "cold", "warm-up")
+        return self.kind in ("sweep", "steady", "warm-up")
 
 
 def segments_of(
@@ -42,7 +38,6 @@ def segments_of(
     conditions: Mapping[str, Settings],
     legs: Mapping[str, list[Leg]],
     slips: Mapping[str, np.ndarray],
-    load: np.ndarray | None,
     shortest: int,
 ) -> list[Segment]:
     """All rows of the file as segments, in order.
@@ -53,7 +48,6 @@ def segments_of(
         conditions: settings of the channels that are held, by name.
         legs: legs of each slip, by name.
         slips: (n,) smoothed, by name.
-        load: (n,) [N] smoothed, if there is one.
         shortest: smallest number of rows of a hold.
     """
     names = list(conditions)
@@ -74,10 +68,10 @@ def segments_of(
             here.append(Segment("unusable", begin, end))
         elif moving[begin]:
             ways = [name for name in names if conditions[name].code[begin] < 0]
-            here.append(_on_its_way(begin, end, ways, series, load))
+            here.append(Segment("transition", begin, end, "+".join(ways)))
         else:
             here.append(_held(begin, end, level, legs, slips, shortest))
-    return _with_steps(_merged(here, key[0]), conditions)
+    return _merged(here, key[0])
 
 
 def _piece_of(series: Series, n: int) -> np.ndarray:
@@ -131,16 +125,6 @@ def _held(begin, end, level, legs, slips, shortest: int) -> Segment:
     return Segment("sweep", begin, end, "+".join(swept), direction, level)
 
 
-def _on_its_way(begin, end, ways, series: Series, load) -> Segment:
-    kind = "transition"
-    if ways == ["fz"] and load is not None and series.rate is not None:
-        lasts = (end - begin) / series.rate
-        # The load returns to its first value, so use its range.
-        far = np.ptp(load[begin:end]) >= _FAR * np.max(load)
-        kind = "spring-rate" if lasts >= _SLOW and far else "transition"
-    return Segment(kind, begin, end, "+".join(ways))
-
-
 def _merged(parts: list[Segment], piece: np.ndarray) -> list[Segment]:
     """The segments with consecutive transitions joined."""
     out: list[Segment] = []
@@ -156,21 +140,6 @@ def _merged(parts: list[Segment], piece: np.ndarray) -> list[Segment]:
             out[-1] = replace(last, end=part.end, channel=channel)
         else:
             out.append(part)
-    return out
-
-
-def _with_steps(parts: list[Segment], conditions) -> list[Segment]:
-    """Transitions of the load from one setting to another as load steps."""
-    out = list(parts)
-    for k in range(1, len(out) - 1):
-        before, way, after = out[k - 1 : k + 2]
-        if way.kind != "transition" or way.channel != "fz":
-            continue
-        if before.is_held and after.is_held:
-            rest = [name for name in conditions if name != "fz"]
-            same = all(before.level[name] == after.level[name] for name in rest)
-            if same and before.level["fz"] != after.level["fz"]:
-                out[k] = replace(way, kind="load-step")
     return out
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from tirefit.data.table import TireData
+from tirefit.results import DataError
 
 _GAP = 3.5  # longest gap within a series, in sampling steps
 
@@ -19,15 +20,9 @@ _GAP = 3.5  # longest gap within a series, in sampling steps
 class Series(NamedTuple):
     """The clock of a file and its unbroken pieces."""
 
-    time: np.ndarray  # (n,) [s], or the number of the row if the file has no time
-    rate: float | None  # [1/s]; None without time
+    time: np.ndarray  # (n,) [s]
+    rate: float  # [1/s]
     pieces: tuple[slice, ...]  # slices of rows, in order
-
-    @property
-    def hertz(self) -> float:
-        """The rate, which this series must have."""
-        assert self.rate is not None
-        return self.rate
 
 
 def runs_of(code: np.ndarray) -> list[tuple[int, int]]:
@@ -45,7 +40,10 @@ def series_of(data: TireData, rate: float | None = None) -> Series:
 
     Args:
         data: the rows in their order.
-        rate: rows per second of a file without time; None counts the rows.
+        rate: rows per second of a file without time.
+
+    Raises:
+        DataError: neither a time that rises nor a rate.
     """
     n = len(data)
     if "time" in data and np.isfinite(data["time"]).any():
@@ -59,9 +57,13 @@ def series_of(data: TireData, rate: float | None = None) -> Series:
             cuts = [0, *(np.flatnonzero(broken) + 1).tolist(), n]
             pieces = tuple(map(slice, cuts[:-1], cuts[1:]))
             return Series(time, 1 / step, pieces)
-    row = np.arange(n, dtype=float)
+    if rate is None:
+        reason = "no time that rises, by which the test would be segmented"
+        remedy = "name it, as in --column time=HEADER, or state the rows per second with --rate;"
+        remedy += " points without an order are fitted without `prepare`"
+        raise DataError(reason, remedy, data.file)
     pieces = tuple(slice(begin, end) for begin, end in runs_of(data.run))
-    return Series(row if rate is None else row / rate, rate, pieces)
+    return Series(np.arange(n) / rate, rate, pieces)
 
 
 def bridged(values: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -98,12 +100,6 @@ class ZeroPhase(NamedTuple):
         """Rows from one independent row to the next: white noise is uncorrelated after half
         a cycle of the bandwidth (correlation 0.01; from there on -0.13 to 0.03)."""
         return max(int(np.ceil(round(self.rate / (2 * self.bandwidth), 3))), 1)
-
-    def gain(self, frequency):
-        """Gain (as a factor) at frequencies [Hz], by the formula of the filter."""
-        prewarped = np.tan(np.pi * np.asarray(frequency, float) / self.rate)
-        ratio = prewarped / np.tan(np.pi * self.corner / self.rate)
-        return 1 / (1 + ratio ** (2 * _ORDER))
 
     def __call__(self, values: np.ndarray, time: np.ndarray | None = None):
         """The filtered series.

@@ -6,17 +6,14 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from tirefit.settings import Section
 
-Kind = Literal["sweep", "steady", "cold", "warm-up", "spring-rate", "load-step"]
+Kind = Literal["sweep", "steady", "warm-up"]
 
 KINDS = {
     "sweep": "slip or slip angle swept, all else held",
     "steady": "slip and all else held",
-    "cold": "sweep before the tire was warm",
     "warm-up": "until the tire was warm",
-    "spring-rate": "load moved slowly, slip held",
-    "load-step": "load changing from one setting to another",
     "standing": "the wheel does not roll",
-    "transition": "other changes between settings",
+    "transition": "changes between settings",
     "unusable": "rows that cannot be read",
 }
 """Kind of segment -> its meaning."""
@@ -29,9 +26,8 @@ class PrepareConfig(Section):
     not given; ``filter = false`` does not filter. ``rate``: rows per second of a file
     without time. ``settle``: time cut from the ends of a hold next to a change.
     ``shortest``: shortest hold. ``warm_up``: time from the start in which the tire was
-    not warm; found from its temperature or from repeated sweeps if not given. Unless it
-    is given or ``cut_last`` is set, the last sweeps of a condition without later ones
-    are kept. ``keep``: kinds of segments that are written.
+    not warm; found from its temperature if not given.
+    ``keep``: kinds of segments that are written.
     """
 
     bandwidth: PositiveFloat | None = None
@@ -40,5 +36,4 @@ class PrepareConfig(Section):
     settle: NonNegativeFloat = 0.1
     shortest: PositiveFloat = 0.5
     warm_up: NonNegativeFloat | None = None
-    cut_last: bool = False
     keep: Annotated[list[Kind], Field(min_length=1)] = ["sweep", "steady"]

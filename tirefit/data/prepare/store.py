@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tirefit import __version__
 from tirefit.data.prepare.prepare import Prepared
@@ -14,10 +13,8 @@ from tirefit.data.prepare.segments import Segment
 from tirefit.data.prepare.set_points import SHOWN
 from tirefit.data.table import CANONICAL
 from tirefit.data.write import csv_text
-from tirefit.door import read_record, sealed
+from tirefit.door import sealed
 from tirefit.files import json_safe, json_text, write_texts
-from tirefit.results import DataError
-from tirefit.settings import faults_in
 
 SCHEMA = "tirefit.prepare/1"
 
@@ -47,8 +44,7 @@ def prepared_csv(prepared: Prepared) -> str:
         "kind": [parts[k].kind for k in rows],
         "direction": [parts[k].direction for k in rows],
     }
-    if prepared.series.rate is not None:
-        columns["time"] = [_number(t) for t in prepared.series.time[kept]]
+    columns["time"] = [_number(t) for t in prepared.series.time[kept]]
     for name in CANONICAL:
         if name in prepared.columns:
             columns[name] = [_number(v) for v in prepared.columns[name][kept]]
@@ -85,7 +81,6 @@ def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
         "rows": part.end - part.begin,
         "kept": int(prepared.kept[part.begin : part.end].sum()),
         "bin": part.bin,
-        "early": int(part.early),
     }
     for name in prepared.settings:
         level = part.level.get(name, -1) if part.is_held else -1
@@ -111,7 +106,7 @@ def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path
 
 
 def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
-    """The record of all settings and steps, with a checksum; ``--repeat`` reads it.
+    """The record of all settings and steps, with a checksum.
 
     Args:
         files: name -> sha256 of each file written.
@@ -162,49 +157,6 @@ def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
         "files": dict(files),
     }
     return sealed(json_safe(content))
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(strict=True, allow_inf_nan=False, extra="forbid")
-
-
-class _Input(_Part):
-    path: str
-    sha256: str
-
-
-class _Read(_Part):
-    """Arguments of ``tirefit.read``."""
-
-    columns: dict[str, str]
-    units: dict[str, str]
-    constants: dict[str, float]
-    convention: str | None
-    slip: str | None
-    rolling_radius: float | None
-    mask_bad_rows: bool
-
-
-class StoredRecord(BaseModel):
-    """The parts of ``NAME.prepare.json`` that a repetition needs."""
-
-    input: _Input
-    read: _Read
-    config: dict[str, Any]
-
-
-def load_record(path: str | Path) -> StoredRecord:
-    """Read a ``NAME.prepare.json``.
-
-    Raises:
-        DataError: no such file, not of this schema, or its checksum is wrong.
-    """
-    remedy = "give a NAME.prepare.json of tirefit prepare"
-    try:
-        return StoredRecord.model_validate(read_record(path, SCHEMA, remedy))
-    except ValidationError as error:
-        reason = f"it does not hold the steps of a prepared test: {faults_in(error)}"
-        raise DataError(reason, remedy, str(path)) from None
 
 
 def summary(prepared: Prepared) -> str:
