@@ -1,6 +1,9 @@
 """Parameter files, evaluated by the simulators they are written for."""
 
 import shutil
+import sys
+from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -8,7 +11,18 @@ import yaml
 
 import tirefit
 from tests.targets import gymkhana_tire_model as gymkhana
-from tests.targets.support import LOAD, SLIPS, commonroad, grids, held, largest, own, ran, stated
+from tests.targets.support import (
+    LOAD,
+    SLIPS,
+    SMALL,
+    commonroad,
+    grids,
+    held,
+    largest,
+    own,
+    ran,
+    stated,
+)
 from tirefit.models.mf import mf_tire
 from tirefit.results import UsageError
 from tirefit.targets.tire import tire_of
@@ -210,3 +224,68 @@ def test_slipx_refuses_a_full_size_car_and_other_names(tmp_path):
     assert done.exit_code == 2 and not list(tmp_path.iterdir())
     for part in ("sponge_SURFACE.yaml", "up to 200", "1:10"):
         assert part in done.stderr
+
+
+# --- Gazebo -------------------------------------------------------------------------
+
+
+def test_gazebo_has_slope_and_peak(tmp_path, vehicle):
+    path = tmp_path / "wheel.sdf"
+    done = tirefit.export("brush", "gazebo", path, values=SMALL, vehicle=vehicle)
+    root = ElementTree.fromstring(path.read_text())
+    number = {
+        one.tag: float(one.text)
+        for one in root.iter()
+        if one.text and one.text.strip() and one.tag != "fdir1"
+    }
+    load = number["wheel_normal_force"]
+    assert load == pytest.approx(3.5 * 9.80665 / 4)
+    assert number["wheel_radius"] == 0.05
+    tire = tire_of("brush", SMALL).model
+    step, zero = np.array([-1e-4, 1e-4]), np.zeros(2)
+    for k, (name, mu) in enumerate((("longitudinal", "mu2"), ("lateral", "mu"))):
+        at = own(tire, *((step, zero) if k == 0 else (zero, step)), load)[k]
+        slope = abs(at[1] - at[0]) / 2e-4
+        assert 1 / number[f"slip_compliance_{name}"] == pytest.approx(slope, rel=1e-3)
+        assert number[mu] == pytest.approx(1.0, rel=1e-3)
+    # A friction pyramid is square: the check of the shape is that of the formula.
+    assert not done.shape.sound and "NOT within" in done.shape.sentences[4]
+    clipped = np.clip(-SLIPS / number["slip_compliance_lateral"], -1, 1)
+    miss = np.max(np.abs(clipped - own(tire, np.zeros_like(SLIPS), SLIPS, load)[1]))
+    # The formula takes tan(alpha), which is 1.3 % more than alpha at 0.2 rad.
+    assert stated(done.notes)["fy"] == pytest.approx(miss, rel=0.1)
+
+
+# --- MuJoCo -------------------------------------------------------------------------
+
+
+class Parameter:
+    """The interface of ``mujoco.sysid.Parameter`` of mujoco 4.0.0."""
+
+    def __init__(self, name, nominal, min_value, max_value, frozen=False, modifier=None):
+        self.name, self.bounds, self.modifier = name, (min_value, max_value), modifier
+        self.value = np.atleast_1d(nominal)
+
+
+def test_mujoco_has_the_forces_and_a_friction_for_sysid(tmp_path, monkeypatch):
+    path = tmp_path / "tire.py"
+    done = tirefit.export("brush", "mujoco", path, values={"mu": 0.7})
+    sysid = SimpleNamespace(Parameter=Parameter, ParameterDict=Parameters)
+    monkeypatch.setitem(sys.modules, "mujoco", SimpleNamespace(sysid=sysid))
+    scope = {}
+    exec(path.read_text(), scope)
+    found = scope["tire"](np.array([0.02, 0.1]), np.array([0.01, -0.05]), LOAD)[:2]
+    wanted = own(tire_of("brush", {"mu": 0.7}).model, *np.array([[0.02, 0.1], [0.01, -0.05]]))
+    assert np.max(np.abs(np.stack(found) / LOAD - wanted)) < 1e-12
+    geoms = {"left": SimpleNamespace(friction=[1.0, 0.005, 1e-4])}
+    (parameter,) = scope["sysid_parameters"](["left"]).values()
+    parameter.modifier(SimpleNamespace(geom=geoms.get), parameter)
+    assert geoms["left"].friction == pytest.approx([0.7, 0.005, 1e-4])
+    assert parameter.bounds == pytest.approx((0.56, 0.84)) and done.shape.sound
+
+
+class Parameters(dict):
+    """The interface of ``mujoco.sysid.ParameterDict``."""
+
+    def add(self, parameter):
+        self[parameter.name] = parameter

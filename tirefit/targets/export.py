@@ -15,7 +15,15 @@ from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import DataError, InputProblem, Outcome, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS
-from tirefit.targets.code import Draft, c_source, casadi_source, header, jax_source, numpy_source
+from tirefit.targets.code import (
+    Draft,
+    c_source,
+    casadi_source,
+    header,
+    jax_source,
+    mujoco_source,
+    numpy_source,
+)
 from tirefit.targets.identifiers import reserved
 from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
 from tirefit.targets.refit import check_loss, over_problems
@@ -77,6 +85,10 @@ TARGETS: dict[str, Target | ParameterFile] = {
         " each, as far as no .tir states them",
         "what a .tir of Magic Formula 5.2 holds", chrono_source, held_by_chrono,
         (".tir",),
+    ),
+    "mujoco": Target(
+        ".py", "Python module as for numpy, and its friction for mujoco.sysid",
+        "every model, exactly; peak friction for sysid", mujoco_source,
     ),
     **PARAMETER_FILES,
 }  # fmt: skip

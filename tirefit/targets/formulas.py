@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from tirefit.models import AbstractTire, CombinedMagicFormula, TireInputs
 from tirefit.models.magic_formula import MagicFormula, bent
 from tirefit.models.mf import MFTire
-from tirefit.slip import CONVENTIONS, Convention
+from tirefit.slip import CONVENTIONS, Convention, sigma_from_kappa
 from tirefit.targets.program import Program, traced
 from tirefit.targets.tire import ALWAYS, INPUTS
 
@@ -271,3 +271,47 @@ SLIPX = Formula(
     ),
 )
 """MF-lite of SlipX: F_y of pure slip, friction that falls with load, an ellipse."""
+
+
+# --- Gazebo -------------------------------------------------------------------------
+
+
+def _gazebo_forces(p: Values, kappa, alpha, fz):
+    """Gazebo's WheelSlip with a friction pyramid: the slip velocity over R omega is the
+    slip compliance times the force over the normal force of the plugin."""
+    slip_x = sigma_from_kappa(jnp.minimum(kappa, 0.999))
+    slip_y = jnp.tan(alpha) * (1 + slip_x)
+    return tuple(
+        jnp.clip(slip * p["wheel_normal_force"] / p[compliance], -p[mu] * fz, p[mu] * fz)
+        for slip, compliance, mu in (
+            (slip_x, "slip_compliance_longitudinal", "mu2"),
+            (slip_y, "slip_compliance_lateral", "mu"),
+        )
+    )
+
+
+def _gazebo_start(curves: Curves) -> dict[str, float]:
+    (bx, cx, dx, _), (by, cy, dy, _) = curves.x, curves.y
+    return {
+        "slip_compliance_lateral": 1 / (by * cy * dy),
+        "slip_compliance_longitudinal": 1 / (bx * cx * dx),
+        "wheel_normal_force": curves.load,
+        "mu": dy,
+        "mu2": dx,
+    }
+
+
+GAZEBO = Formula(
+    outputs=("fx", "fy"),
+    signs=CONVENTIONS["braking"]._replace(description="its parameters have no sign"),
+    forces=_gazebo_forces,
+    start=_gazebo_start,
+    stages={},
+    loss=(
+        "the force is linear in slip up to Coulomb friction, separately in each direction:"
+        " slip_compliance is the inverse of the slope at zero slip, mu the peak, at the"
+        " normal force of the file",
+        "replace WHEEL by the name of the link of each wheel",
+    ),
+)
+"""Force-dependent slip of ODE as Gazebo's WheelSlip system sets it."""

@@ -14,7 +14,7 @@ from tirefit.data.vehicle import Vehicle
 from tirefit.door import read_toml
 from tirefit.results import InputProblem, UsageError
 from tirefit.settings import parse_settings
-from tirefit.targets.formulas import COMMONROAD, PACEJKA, SLIPX, Formula
+from tirefit.targets.formulas import COMMONROAD, GAZEBO, PACEJKA, SLIPX, Formula
 from tirefit.targets.refit import MOST, Ranges, Refit, beyond_measured, percent, ranges_of, refit
 from tirefit.targets.shape import Shape, shape_of
 from tirefit.targets.tire import Tire, turned_range
@@ -159,10 +159,11 @@ class ParameterFile(NamedTuple):
     """A target with its own tire formula.
 
     Attributes:
+        ending: of the file.
         what: description of the file, with the data it needs.
         holds: the models that it holds, and how exactly.
         formula: the formula.
-        write: the content of the YAML file.
+        write: the text of the file, or the content of a YAML file.
         tires: 2 where front and rear have parameters of their own.
         needs: keys of ``vehicle.toml`` that the car needs in addition to mass, yaw
             inertia and the axles.
@@ -173,7 +174,7 @@ class ParameterFile(NamedTuple):
     what: str
     holds: str
     formula: Formula
-    write: Callable[[Sheet], Mapping[str, Any]]
+    write: Callable[[Sheet], str | Mapping[str, Any]]
     tires: int = 1
     needs: tuple[str, ...] = ()
     check: Callable[[Sheet], None] = lambda sheet: None
@@ -254,8 +255,11 @@ def parameter_text(
             reason = f"{missed}, above {percent(MOST)} %: {where}"
             raise UsageError(InputProblem(reason, remedy))
         notes.append(f"warning: {missed}")
-    lines = [*(f"# {line}" for line in sheet.above), *_yaml(kind.write(sheet))]
-    return "\n".join(lines) + "\n", Shape(tuple(sentences), tuple(failed), curves), tuple(notes)
+    text = kind.write(sheet)
+    if not isinstance(text, str):
+        lines = [*(f"# {line}" for line in sheet.above), *_yaml(text)]
+        text = "\n".join(lines) + "\n"
+    return text, Shape(tuple(sentences), tuple(failed), curves), tuple(notes)
 
 
 def _lost(tire: Tire, formula: Formula) -> list[str]:
@@ -355,6 +359,40 @@ def _slipx_check(sheet: Sheet) -> None:
     UsageError.raise_for(problems)
 
 
+_GAZEBO = """\
+<model name="car">
+  <link name="WHEEL">
+    <collision name="collision">
+      <surface><friction><ode>
+        <mu>{mu}</mu>
+        <mu2>{mu2}</mu2>
+        <fdir1>0 0 1</fdir1>
+      </ode></friction></surface>
+    </collision>
+  </link>
+  <plugin filename="gz-sim-wheel-slip-system" name="gz::sim::systems::WheelSlip">
+    <wheel link_name="WHEEL">
+      <slip_compliance_lateral>{slip_compliance_lateral}</slip_compliance_lateral>
+      <slip_compliance_longitudinal>{slip_compliance_longitudinal}\
+</slip_compliance_longitudinal>
+      <wheel_normal_force>{wheel_normal_force}</wheel_normal_force>
+      <wheel_radius>{radius}</wheel_radius>
+    </wheel>
+  </plugin>
+</model>
+"""
+
+
+def _gazebo(sheet: Sheet) -> str:
+    values = sheet.values | sheet.car("radius=wheel_radius")
+    values["wheel_normal_force"] /= sheet.axles[0].wheels
+    numbers = {name: _number(value) for name, value in values.items()}
+    # An XML comment must not contain two hyphens.
+    above = "\n".join(sheet.above).replace("--", "- -")
+    text = _GAZEBO.format(**{"radius": "RADIUS in m", **numbers})
+    return f"<!--\n{above}\n-->\n{text}"
+
+
 _EXACT = "a Magic Formula of pure slip exactly; other models refitted"
 _ONE, _TWO = f"{_EXACT}, one tire for all wheels", f"F_y of {_EXACT}, front and rear"
 
@@ -386,6 +424,11 @@ PARAMETER_FILES: dict[str, ParameterFile] = {
         "tyre file of SlipX, named COMPOUND_SURFACE.yaml",
         "F_y of pure slip refitted; slope and peak of F_x", SLIPX, _slipx,
         check=_slipx_check,
+    ),
+    "gazebo": ParameterFile(
+        "slip compliances of Gazebo's WheelSlip system and friction of ODE",
+        "slope at zero slip and peak of both forces", GAZEBO, _gazebo,
+        needs=("wheel_radius",), ending=".sdf",
     ),
 }  # fmt: skip
 """Target -> its parameter file."""

@@ -259,7 +259,7 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
         reason = f"{tire.name} has no {' or '.join(formula.outputs)} to be written"
         raise UsageError(InputProblem(reason, "export a tire that has it"))
     kinds = [*has, *(["both"] if len(has) == 2 else [])]
-    kinds = [kind for kind in kinds if kind in stages]
+    kinds = [kind for kind in kinds if kind in stages or not stages]
     pure = [kind for kind in has if kind in stages]
     low, high = ranges["fz"]
     wide = {**ranges, "fz": (OTHER_LOADS[0] * low, OTHER_LOADS[1] * high)}
