@@ -6,6 +6,7 @@ file. NumPy's reader gives the numbers; a cell of these lines is split off on de
 
 import bisect
 import csv
+import io
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,41 +19,52 @@ from tirefit.data.columns import is_number
 _GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 
 
+SPACES = " "  # delimiter: any white space
+
+
+def split(lines: Iterable[str], delimiter: str) -> Any:
+    """A reader of the ``csv`` module: the cells of each line, and ``line_num``."""
+    if delimiter == SPACES:
+        lines = (line.replace("\t", " ").strip() for line in lines)
+    return csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+
+
 class Lines(Sequence[Sequence[str]]):
     """Rows of cells of lines without quotation marks, split on demand."""
 
     def __init__(self, lines: Sequence[str], delimiter: str):
-        self.delimiter, self._lines = delimiter, [line for line in lines if line != "\n"]
+        self._delimiter, self._lines = delimiter, [line for line in lines if line != "\n"]
 
     def __len__(self) -> int:
         return len(self._lines)
 
     def __getitem__(self, row: Any) -> Any:
-        return next(self._split([self._lines[row]]))
+        return next(split([self._lines[row]], self._delimiter))
 
     def __iter__(self) -> Iterator[list[str]]:
-        return self._split(self._lines)
-
-    def _split(self, lines: Iterable[str]) -> Iterator[list[str]]:
-        return csv.reader(lines, delimiter=self.delimiter, skipinitialspace=True)
+        return split(self._lines, self._delimiter)
 
     def numbers(self) -> tuple[list[np.ndarray | None], str] | None:
         """The numbers (n,) of each column, None for one of text, and their decimal mark: empty
         if there is none. None if NumPy finds another cell or another number of cells."""
-        point, comma = (any(mark in line for line in self._lines) for mark in ".,")
-        commas = comma and not point and self.delimiter != ","
-        lines = [line.replace(",", ".") for line in self._lines] if commas else self._lines
-        first = next(self._split(lines[:1]), [])
+        text = "".join(self._lines)
+        point = "." in text
+        commas = not point and self._delimiter != "," and "," in text
+        text = text.replace(",", ".") if commas else text
+        first: list[str] = next(split(self._lines[:1], self._delimiter), [])
+        first = [cell.replace(",", ".") for cell in first] if commas else first
         kinds = ["f8" if is_number(cell) else "S1" for cell in first]
         kind = np.dtype([(f"f{k}", kind) for k, kind in enumerate(kinds)])
+        apart = None if self._delimiter == SPACES else self._delimiter
         try:
-            grid = np.loadtxt(lines, kind, comments=None, delimiter=self.delimiter, ndmin=1)
+            grid = np.loadtxt(io.StringIO(text), kind, comments=None, delimiter=apart, ndmin=1)
         except ValueError:
             return None
-        if len(grid) != len(lines):
+        if len(grid) != len(self._lines):
             return None
+        names = kind.names or ()
         mark = "," if commas else "." if point else ""
-        return [np.array(grid[n]) if kind[n].kind == "f" else None for n in kind.names or ()], mark
+        return [np.array(grid[n]) if kind[n].kind == "f" else None for n in names], mark
 
 
 class _Block(Sequence[str]):

@@ -1,10 +1,11 @@
-"""Find the header of a text, its delimiter and its units; put tabs for white space."""
+"""Find the header of a text, its delimiter and its units; read the words of white-space tables."""
 
 import csv
 import itertools
 import re
 from collections.abc import Callable, Collection, Sequence
 
+from tirefit.data.cells import SPACES
 from tirefit.data.columns import guess, is_number
 from tirefit.data.units import known_unit
 
@@ -97,18 +98,14 @@ def _is_comment(line: str) -> bool:
     return not line.strip() or line.lstrip()[0] in "#%"
 
 
-def tabbed(lines: Sequence[str], header: list[str]) -> list[str]:
-    """The lines from the header, with a tab between columns; blank lines are kept."""
-    rows = ["\t".join(f'"{cell}"' for cell in header) + "\n"]
+def spaced_head(lines: Sequence[str], header: list[str]) -> list[str]:
+    """The first lines from the header, with each of its cells in quotation marks and each
+    unit below it one word."""
+    head = [" ".join(f'"{cell}"' for cell in header) + "\n"]
     for line in lines[1 : 1 + _BELOW]:
         words = _TOKEN.findall(line)
-        if len(words) > len(header):
-            words = _joined_units(words, len(header))
-        rows.append("\t".join(words) + "\n")
-    return rows + [
-        "\t".join(_TOKEN.findall(line) if '"' in line else line.split()) + "\n"
-        for line in lines[1 + _BELOW :]
-    ]
+        head.append(" ".join(_joined_units(words, len(header))) + "\n")
+    return head
 
 
 def _joined_units(words: list[str], width: int) -> list[str]:
@@ -184,10 +181,10 @@ def find_header(
         is_title = split(first, best[index])[1] < widths[best[index]][1]
         header = index if is_title else first
         words = _spaced_under_tabs(lines, header, best[header], is_known)
-        return header, best[header], words
+        return header, SPACES if words else best[header], words
     below = _header_above_numbers(lines, searched, is_known)
     if below and (below[0] != first or split(first, best[first])[1] == 1):
-        return below[0], "\t", below[1]
+        return below[0], SPACES, below[1]
     for delimiter in _DELIMITERS:
         columns = [split(index, delimiter)[1] for index in searched]
         header = searched[columns.index(columns[-1])]

@@ -7,14 +7,14 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.cells import Column, Lines
+from tirefit.data.cells import Column, Lines, split
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
 from tirefit.data.declared import stated_convention
@@ -24,7 +24,7 @@ from tirefit.data.header import (
     find_header,
     is_units_row,
     names_of_export,
-    tabbed,
+    spaced_head,
 )
 from tirefit.data.loggers import exported_by, vbo_table
 from tirefit.data.remote import Place
@@ -146,7 +146,7 @@ def table_of_text(
     """Cells of a text; ``declared`` headers help to find the header."""
     # A StringIO would take four bytes for each character.
     raw = list(io.TextIOWrapper(io.BytesIO(text.encode()), "utf-8", newline=""))
-    lines = _content_lines(raw)
+    lines = _content_lines(raw, "#" in text)
     if header := commented_header(raw, lambda name: guess(name) is not None):
         lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
         notes.append(f"header read from the comment in line {header[0] + 1}")
@@ -160,7 +160,8 @@ def table_of_text(
     start, delimiter, words = find_header(lines, searched, declared)
     if words:
         notes.append("columns separated by white space")
-        lines[start:] = tabbed(lines[start:], words)
+        head = spaced_head(lines[start : start + _LEAD], words)
+        lines[start : start + len(head)] = head
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     if logger:
@@ -183,9 +184,11 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
     return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
 
 
-def _content_lines(lines: list[str]) -> list[str]:
-    """The same lines, with lines without content (such as comments) reduced to line ends."""
-    return ["\n" if line.lstrip().startswith("#") or not line.strip() else line for line in lines]
+def _content_lines(lines: list[str], comments: bool) -> list[str]:
+    """The same lines, with those without content (such as comments) reduced to line ends."""
+    if not comments:
+        return ["\n" if line.isspace() else line for line in lines]
+    return ["\n" if line.lstrip()[:1] in ("", "#") else line for line in lines]
 
 
 def table_of_rows(rows: Iterable[Row], path: Place, digest: str, notes: list[str]) -> Table:
@@ -248,7 +251,7 @@ _BLOCK = 2**14  # lines that are converted at once
 class _Plain(NamedTuple):
     """A block of lines that NumPy reads: their numbers in the file, rows, and values."""
 
-    lines: list[int]
+    lines: Sequence[int]
     rows: Lines
     values: list[np.ndarray | None]  # (n,) of each column
     mark: str  # decimal mark
@@ -270,7 +273,7 @@ def _table(
     width, data = len(head.headers), lead[head.rows :]
     first = data[0][0] - 1 if data else len(lines)
     blocks: Iterable[_Plain | list[Row]]
-    if any('"' in line for line in itertools.islice(lines, first, None)):
+    if '"' in "".join(lines[first:]):
         blocks = [[*data, *rows]]
     else:
         blocks = _blocks(lines, first, width, delimiter, path)
@@ -288,8 +291,10 @@ def _blocks(
         if known is None or len(known[0]) != width:
             yield list(_split_rows(block, delimiter, first, path))
         else:
-            places = (first + k + 1 for k, line in enumerate(block) if line != "\n")
-            yield _Plain(list(places), rows, *known)
+            places: Sequence[int] = range(first + 1, first + 1 + len(block))
+            if len(rows) < len(block):
+                places = [first + 1 + k for k, line in enumerate(block) if line != "\n"]
+            yield _Plain(places, rows, *known)
 
 
 def _columns(blocks: Iterable[_Plain | list[Row]], width: int) -> _Columns:
@@ -335,7 +340,7 @@ def stem_of(path: Place) -> str:
 def _split_rows(lines: list[str], delimiter: str, start: int, path: Place) -> Iterator[Row]:
     """Line in the file and cells of each row that is not blank."""
     # An added last line shows whether an open quotation mark includes the end.
-    reader = csv.reader([*lines, _END], delimiter=delimiter, skipinitialspace=True)
+    reader = split([*lines, _END], delimiter)
     number, last = start + 1, 0
     try:
         for row in reader:
