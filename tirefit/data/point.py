@@ -171,7 +171,8 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     elif not found and _fits_flipped(motion, vehicle, free):
         words, remedy = _flipped(vehicle)
     elif slope <= -SURE:
-        words, remedy = _nothing_fits(vehicle)
+        may_flip = _may_flip(motion, vehicle, every, step, found)
+        words, remedy = (_flipped if may_flip else _nothing_fits)(vehicle)
     else:
         return check
     if slope > -SURE:
@@ -204,6 +205,16 @@ def _mirrored(motion: Motion, vehicle: Vehicle) -> Motion:
     if vehicle.columns.a_y_follows:
         a_y = a_y + motion.rate_of(v_y - motion.v_y)
     return replace(motion, v_y=v_y, a_y=a_y)
+
+
+def _may_flip(motion: Motion, vehicle: Vehicle, every, step: int, found: bool) -> bool:
+    """Whether the stated point fits the flipped v_y, or neither v_y determines one."""
+    if vehicle.columns.motion == POSE:
+        return False
+    again = _point(_mirrored(motion, vehicle), vehicle, every, step)
+    if again.std > _KNOWN * vehicle.wheelbase:
+        return not found
+    return again.slope > 0 and not again.is_off
 
 
 def _flipped(vehicle: Vehicle) -> tuple[str, str]:
@@ -289,6 +300,7 @@ def _point(motion: Motion, vehicle: Vehicle, every: np.ndarray, step: int) -> _F
         std = _with_zero(fit, alpha, sides, rows)[-1]
     except np.linalg.LinAlgError:
         return _Fit()
+    assert fit is not None  # the loop has at least one round
     size = max(float(np.mean(alpha[rows.rows] ** 2)), 1e-300)
     effect = abs(x) * math.sqrt(np.mean(sides[rows.rows, -1] ** 2) / size)
     # With instruments, the bias of least squares over their F statistic remains: Bound,
