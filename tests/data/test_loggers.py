@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tirefit.data.bulk import LARGE
 from tirefit.data.derive import derive
 from tirefit.data.kinds import read_table
 from tirefit.data.read import read
@@ -113,7 +112,6 @@ def test_a_large_motec_export_is_read_exactly(tmp_path):
     columns = [rows / 20, 5 * np.sin(rows), np.cos(rows), np.full(len(rows), 4000)]
     path = tmp_path / "run.csv"
     path.write_text(motec(columns, units), newline="")
-    assert path.stat().st_size > LARGE
     np.testing.assert_allclose(read(path, slip="kappa")["fx"], 1e3 * columns[2], atol=1e-5)
 
 
@@ -204,7 +202,7 @@ def test_a_vbo_file_is_recognised_however_it_is_written(tmp_path, how):
     plain.write_text(vbo(), newline="")
     one, other = read_table(path, ()), read_table(plain, ())
     assert one.headers == other.headers and one.units_row == other.units_row
-    assert one.cells == other.cells
+    assert [*map(list, one.cells)] == [*map(list, other.cells)]
 
 
 def test_a_vbo_file_without_names_is_refused(tmp_path):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from rig_file import IMPERIAL_UNITS, METRIC_UNITS, truth, ttc
 
-from tirefit.data.bulk import LARGE
 from tirefit.data.read import read, read_frame
 from tirefit.results import DataError
 
@@ -214,7 +213,7 @@ def test_a_large_aim_export_is_read_exactly(tmp_path):
     path = tmp_path / "aim.csv"
     path.write_text("\n".join(aim(rows)) + "\n")
     data = read(path, slip="kappa")
-    assert path.stat().st_size > LARGE and data.n == len(rows)
+    assert data.n == len(rows)
     np.testing.assert_allclose(data["fx"], 1e3 * np.cos(range(60_000)), atol=1e-2)
 
 

@@ -6,13 +6,13 @@ are masked. A doubt is a warning: the data can be used, but may have another mea
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.cells import TextColumn, may_hold
+from tirefit.data.cells import Column, all_grouped, may_hold, parsed
 from tirefit.data.columns import is_number
 from tirefit.data.own_tables import own_table
 from tirefit.data.signs import evidence_of, fitting_conventions
@@ -26,7 +26,6 @@ _NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
 _LARGEST = 1e100  # no measurement; its square still fits in a float
 _NO_LOAD = 1e-6  # N, below which no tire is loaded and no quotient is a number
-_GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _OR_MASK = ", or mask bad rows with --mask-bad-rows"
 _CORRECT = f"correct the row{_OR_MASK}"
 _CLOCK = re.compile(r"\d{1,2}:\d{2}|\d{1,4}([-./])\d{1,2}\1\d{1,4}(\D|$)")
@@ -44,6 +43,7 @@ _OF_WHOLE_COLUMN = {_IS_TEXT: _NO_NUMBERS, _IS_CLOCK: _SECONDS}
 """Faults that are faults of the column if all rows have them: correcting or masking rows
 is no remedy then."""
 _EMPTY, _NOT_A_NUMBER = "where a number is needed", "is not a number"
+INFINITE = "is infinite"
 NO_VALUE, NO_RUN = "the value is not available", "is not a run's name"
 _MISSING = (_EMPTY, _NOT_A_NUMBER, NO_VALUE, NO_RUN)
 """Rules that cells without a value break: their rows are excluded, not refused."""
@@ -308,8 +308,7 @@ def has_decimal_comma(columns) -> bool:
     with_point = (cells for cells in columns if may_hold(cells, "."))
     if any("." in cell and is_number(cell) for cells in with_point for cell in cells):
         return False
-    with_comma = (cell for cells in columns for cell in cells if "," in cell)
-    return not all(_GROUPED.fullmatch(cell) for cell in with_comma)
+    return not all(map(all_grouped, columns))
 
 
 def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, gaps: bool = False):
@@ -328,8 +327,8 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, g
     if isinstance(cells, np.ndarray):
         values = cells.astype(float)
     else:
-        known = cells.numbers(commas) if isinstance(cells, TextColumn) else None
-        values = parsed(cells, commas) if known is None else known
+        large = isinstance(cells, Column)
+        values = cells.numbers(commas) if large else parsed(cells, commas)
     is_sane = abs(values) < _LARGEST
     kinds: dict[str, list[tuple[int, str]]] = {}
     for row in np.flatnonzero(~is_sane & ~ragged):
@@ -346,19 +345,6 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, g
     return np.where(is_sane, values, np.nan), faults
 
 
-def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
-    """Numbers (n,) of text cells, NaN for other text; see :func:`read_numbers`."""
-    texts = [cell.replace(",", ".") for cell in cells] if commas else list(cells)
-    try:
-        # float() accepts 1_000, which no measuring system writes
-        if "_" in "".join(texts):
-            raise ValueError
-        return np.fromiter(map(float, texts), float, len(texts))
-    except ValueError:
-        texts = [text.replace("\N{MINUS SIGN}", "-") for text in texts]
-        return np.array([float(t) if is_number(t) else np.nan for t in texts], float)
-
-
 def _fault_of(cell: str) -> tuple[str, str]:
     """The text by which a message quotes a cell without a finite number, and its fault."""
     text = cell.strip()
@@ -367,7 +353,7 @@ def _fault_of(cell: str) -> tuple[str, str]:
     shown = text if len(text) <= 30 else text[:27] + "..."
     word = text.lstrip("+-").casefold()
     if word in ("inf", "infinity"):
-        return shown, "is infinite"
+        return shown, INFINITE
     if is_number(text):
         return shown, f"is larger than any measured value (beyond {_LARGEST:g})"
     if word == "nan":

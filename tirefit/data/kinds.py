@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data import logs, tables, tydex
-from tirefit.data.bulk import table_of_large
 from tirefit.data.columns import guess
 from tirefit.data.loggers import VBO, is_vbo
 from tirefit.data.mat import Channels, channels_of_mat, is_mat
@@ -46,6 +45,7 @@ _UNREADABLE = {
     rb"\x80[\x02-\x05]|\((dp|lp)\d+\n": ("a pickle, which could run code", _PICKLE),
 }
 """Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
+_OF_TIRE = 2**17  # characters in which a file of a tire shows its kind
 _JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
@@ -93,17 +93,16 @@ def _read(path: Place, declared: Collection[str]) -> Table:
         return _of_channels(channels, path, digest, "metadata of the column")
     if tables.is_excel(content):
         sheet = tables.sheet_of_excel(content, file, is_known)
-        return table_of_rows(sheet.rows, sheet.numbers, path, digest, list(sheet.notes))
+        rows = zip(sheet.numbers, sheet.rows, strict=True)
+        return table_of_rows(rows, path, digest, list(sheet.notes))
     if VBO.search(content):
         text, notes = decoded(content, path)
         if is_vbo(text):
             return table_of_vbo(text, path, digest, notes)
-    table = table_of_large(content, path, digest, declared)
-    if table is not None:
-        return table
     text, notes = decoded(content, path)
-    DataError.raise_for(other_tire(text, file))
-    if describes_tir(text):
+    above = text[:_OF_TIRE]
+    DataError.raise_for(other_tire(above, file))
+    if describes_tir(above):
         raise DataError(_of_tire("a file of Magic Formula coefficients", file))
     if file.lower().endswith(".toml"):
         reason = "this is a file of settings, and no table of measurements"

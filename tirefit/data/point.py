@@ -5,12 +5,11 @@ acceleration by :math:`x \\dot r`. At moderate slip
 :math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
 c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
 :mod:`tirefit.data.agreement`, values before and after a row are its instruments, and
-standard errors use the effective number of rows. Faults with a similar effect (yaw
-inertia, delay, sign) are fitted in the same way.
+standard errors use the effective number of rows. A wrong yaw inertia, a delay and another
+place of the accelerometer act alike: the message names them.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -102,8 +101,6 @@ operating point and its slope is undefined."""
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
-_Change = Callable[[Motion, Vehicle, float], tuple[Motion, Vehicle]]
-
 
 class PointCheck(NamedTuple):
     """The estimate of the tracked point."""
@@ -115,14 +112,18 @@ class PointCheck(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """A change, fitted."""
+    """The point, fitted."""
 
-    amount: float = 0.0  # of the change
+    ahead: float = 0.0  # of the stated point [m]
     std: float = math.inf  # its standard error
-    misfit: float = math.inf  # rms residual of the slip angle [rad]
-    effect: float = 0.0  # of the change on the slip angle (rms over rms)
-    slope: float = 0.0  # with the change (:func:`_slope`)
-    strength: float = 0.0  # F statistic of the instruments
+    effect: float = 0.0  # of the distance on the slip angle (rms over rms)
+    slope: float = 0.0  # at the point (:func:`_slope`)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the stated point is wrong by more than the error, with an effect."""
+        sure = self.slope > 0 and abs(self.ahead) > SURE * self.std
+        return sure and self.effect > CHANGED
 
 
 class _Rows(NamedTuple):
@@ -148,156 +149,72 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
     if len(every) < FEWEST:
         return check
-    rows = _moderate(motion, vehicle, every, step)
     # The smaller slope: without and with a zero error.
+    rows = _moderate(motion, vehicle, every, step)
     free = rows._replace(offset=math.inf)
     slope = min(_slope(motion, vehicle, some) for some in (rows, free))
-    fit, rows = _point(motion, vehicle, every, step)
+    fit = _point(motion, vehicle, every, step)
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
     tried = candidates_of(motion, vehicle, kept)
     low, high = (share * vehicle.wheelbase for share in _ON_CAR)
     found = fit.slope > 0 and fit.std < _KNOWN * vehicle.wheelbase
-    on_car = low < stated + fit.amount < high
+    on_car = low < stated + fit.ahead < high
+    other = None if found and fit.is_off else tried.other
     check = check._replace(line=f"{check.line}{tried.words}")
-    off = found and _is_off(fit)
-    other = tried.other if not off else None
     if found and on_car and not other:
-        words = f"tracked point: {point_words(fit.amount, fit.std)}"
-        check = PointCheck(words, (stated + fit.amount, fit.std))
-    flipped = not found and _fits_flipped(motion, vehicle, free)
-    if not (off or flipped or other) and slope > -SURE:
+        line = f"tracked point: {point_words(fit.ahead, fit.std)}"
+        check = PointCheck(line, (stated + fit.ahead, fit.std))
+    if found and on_car and fit.is_off:
+        words, remedy = _words(fit, stated, vehicle)
+    elif other:
+        words, remedy = other
+    elif not found and _fits_flipped(motion, vehicle, free):
+        words, remedy = _flipped(vehicle)
+    elif slope <= -SURE:
+        may_flip = _may_flip(motion, vehicle, every, step, found)
+        words, remedy = (_flipped if may_flip else _nothing_fits)(vehicle)
+    else:
         return check
-    may_flip = _may_flip(motion, vehicle, every, step, found)
-    named = _named(motion, vehicle, fit if off else None, rows, may_flip)
-    named = [_words(fit, stated, vehicle), *named] if off and on_car else named
-    if other:
-        named = [other]
-    elif not named and slope > -SURE and not flipped:
-        return check
-    elif flipped or not named:
-        named = [(_flipped if flipped or may_flip else _nothing_fits)(vehicle)]
-    return _judged(check, named, slope, file)
-
-
-def _named(motion, vehicle: Vehicle, off: _Fit | None, rows: _Rows, may_flip: bool):
-    """Reason and remedy of each other fault that fits as well as the point ``off``."""
-    others = _others(motion, vehicle, rows, may_flip)
-    best = off.misfit if off else min((misfit for misfit, *_ in others), default=0.0)
-    return [(reason, remedy) for m, reason, remedy in others if m <= best * ALIKE]
-
-
-def _judged(check: PointCheck, named, slope: float, file: str) -> PointCheck:
-    """The check with a warning, or with a problem if the force acts along the slip."""
-    reasons, remedies = (", or ".join(words) for words in zip(*named, strict=True))
     if slope > -SURE:
-        message = f"lateral force against slip angle: {reasons}; {remedies}"
+        message = f"lateral force against slip angle: {words}; {remedy}"
         return check._replace(warnings=(message,))
     reason = "channels contradict each other: the lateral force acts in the direction"
-    reason += f" of the axle's slip ({-slope:.0f} standard errors): {reasons}"
-    return check._replace(problems=(InputProblem(reason, remedies, file),))
+    reason += f" of the axle's slip ({-slope:.0f} standard errors): {words}"
+    return check._replace(problems=(InputProblem(reason, remedy, file),))
 
 
-def _is_off(fit: _Fit) -> bool:
-    return _sure(fit) and fit.effect > CHANGED
+def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
+    """Reason and remedy of a wrong point."""
+    at, left = stated + fit.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
+    place = f"{at:.3g} ± {fit.std:.1g} m ahead of the rear axle"
+    reason = f"the tracked point is {place}, not {stated:.3g} m"
+    remedy = f"set tracked_point = [{at:.3g}, {left:g}] in vehicle.toml"
+    remedy += "" if vehicle.tracked_point else " (or correct l_r)"
+    sensor = "the place of the a_y sensor, " if "a_y" in vehicle.columns.motion else ""
+    return reason, (
+        f"{remedy}, unless one of these is wrong, which acts alike: the time of a channel,"
+        f" {sensor}yaw_inertia ({vehicle.inertia_ratio:.2g} mass l_f l_r)"
+    )
 
 
-def _sure(fit: _Fit) -> bool:
-    return fit.slope > 0 and abs(fit.amount) > SURE * fit.std
-
-
-# --- changes --------------------------------------------------------------------
-
-
-def _more_inertia(motion: Motion, vehicle: Vehicle, x: float):
-    inertia = (1 + x) * vehicle.yaw_inertia
-    return motion, vehicle.model_copy(update={"yaw_inertia": inertia})
-
-
-def _earlier(name: str) -> _Change:
-    """Move the logged v_y or a_y, or the yaw of a pose, to an earlier time [s]."""
-
-    def change(motion: Motion, vehicle: Vehicle, x: float):
-        if name == "yaw":
-            v_y = motion.v_y - x * motion.v_x * motion.yaw_rate
-            return replace(motion, v_y=v_y), vehicle
-        values = getattr(motion, name)
-        values = values + x * motion.rate_of(values)
-        if name == "v_y":
-            return _with_v_y(motion, vehicle, values), vehicle
-        return replace(motion, **{name: values}), vehicle
-
-    return change
-
-
-def _mirrored(motion: Motion, vehicle: Vehicle, x: float):
-    """Flip v_y of the tracked point."""
-    moved = 2 * vehicle.cg_from_tracked[0] * motion.yaw_rate
-    return _with_v_y(motion, vehicle, moved - motion.v_y), vehicle
-
-
-def _with_v_y(motion: Motion, vehicle: Vehicle, v_y: np.ndarray) -> Motion:
-    """Another v_y, with the a_y that follows from it where none is logged."""
+def _mirrored(motion: Motion, vehicle: Vehicle) -> Motion:
+    """The motion with the other sign of v_y of the tracked point, and of the a_y that
+    follows from it where none is logged."""
+    v_y = 2 * vehicle.cg_from_tracked[0] * motion.yaw_rate - motion.v_y
     a_y = motion.a_y
     if vehicle.columns.a_y_follows:
         a_y = a_y + motion.rate_of(v_y - motion.v_y)
     return replace(motion, v_y=v_y, a_y=a_y)
 
 
-def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
-    """Reason and remedy of a wrong point."""
-    at, left = stated + fit.amount, (vehicle.tracked_point or (0.0, 0.0))[1]
-    place = f"{at:.3g} ± {fit.std:.1g} m ahead of the rear axle"
-    reason = f"the tracked point is {place}, not {stated:.3g} m"
-    remedy = f"set tracked_point = [{at:.3g}, {left:g}] in vehicle.toml"
-    return reason, remedy + ("" if vehicle.tracked_point else " (or correct l_r)")
-
-
-def _may_flip(motion, vehicle: Vehicle, every, step: int, found: bool) -> bool:
-    """Whether the stated point fits the flipped v_y, or neither v_y determines one;
-    else the point alone is wrong."""
+def _may_flip(motion: Motion, vehicle: Vehicle, every, step: int, found: bool) -> bool:
+    """Whether the stated point fits the flipped v_y, or neither v_y determines one."""
     if vehicle.columns.motion == POSE:
         return False
-    again, _ = _point(_mirrored(motion, vehicle, 0.0)[0], vehicle, every, step)
+    again = _point(_mirrored(motion, vehicle), vehicle, every, step)
     if again.std > _KNOWN * vehicle.wheelbase:
         return not found
-    return again.slope > 0 and not _is_off(again)
-
-
-def _others(motion, vehicle: Vehicle, rows: _Rows, may_flip: bool):
-    """Misfit [rad], reason and remedy of each other fault that explains the force."""
-    pose, others = vehicle.columns.motion == POSE, []
-    fit = _fitted(_more_inertia, 0.1, motion, vehicle, rows)
-    changed = _more_inertia(motion, vehicle, fit.amount)[1]
-    if _sure(fit) and "a_y" in vehicle.columns.motion:  # a_y there has the same effect
-        arm = fit.amount * vehicle.yaw_inertia / (vehicle.mass * vehicle.l_f)
-        where = f"{abs(arm):.2g} m {'ahead of' if arm > 0 else 'behind'} the tracked point"
-        remedy = "leave a_y out of [columns]: it then follows from the speeds"
-        others.append((fit.misfit, f"a_y is measured {where}", remedy))
-    if _sure(fit) and set(changed.doubts()) <= set(vehicle.doubts()):
-        share = f"{1 + fit.amount:.2g} ± {fit.std:.1g}"
-        remedy = f"set yaw_inertia = {changed.yaw_inertia:.3g}"
-        others.append((fit.misfit, f"yaw_inertia is {share} of the stated one", remedy))
-    follows = vehicle.columns.a_y_follows
-    for name in ("yaw",) if pose else ("v_y",) if follows else ("v_y", "a_y"):
-        small = 1 / vehicle.filter.sample_rate
-        fit = _fitted(_earlier(name), small, motion, vehicle, rows)
-        if _sure(fit):
-            how = "late" if fit.amount > 0 else "early"
-            reason = f"{name} is {abs(fit.amount):.2g} ± {fit.std:.1g} s {how}"
-            others.append((fit.misfit, reason, f"shift {name} in the log"))
-    fit = _fitted(_mirrored, 0.0, motion, vehicle, rows)
-    if may_flip and fit.slope > 0:
-        others.append((fit.misfit, *_flipped(vehicle)))
-    return others
-
-
-def _fits_flipped(motion, vehicle: Vehicle, rows: _Rows) -> bool:
-    """Whether the force follows the slip with -v_y, and fits better than as stated."""
-    if vehicle.columns.motion == POSE:
-        return False
-    stated = _fitted(_more_inertia, 0.0, motion, vehicle, rows)
-    other = _fitted(_mirrored, 0.0, motion, vehicle, rows)
-    return other.slope > SURE and other.misfit * ALIKE < stated.misfit
+    return again.slope > 0 and not again.is_off
 
 
 def _flipped(vehicle: Vehicle) -> tuple[str, str]:
@@ -309,7 +226,7 @@ def _flipped(vehicle: Vehicle) -> tuple[str, str]:
 
 
 def _nothing_fits(vehicle: Vehicle) -> tuple[str, str]:
-    """Reason and remedy where no single change explains the force."""
+    """Reason and remedy where no point explains the force."""
     remedy = "check tracked_point, the signs of the channels and yaw_inertia, which is"
     remedy += f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
     return "no point on the car explains it", remedy
@@ -333,8 +250,25 @@ def _shape(force, rows: _Rows) -> np.ndarray:
     return np.column_stack([share, share**3])
 
 
-def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
-    """Fit of the tracked point and its rows; starts at the best point of a grid."""
+def _fits_flipped(motion: Motion, vehicle: Vehicle, rows: _Rows) -> bool:
+    """Whether the force follows the slip with -v_y, and fits better than as stated."""
+    if vehicle.columns.motion == POSE:
+        return False
+    other = _mirrored(motion, vehicle)
+    if _slope(other, vehicle, rows) <= SURE:
+        return False
+    misfits = []
+    for some in (motion, other):
+        alpha, force, _ = slip_and_force(some, vehicle)
+        try:
+            misfits.append(float(np.std(_solved(alpha, _shape(force, rows), rows).error)))
+        except np.linalg.LinAlgError:
+            return False
+    return misfits[1] * ALIKE < misfits[0]
+
+
+def _point(motion: Motion, vehicle: Vehicle, every: np.ndarray, step: int) -> _Fit:
+    """Fit of the tracked point; starts at the best point of a grid."""
     stated, best = vehicle.l_r - vehicle.cg_from_tracked[0], (math.inf, 0.0)
     names = Motion.__dataclass_fields__
     few = Motion(**{name: getattr(motion, name)[every] for name in names})
@@ -348,33 +282,16 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
         theta = np.linalg.lstsq(sides, alpha)[0]
         if theta[0] > 0:
             best = min(best, (float(np.var(alpha - sides @ theta)), x))
-    moved, _ = further_ahead(motion, vehicle, best[1])
-    rows = _moderate(moved, vehicle, every, step)
-    small = 0.01 * vehicle.wheelbase
-    fit = _fitted(further_ahead, small, motion, vehicle, rows, best[1])
-    # With instruments, the bias of least squares over their F statistic remains: Bound,
-    # Jaeger, Baker, JASA 1995, eq. 7.
-    bias = abs(fit.amount - best[1]) / max(fit.strength - 1, 1e-9)
-    return fit._replace(std=math.hypot(fit.std, bias)), rows
-
-
-def _fitted(change: _Change, small: float, motion, vehicle, rows: _Rows, x: float = 0.0) -> _Fit:
-    """Fit the amount of a change with which the slip angle follows the force.
-
-    Args:
-        small: step of the numerical derivative; 0 for a change without an amount.
-        x: starting value of the amount.
-    """
-    keep = rows.rows
+    start, small = best[1], 0.01 * vehicle.wheelbase
+    rows = _moderate(further_ahead(motion, vehicle, start)[0], vehicle, every, step)
+    x, fit = start, None
     try:
         for _ in range(_ROUNDS):
-            alpha, force, _ = slip_and_force(*change(motion, vehicle, x))
+            alpha, force, _ = slip_and_force(*further_ahead(motion, vehicle, x))
             sides = _shape(force, rows)
-            fit = _solved(alpha, sides, rows)
-            if not small:
-                break
-            moved = slip_and_force(*change(motion, vehicle, x + small))
-            bent = (_shape(moved[1], rows) - sides) @ fit.theta[:2]
+            theta = _solved(alpha, sides, rows).theta[:2]
+            moved = slip_and_force(*further_ahead(motion, vehicle, x + small))
+            bent = (_shape(moved[1], rows) - sides) @ theta
             sides = np.column_stack([sides, (moved[0] - alpha - bent) / small])
             fit = _solved(alpha, sides, rows)
             x -= float(fit.theta[2])
@@ -383,12 +300,16 @@ def _fitted(change: _Change, small: float, motion, vehicle, rows: _Rows, x: floa
         std = _with_zero(fit, alpha, sides, rows)[-1]
     except np.linalg.LinAlgError:
         return _Fit()
-    size = max(float(np.mean(alpha[keep] ** 2)), 1e-300)
-    effect = abs(x) * math.sqrt(np.mean(sides[keep, -1] ** 2) / size)
-    share, count = fit.seen[-1], around(sides, keep[:1], 0).shape[1]
+    assert fit is not None  # the loop has at least one round
+    size = max(float(np.mean(alpha[rows.rows] ** 2)), 1e-300)
+    effect = abs(x) * math.sqrt(np.mean(sides[rows.rows, -1] ** 2) / size)
+    # With instruments, the bias of least squares over their F statistic remains: Bound,
+    # Jaeger, Baker, JASA 1995, eq. 7.
+    share, count = fit.seen[-1], around(sides, rows.rows[:1], 0).shape[1]
     strength = share / max(1 - share, 1e-9) * fit.effective / count
-    slope = _slope(*change(motion, vehicle, x), rows)
-    return _Fit(x, std, float(np.std(fit.error)), effect, slope, strength)
+    bias = abs(x - start) / max(strength - 1, 1e-9)
+    slope = _slope(*further_ahead(motion, vehicle, x), rows)
+    return _Fit(x, math.hypot(std, bias), effect, slope)
 
 
 def _slope(motion: Motion, vehicle: Vehicle, rows: _Rows) -> float:

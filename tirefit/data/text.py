@@ -7,31 +7,41 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.cells import Column, Lines, split
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
 from tirefit.data.declared import stated_convention
+from tirefit.data.header import (
+    commented_header,
+    counts_up,
+    find_header,
+    is_units_row,
+    names_of_export,
+    spaced_head,
+)
 from tirefit.data.loggers import exported_by, vbo_table
 from tirefit.data.remote import Place
 from tirefit.data.table import Layout
-from tirefit.data.units import known_unit
-from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, did_you_mean
 
-SPACED = "columns separated by white space"  # note on such a text
+Row = tuple[int, list[str]]
+"""Line in the file, and cells."""
+_Columns = tuple[list[Column], np.ndarray, np.ndarray, tuple[BadRows, ...]]
+"""Columns, line of each row (n,), which are ragged (n,) bool, and their fault."""
 
-_DELIMITERS = "\t;|,"
 _END = "\0"
+_OF_TEXT = bytes([*range(0x20, 0x7F), *b"\n\r\t"])
 _CONSTANT = re.compile(r"([A-Za-z_]+)=(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
 """A constant of the tire in the first line of a table that this package wrote."""
 _SEARCHED = 60  # first lines with content, which must contain the header
-_LONGEST = 10  # largest number of lines of a header with quoted line ends
 
 
 @dataclass(frozen=True)
@@ -117,7 +127,9 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
         text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
     # Joined files have byte order marks inside; DOS ends a text with \x1a.
     text = text.replace("\ufeff", "").removesuffix("\x1a")
-    binary = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text)
+    # Bytes of text are deleted first, as the search of a large text is slow.
+    holds_others = raw.translate(None, _OF_TEXT)
+    binary = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text) if holds_others else None
     if binary:
         row = len(re.findall(r"\r\n?|\n", text[: binary.start()])) + 1
         reason = "not a text file: it holds binary data"
@@ -132,8 +144,9 @@ def table_of_text(
     text: str, path: Place, digest: str, declared: Collection[str], notes: list[str]
 ) -> Table:
     """Cells of a text; ``declared`` headers help to find the header."""
-    raw = list(io.StringIO(text, newline=""))
-    lines = content_lines(raw)
+    # A StringIO would take four bytes for each character.
+    raw = list(io.TextIOWrapper(io.BytesIO(text.encode()), "utf-8", newline=""))
+    lines = _content_lines(raw, "#" in text)
     if header := commented_header(raw, lambda name: guess(name) is not None):
         lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
         notes.append(f"header read from the comment in line {header[0] + 1}")
@@ -142,22 +155,18 @@ def table_of_text(
     if not searched:
         raise _refusal("the file is empty", "give a header line and data rows", path)
     if logger := exported_by(raw[0]):
-        start = _names_of_export(lines, searched)
+        start = names_of_export(lines, searched)
         searched = [index for index in searched if index >= start] or searched
-    start, delimiter, words = _find_header(lines, searched, declared)
+    start, delimiter, words = find_header(lines, searched, declared)
     if words:
-        notes.append(SPACED)
-        lines[start:] = tabbed(lines[start:], words)
+        notes.append("columns separated by white space")
+        head = spaced_head(lines[start : start + _LEAD], words)
+        lines[start : start + len(head)] = head
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
-    rows, numbers = split_rows(lines[start:], delimiter, start, path)
     if logger:
         notes.append(f"export of {logger}")
-        # Names, units and, in some versions of AiM, channel numbers.
-        kept = [k for k, r in enumerate(rows) if not (0 < k < 4 and _counts_up(r))]
-        rows, numbers = [rows[k] for k in kept], [numbers[k] for k in kept]
-    common = 0.0 if logger else 0.5
-    table = table_of_rows(rows, numbers, path, digest, notes, delimiter, common)
+    table = _table(lines, start, path, digest, notes, delimiter, bool(logger))
     layout, doubts = stated_convention(raw[:start], str(path))
     above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
     stated = re.findall(r".*, constants (.*)", above)
@@ -169,49 +178,158 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
     """Cells of a .vbo file of Racelogic."""
     found = vbo_table(text, str(path))
     notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
-    table = table_of_rows(found.rows, found.numbers, path, digest, notes)
+    rows = zip(found.numbers, found.rows, strict=True)
+    table = table_of_rows(rows, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
     return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
 
 
-def content_lines(lines: list[str]) -> list[str]:
-    """The same lines, with lines without content (such as comments) reduced to line ends."""
-    return ["\n" if line.lstrip().startswith("#") or not line.strip() else line for line in lines]
+def _content_lines(lines: list[str], comments: bool) -> list[str]:
+    """The same lines, with those without content (such as comments) reduced to line ends."""
+    if not comments:
+        return ["\n" if line.isspace() else line for line in lines]
+    return ["\n" if line.lstrip()[:1] in ("", "#") else line for line in lines]
 
 
-def table_of_rows(
-    rows: list[list[str]],
-    numbers: list[int],
-    path: Place,
-    digest: str,
-    notes: list[str],
-    delimiter: str = "",
-    common: float = 0.5,
-) -> Table:
-    """A table of rows of cells, the header first, and the line of each in the file.
+def table_of_rows(rows: Iterable[Row], path: Place, digest: str, notes: list[str]) -> Table:
+    """A table of rows of cells, the header first."""
+    rows = list(rows)
+    head = _head(rows[:2], path, notes, False)
+    cells = _columns([rows[head.rows :]], len(head.headers))
+    return head.table(cells, path, digest, notes, "")
 
-    ``common`` is the smallest share of common units in a row of units.
-    """
-    headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in rows[0]]
-    header_line, rows, numbers = numbers[0], rows[1:], numbers[1:]
+
+class _Head(NamedTuple):
+    """The header of a table."""
+
+    headers: list[str]
+    header_line: int
+    units_row: list[str] | None
+    units_line: int | None
+    rows: int  # rows before the first of data
+
+    def table(
+        self, columns: _Columns, path: Place, digest: str, notes: list[str], delimiter: str
+    ) -> Table:
+        """The table with these columns of cells."""
+        cells, lines, ragged, faults = columns
+        if not len(lines):
+            reason = "there are no data rows below the header"
+            raise _refusal(reason, "give at least as many rows as parameters", path)
+        return Table(
+            str(path), stem_of(path), self.headers, cells, lines, ragged, self.header_line,
+            delimiter, self.units_row, self.units_line, digest, tuple(notes), faults,
+        )  # fmt: skip
+
+
+def _head(rows: list[Row], path: Place, notes: list[str], is_export: bool) -> _Head:
+    """The header among the first rows of a file; those below it may be units and, in an
+    export of a logger, channel numbers."""
+    header_line, header = rows[0]
+    headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in header]
     if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
         raise _refusal(reason, remedy, path, header_line)
     units_row = units_line = None
-    if rows and _is_units_row(rows[0], len(headers), common):
-        notes.append(f"row {numbers[0]} read as units")
-        units_row, units_line = rows[0], numbers[0]
-        rows, numbers = rows[1:], numbers[1:]
-    if not rows:
-        reason = "there are no data rows below the header"
-        raise _refusal(reason, "give at least as many rows as parameters", path)
-    ragged, faults = even_out(rows, len(headers), numbers)
-    return Table(
-        str(path), stem_of(path), headers, list(zip(*rows, strict=True)),
-        np.array(numbers), ragged, header_line, delimiter, units_row, units_line,
-        digest, tuple(notes), faults,
-    )  # fmt: skip
+    count = 1
+    for number, row in rows[1:]:
+        if units_row is None and is_units_row(row, len(headers), 0.0 if is_export else 0.5):
+            notes.append(f"row {number} read as units")
+            units_row, units_line = row, number
+        elif not (is_export and counts_up(row)):
+            break
+        count += 1
+    return _Head(headers, header_line, units_row, units_line, count)
+
+
+_LEAD = 4  # rows of header, units and channel numbers, and one of data
+
+_BLOCK = 2**14  # lines that are converted at once
+
+
+class _Plain(NamedTuple):
+    """A block of lines that NumPy reads: their numbers in the file, rows, and values."""
+
+    lines: Sequence[int]
+    rows: Lines
+    values: list[np.ndarray | None]  # (n,) of each column
+    mark: str  # decimal mark
+
+
+def _table(
+    lines: list[str],
+    start: int,
+    path: Place,
+    digest: str,
+    notes: list[str],
+    delimiter: str,
+    is_export: bool,
+) -> Table:
+    """The table of the lines from the header's, at ``start``."""
+    rows = _split_rows(lines[start:], delimiter, start, path)
+    lead = list(itertools.islice(rows, _LEAD))
+    head = _head(lead, path, notes, is_export)
+    width, data = len(head.headers), lead[head.rows :]
+    first = data[0][0] - 1 if data else len(lines)
+    blocks: Iterable[_Plain | list[Row]]
+    if '"' in "".join(lines[first:]):
+        blocks = [[*data, *rows]]
+    else:
+        blocks = _blocks(lines, first, width, delimiter, path)
+    return head.table(_columns(blocks, width), path, digest, notes, delimiter)
+
+
+def _blocks(
+    lines: list[str], start: int, width: int, delimiter: str, path: Place
+) -> Iterator[_Plain | list[Row]]:
+    """Lines without quotation marks in blocks: read by NumPy, or rows of cells."""
+    for first in range(start, len(lines), _BLOCK):
+        block = lines[first : first + _BLOCK]
+        rows = Lines(block, delimiter)
+        known = rows.numbers()
+        if known is None or len(known[0]) != width:
+            yield list(_split_rows(block, delimiter, first, path))
+        else:
+            places: Sequence[int] = range(first + 1, first + 1 + len(block))
+            if len(rows) < len(block):
+                places = [first + 1 + k for k, line in enumerate(block) if line != "\n"]
+            yield _Plain(places, rows, *known)
+
+
+def _columns(blocks: Iterable[_Plain | list[Row]], width: int) -> _Columns:
+    """The columns of blocks of rows. Rows of another length become NaN; delimiters at the end
+    of a line do not count."""
+    columns = [Column() for _ in range(width)]
+    lines: list[int] = []
+    wrong: list[tuple[int, str]] = []
+    for block in blocks:
+        if isinstance(block, _Plain):
+            lines += block.lines
+            for k, column in enumerate(columns):
+                column.add_lines(block.rows, k, block.values[k], block.mark)
+            continue
+        first, whole = len(lines), [row for _, row in block]
+        lines += [number for number, _ in block]
+        for k, row in enumerate(whole):
+            if len(row) == width:
+                continue
+            if len(row) > width and not any(cell.strip() for cell in row[width:]):
+                whole[k] = row[:width]
+                continue
+            inside = sum(cell.count("\n") for cell in row)
+            until = f" in rows {lines[first + k]} to {lines[first + k] + inside}"
+            wrong.append((first + k, f"{len(row)} fields{until if inside else ''}"))
+            whole[k] = ["nan"] * width
+        for column, cells in zip(columns, zip(*whole, strict=True), strict=bool(whole)):
+            column.add(cells)
+    ragged = np.zeros(len(lines), bool)
+    if not wrong:
+        return columns, np.array(lines), ragged, ()
+    places, shown = zip(*wrong, strict=True)
+    ragged[list(places)] = True
+    fault = BadRows(None, places, shown, f"where the header has {width}")
+    return columns, np.array(lines), ragged, (fault,)
 
 
 def stem_of(path: Place) -> str:
@@ -219,46 +337,25 @@ def stem_of(path: Place) -> str:
     return Path(path.name.removesuffix(".gz")).stem
 
 
-def split_rows(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
-    """Rows of cells without blank lines, and the line of each in the file."""
+def _split_rows(lines: list[str], delimiter: str, start: int, path: Place) -> Iterator[Row]:
+    """Line in the file and cells of each row that is not blank."""
     # An added last line shows whether an open quotation mark includes the end.
-    reader = csv.reader([*lines, _END], delimiter=delimiter, skipinitialspace=True)
-    rows, numbers, number = [], [], start + 1
+    reader = split([*lines, _END], delimiter)
+    number, last = start + 1, 0
     try:
         for row in reader:
+            if row == [_END] and last:
+                return
             if row:
-                rows.append(row)
-                numbers.append(number)
+                last = number
+                yield number, row
             number = start + reader.line_num + 1
     except csv.Error as error:
         reason = f"the line cannot be split: {error}"
         remedy = "look for a quotation mark that is not closed"
         raise _refusal(reason, remedy, path, number) from error
-    if rows.pop() != [_END] or not rows:
-        reason = "a quotation mark is not closed"
-        raise _refusal(reason, "close or remove it", path, numbers[-1])
-    return rows, numbers[:-1]
-
-
-def even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
-    """Make all rows ``width`` long; rows of another length are marked and faulty."""
-    ragged = np.zeros(len(rows), bool)
-    wrong_rows = []
-    for index, row in enumerate(rows):
-        if len(row) == width:
-            continue
-        if len(row) > width and not any(cell.strip() for cell in row[width:]):
-            rows[index] = row[:width]  # a delimiter at the end of the line
-            continue
-        inside = sum(cell.count("\n") for cell in row)
-        until = f" in rows {lines[index]} to {lines[index] + inside}" if inside else ""
-        wrong_rows.append((index, f"{len(row)} fields{until}"))
-        ragged[index] = True
-        rows[index] = ["nan"] * width
-    if not wrong_rows:
-        return ragged, ()
-    indices, shown = zip(*wrong_rows, strict=True)
-    return ragged, (BadRows(None, indices, shown, f"where the header has {width}"),)
+    reason = "a quotation mark is not closed"
+    raise _refusal(reason, "close or remove it", path, last)
 
 
 def table_of_frame(frame, name: str) -> Table:
@@ -300,99 +397,3 @@ def _seconds(values: np.ndarray) -> np.ndarray:
         known = values[~np.isnat(values)]
         values = values - (known.min() if len(known) else np.datetime64(0, "s"))
     return values / np.timedelta64(1, "s")
-
-
-def _names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
-    """Index of the line of names in the export of a logger: the last one above the numbers
-    that is as wide as they are and no row of units; else the line below the first blank one."""
-    for delimiter in _DELIMITERS:
-        try:
-            split = [next(csv.reader([lines[i]], delimiter=delimiter)) for i in searched]
-        except csv.Error:
-            continue
-        cells = [[cell.strip(' "') for cell in row] for row in split]
-        rows = dict(zip(searched, cells, strict=True))
-        found = [i for i, row in rows.items() if _is_numeric(row) and not _counts_up(row)]
-        names = [
-            i
-            for i, row in rows.items()
-            if found and i < found[0] and len(row) == len(rows[found[0]])
-            if row[0] and not _counts_up(row) and known_unit(row[0]) is None
-        ]
-        if names:
-            return names[-1]
-    return lines.index("\n") + 1 if "\n" in lines else 1
-
-
-def _is_numeric(row: Sequence[str]) -> bool:
-    """Whether a row has several cells, all numbers or empty."""
-    cells = [cell.replace(",", ".", 1) for cell in row if cell]
-    return len(cells) > 1 and all(map(is_number, cells))
-
-
-def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
-    """Index of the header line, the delimiter, and its words if white space separates.
-
-    Some systems write a title first: the header is the first of the searched lines with
-    two recognised columns, or else the first as wide as the rows of numbers below it.
-    White space separates if no delimiter gives columns and white space gives as many as
-    the rows of numbers have.
-    """
-    declared = {header.strip().casefold() for header in declared}
-
-    def is_known(name: str) -> bool:
-        return name.casefold() in declared or guess(name) is not None
-
-    def split(index: int, delimiter: str) -> tuple[int, int]:
-        """Recognised columns and all columns of a line, which quotes may extend."""
-        some = lines[index : index + _LONGEST]
-        try:
-            names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
-        except csv.Error:  # too long for one cell
-            return 0, 0
-        return sum(is_known(name.strip()) for name in names), len(names)
-
-    first = searched[0]
-    best = {}
-    for index in searched:
-        widths = {delimiter: split(index, delimiter) for delimiter in _DELIMITERS}
-        best[index] = max(_DELIMITERS, key=widths.__getitem__)
-        if widths[best[index]][0] < 2:
-            continue
-        is_title = split(first, best[index])[1] < widths[best[index]][1]
-        header = index if is_title else first
-        words = _spaced_under_tabs(lines, header, best[header], is_known)
-        return header, best[header], words
-    below = header_above_numbers(lines, searched, is_known)
-    if below and (below[0] != first or split(first, best[first])[1] == 1):
-        return below[0], "\t", below[1]
-    for delimiter in _DELIMITERS:
-        columns = [split(index, delimiter)[1] for index in searched]
-        header = searched[columns.index(columns[-1])]
-        cells = lines[header].split(delimiter)
-        if columns[-1] > columns[0] > 0 and not any(map(is_number, cells)):
-            return header, delimiter, []
-    return first, best[first], []
-
-
-def _spaced_under_tabs(lines, header, delimiter, is_known) -> list[str]:
-    """Words of a header that has tabs while the rows below have none; else empty."""
-    tabs = any("\t" in line for line in lines[header + 1 : header + _LONGEST])
-    below = header_above_numbers(lines, [header], is_known)
-    return below[1] if delimiter == "\t" and below and not tabs else []
-
-
-def _counts_up(row: list[str]) -> bool:
-    """Whether a row holds the channel numbers 1, 2, 3, ..."""
-    cells = [cell.strip() for cell in row if cell.strip()]
-    return len(cells) > 1 and cells == [str(k + 1) for k in range(len(cells))]
-
-
-def _is_units_row(row: list[str], width: int, common: float) -> bool:
-    """Whether a row has no numbers and at least the share ``common`` of known units."""
-    cells = [cell.strip() for cell in row]
-    stated = [cell for cell in cells if cell not in ("", "-")]
-    if len(row) != width or not stated or any(map(is_number, cells)):
-        return False
-    known = sum(known_unit(cell) is not None for cell in stated)
-    return known >= common * len(stated)

@@ -6,8 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.data.cells import TextColumn, words_of
-from tirefit.data.check import NO_VALUE, BadRows
+from tirefit.data.cells import words_of
+from tirefit.data.check import (
+    INFINITE,
+    NO_VALUE,
+    BadRows,
+    has_decimal_comma,
+    list_problems,
+    read_numbers,
+)
 from tirefit.data.columns import guess, stated_unit
 from tirefit.data.loggers import ARC, NO_UNIT
 from tirefit.data.missing import excluded
@@ -18,8 +25,7 @@ from tirefit.data.units import known_unit, units_of
 from tirefit.data.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
 from tirefit.results import DataError, InputProblem
 
-_MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none"}
-_MOST_PROBLEMS = 10
+_CORRECT = "correct the cell, or name another column in [columns] of vehicle.toml"
 _CLOSEST = 0.3
 """Samples closer than this share of the sampling period are repeats of one sample."""
 
@@ -32,9 +38,6 @@ _HELD, _COARSE = 0.02, 1e-3
 standard deviation of a channel, for a note on its quantisation."""
 
 _JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
-
-_LARGEST = 1e20
-"""Largest value, whose square is still finite; infinity counts as missing."""
 
 _SI = {
     "time": "s",
@@ -238,14 +241,10 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
             # A column that the vehicle does not name may have any content: skip odd ones.
             odd: list[InputProblem] = []
             channel = _channel(table, quantity, headers[0], vehicle, notes, odd, False)
-            channels += [] if odd or not _holds_numbers(table, channel) else [channel]
+            cells = table.cells[table.headers.index(headers[0])]
+            faults = read_numbers(cells, headers[0], table.ragged, gaps=True)[1]
+            channels += [] if odd or faults else [channel]
     return channels
-
-
-def _holds_numbers(table: Table, channel: Channel) -> bool:
-    odd: list[InputProblem] = []
-    _column(table, channel.header, odd)
-    return not odd
 
 
 def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> Channel:
@@ -294,17 +293,17 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
 def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:
     """Header -> values (n,) of the columns that are read.
 
-    Empty cells and rows without the header's number of cells are NaN.
+    Cells without a value, infinity and rows without the header's number of cells are NaN.
     """
     wanted = [channel.header for channel in channels] + ([active] if active else [])
-    problems: list[InputProblem] = []
-    columns = {name: _column(table, name, problems) for name in dict.fromkeys(wanted)}
-    if problems:
-        more = len(problems) - _MOST_PROBLEMS
-        shown = problems[:_MOST_PROBLEMS]
-        if more > 0:
-            shown.append(InputProblem(f"and {more} more cells like these", file=table.file))
-        raise DataError(shown)
+    cells = {name: table.cells[table.headers.index(name)] for name in dict.fromkeys(wanted)}
+    commas = table.delimiter not in ("", ",") and has_decimal_comma(cells.values())
+    columns, faults = {}, []
+    for name, column in cells.items():
+        columns[name], wrong = read_numbers(column, name, table.ragged, commas, gaps=True)
+        faults += [fault._replace(remedy=_CORRECT) for fault in wrong if fault.rule != INFINITE]
+    of_rows, of_columns = list_problems(faults, table.lines, table.file)
+    DataError.raise_for([*of_rows, *of_columns])
     return columns
 
 
@@ -319,31 +318,6 @@ def _no_row(file: str, needed: Sequence[Channel], columns) -> list[InputProblem]
         ]
     names = ", ".join(repr(c.header) for c in needed)
     return [InputProblem(f"no row has a value in all of {names}", remedy, file)]
-
-
-def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray:
-    """One column, (n,); a missing cell is NaN, text is a problem."""
-    values = np.full(len(table.lines), np.nan)
-    cells = table.cells[table.headers.index(name)]
-    if isinstance(cells, TextColumn):  # of a large text, already converted
-        known = cells.numbers(commas=False)
-        if known is not None and np.all(np.abs(known) < _LARGEST):
-            return known
-    if isinstance(cells, np.ndarray):  # of a file with numbers instead of text
-        cells = [repr(cell) for cell in cells.tolist()]
-    for index, cell in enumerate(cells):
-        if cell.strip().lower() in _MISSING:
-            continue
-        try:
-            values[index] = float(cell)
-            if not _LARGEST < abs(values[index]) < math.inf:
-                continue
-            reason = f"{cell.strip()[:40]} is larger than any measured value"
-        except ValueError:
-            reason = f"{cell.strip()[:40]!r} is not a number"
-        line = int(table.lines[index])
-        problems.append(InputProblem(reason, "correct it", table.file, line, name))
-    return values
 
 
 # --- usable samples -------------------------------------------------------------
