@@ -194,7 +194,7 @@ def _in_order(results, left: dict[int, Piece], progress) -> Iterator[Outcome]:
     for number, result in results:
         piece = left.pop(number)
         progress(1 - len(left) / count, f"{count - len(left)} of {count} files")
-        waiting[number] = _lost(piece, result) if isinstance(result, Ended) else result
+        waiting[number] = _lost(piece) if isinstance(result, Ended) else result
         while following in waiting:
             yield waiting.pop(following)
             following += 1
@@ -205,10 +205,10 @@ def _sweep(piece: Piece) -> None:
         swept(piece.to)
 
 
-def _lost(piece: Piece, ended: Ended) -> Outcome:
+def _lost(piece: Piece) -> Outcome:
     _sweep(piece)
-    reason = f"each of {ended.workers} workers that ran this file died"
-    remedy = "if memory is short, give fewer --jobs; then --resume"
+    reason = "the worker that ran this file died, also with no other file at work"
+    remedy = "free memory if it is short, or run the command on this file only, without workers"
     problem = error_text(DataError(reason, remedy, str(piece.file)))
     return Outcome(ExitCode.DATA, _failed(piece, problem), complained=problem + "\n")
 
