@@ -4,11 +4,9 @@ Each piece is a task that carries all it needs, so that Dask can run it again an
 """
 
 import logging
-import os
-import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import count
 from typing import Any
 
@@ -21,8 +19,12 @@ _LOCAL = {
     "distributed.scheduler.allowed-failures": 0,
     # Other tasks wait at the scheduler, not at a worker, whose death would fail them too.
     "distributed.scheduler.worker-saturation": 1.0,
-    # Without any worker for so long, the tasks fail instead of waiting.
-    "distributed.scheduler.no-workers-timeout": "60s",
+    # Without any worker for so long, the tasks fail instead of waiting. On a machine with
+    # six times as many busy processes as cores, a worker was restarted in 10 s.
+    "distributed.scheduler.no-workers-timeout": "300s",
+    # A worker's nanny restarts it. Dask would end the nanny if the worker had died and was
+    # just restarting so long after an earlier death, 15 s by default.
+    "distributed.deploy.lost-worker-timeout": "1 day",
     # A fit needs all of its memory at once: spilling or pausing would not help it.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
@@ -49,7 +51,7 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
     """
     try:
         import dask
-        import distributed
+        from distributed import Client, LocalCluster
     except ImportError as error:
         reason = "--jobs and --scheduler need distributed, which is not installed"
         raise UsageError(InputProblem(reason, "pip install 'tirefit[cluster]'")) from error
@@ -59,39 +61,28 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
         with _connected(scheduler) as client:
             yield client
         return
-    # Idle threads of OpenBLAS keep the cores of other processes busy.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with dask.config.set(_LOCAL):
-        workers = distributed.LocalCluster(
+    with (
+        dask.config.set(_LOCAL),
+        LocalCluster(
             n_workers=jobs,
             threads_per_worker=1,
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
-        )
-    try:
-        with distributed.Client(workers, set_as_default=False) as client:
-            yield client
-    finally:
-        # Every file that they wrote is whole, so there is no need to wait for them.
-        for nanny in workers.workers.values():
-            nanny.auto_restart = False
-            if nanny.pid is not None:
-                with suppress(ProcessLookupError):
-                    os.kill(nanny.pid, signal.SIGTERM)
-        with suppress(TimeoutError):
-            workers.close(timeout=20)
+        ) as workers,
+        Client(workers, set_as_default=False) as client,
+    ):
+        yield client
 
 
 def _connected(address: str) -> Any:
     from distributed import Client
 
+    remedy = "start one with `dask scheduler`; it prints its address"
     try:
         client = Client(address, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        reason = f"--scheduler: no scheduler answers at {address}"
-        remedy = "start one with `dask scheduler`; it prints its address"
-        raise UsageError(reason, remedy) from error
+        raise UsageError(f"--scheduler: no scheduler answers at {address}", remedy) from error
     try:
         client.wait_for_workers(1, timeout=_CONNECT)
     except TimeoutError:
