@@ -12,13 +12,14 @@ from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
     CombinationOption,
     convert_whole,
-    only_of_magic_formula,
+    is_whole,
 )
 from tirefit.cli.options import (
     SeedOrNone,
     SignsOption,
     complain,
     errors_to_exit,
+    given_options,
     model_names,
     path_option,
     say,
@@ -83,28 +84,16 @@ def convert(
     curve has no noise.
     """
     brush = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
-    refit = {
-        "FILE.tir": file,
-        "--magic-formula": magic_formula,
-        "--model": model,
-        "--force": force,
-        "--slip-max": slip_max,
-        "--slip-min": slip_min,
-        "--loads": loads,
-        "--seed": seed,
-        "--signs": signs,
-        "--combination": combination,
-    }
     with errors_to_exit():
         if any(value is not None for value in brush.values()):
-            _write_reduced(brush, [k for k, v in refit.items() if v is not None], out)
+            beside = given_options().items()
+            _write_reduced(brush, [text for k, text in beside if k not in {*brush, "out"}], out)
             return
         coefficients, slips, chosen = _checked(file, magic_formula, slip_min, slip_max, loads, out)
         if signs and file is None:
             raise UsageError("--signs applies to .tir files only", "leave it out")
         if model in MAGIC_FORMULA_NAMES:
-            asked = dict(magic_formula=magic_formula, force=force, slip_min=slip_min, seed=seed)
-            only_of_magic_formula(model, {}, asked)
+            is_whole(model, (), ("magic_formula", "force", "slip_min", "seed"))
             assert file is not None  # as --magic-formula is not given
             of_file = {"signs": signs, "combination": combination}
             found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +13,7 @@ from typer.core import TyperCommand
 from tirefit import __version__
 from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
 from tirefit.cli.fit_one import wrote
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
@@ -28,10 +29,9 @@ from tirefit.cli.options import (
     errors_to_exit,
     forces_named,
     numbers,
-    progress_bar,
     read_config,
     read_options,
-    refuse_with_vehicle,
+    refuse_besides,
     say,
     start_jax,
     takes_data_options,
@@ -138,10 +138,7 @@ def diagnose(
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         if vehicle is not None:
-            alone: dict = dict(model=model, set=parameter, sim=sim, rig=rig)
-            alone |= dict(jobs=jobs, scheduler=scheduler, resume=resume, side=side)
-            alone |= dict(signs=signs, force=force, combination=combination)
-            refuse_with_vehicle(options, alone)
+            refuse_besides(_OF_VEHICLE)
             return diagnose_car(
                 files,
                 vehicle,
@@ -177,10 +174,16 @@ def diagnose(
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed, full)
             pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-            worst = _all(pieces, task, sharing)
-        raise typer.Exit(worst)
+            work = partial(_one, task)
+            codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
+            if len(pieces) > 1:
+                done = codes.count(ExitCode.OK)
+                say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
+        raise typer.Exit(worst_of(codes))
 
 
+_OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".split()
+"""Arguments and options that ``--vehicle`` uses."""
 _PLAIN = "brush"  # the default base model
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
@@ -283,21 +286,7 @@ class _Task:
     full: bool
 
 
-def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
-    """Diagnose every file; one bad file does not stop the others."""
-    if sharing.apart:
-        outcomes = fleet("diagnose", pieces, _one, task, sharing, task.out)
-        codes = [outcome.code for outcome in outcomes]
-    else:
-        with progress_bar("diagnose") as progress:
-            codes = [outcome.code for outcome in one_by_one(pieces, _one, task, progress)]
-    if len(pieces) > 1:
-        done = codes.count(ExitCode.OK)
-        say(f"{done} of {len(pieces)} files diagnosed, results in {task.out}")
-    return worst_of(codes)
-
-
-def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
+def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     """Diagnose one file, unless its result exists."""
     from tirefit.diagnosis.diagnose import diagnose as study
     from tirefit.diagnosis.summary.result import SCHEMA, record_of_document

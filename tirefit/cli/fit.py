@@ -10,9 +10,8 @@ import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
 from tirefit.cli.fit_vehicle import fit_vehicle
-from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
-from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, only_of_magic_formula
-from tirefit.cli.notes import merged_notes
+from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
+from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -22,11 +21,10 @@ from tirefit.cli.options import (
     completed,
     errors_to_exit,
     forces_named,
-    has_terminal,
     path_option,
     read_config,
     read_options,
-    refuse_with_vehicle,
+    refuse_besides,
     say,
     start_jax,
     takes_data_options,
@@ -153,16 +151,11 @@ def fit(
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         from tirefit.fitting.config import FitConfig
 
-        whole = {"part": part, "like": like, "leave_out": leave_out}
-        whole = {name: value for name, value in whole.items() if value is not None}
-        unused: dict[str, Any] = dict(solver=solver, sampler=sampler, force=force)
-        unused |= dict(resume=resume, jobs=jobs, scheduler=scheduler)
-        own = {"unknowns": unknown, "window": window}
         if vehicle is not None:
-            others = dict(joint=joint, html=html, svg=svg, strict=strict, seed=seed)
-            refuse_with_vehicle(options, unused | whole | others)
-            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **own))
-        if any(own.values()):
+            refuse_besides(_OF_VEHICLE)
+            car = {"unknowns": unknown, "window": window}
+            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
+        if unknown or window:
             reason = "--unknown or --window without --vehicle"
             raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
         base = read_config(options.config) or FitConfig()
@@ -177,9 +170,12 @@ def fit(
         if sampler is not None:
             chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
             settings = settings.model_copy(update={"posterior": chosen})
-        if only_of_magic_formula(settings.model, whole, unused):
+        also = Also(svg, html, full)
+        if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
+            whole = {"part": part, "like": like, "leave_out": leave_out}
+            whole = {name: value for name, value in whole.items() if value is not None}
             (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(files, directory, settings, how, whole, strict, Also(svg, html, full))
+            code = fit_whole(files, directory, settings, how, whole, strict, also)
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         start_jax()
@@ -193,38 +189,33 @@ def fit(
         made += sharing.files(out or Path(), directories) if apart else []
         check_results(made, files)
         keep = resume and (apart or not html or len(files) == 1)
-        task = FitTask(settings, how, posterior, resume, keep, Also(svg, html, full), strict)
+        task = FitTask(settings, how, posterior, resume, keep, also)
         groups: list[Any] = [files] if joint else files
         pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
-        fits: dict[str, Any] = {}
-        if apart:
-            done = _done(fleet("fit", pieces, _attempt, task, sharing, out or Path()), pieces)
-        else:
-            done = _fit_here(pieces, task, fits)
-        _report_all(done, pieces, fits)
+        fits: dict[str, Any] | None = {} if html and not apart else None
+        work = partial(_fit_piece, task, strict, fits)
+        here = sharing if apart else Sharing(None, None)
+        done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
+        _report_all(done, pieces, fits or {})
         raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
-def _fit_here(pieces: list[Piece], task: FitTask, fits: dict[str, Any]) -> list[Outcome]:
-    """Fit every piece in this process; add the fits for a page of all to ``fits``."""
-
-    def tell(_, note: str) -> None:
-        if len(pieces) > 1 and has_terminal():
-            complain(f"file {note}")
-
-    with merged_notes(len(pieces) > 1):
-        return _done(one_by_one(pieces, partial(_attempt, fits=fits), task, tell), pieces)
+_OF_VEHICLE = ("files", "vehicle", "model", "out", "unknown", "window", "posterior", "full")
+"""What ``--vehicle`` uses, or may be given with it."""
+_OF_WHOLE = ("part", "like", "leave_out")
+_NOT_OF_WHOLE = ("solver", "sampler", "force", "resume", "jobs", "scheduler")
+"""Options of a whole Magic Formula only, and of other models only."""
 
 
-def _attempt(
-    piece: Piece, task: FitTask, fits: dict[str, Any] | None = None
+def _fit_piece(
+    task: FitTask, strict: bool, fits: dict[str, Any] | None, piece: Piece
 ) -> tuple[ExitCode, "FileRecord"]:
     """Fit a piece; add the fit to ``fits``, if given, for a page of all."""
     files = piece.file if isinstance(piece.file, list) else [piece.file]
     record, result = fit_one(files, piece.to, task)
-    if fits is not None and task.also.html and result is not None:
+    if fits is not None and result is not None:
         fits[piece.to.name] = result
-    return exit_code_of(record, task.strict), record
+    return exit_code_of(record, strict), record
 
 
 def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:

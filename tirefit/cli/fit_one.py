@@ -46,7 +46,6 @@ class FitTask:
     resume: bool
     keep: bool  # skip fits that are done
     also: Also
-    strict: bool
 
     def digest(self, tables) -> str:
         """Digest of everything that the result of a fit of these tables depends on."""

@@ -6,7 +6,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, fields
@@ -18,7 +18,6 @@ from typing import Annotated, Any
 
 import typer
 
-from tirefit.cli import silence
 from tirefit.data.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -157,21 +156,26 @@ def takes_data_options(command: Callable) -> Callable:
     return with_options
 
 
-def given_options(values: Mapping[str, Any]) -> list[str]:
-    """Options with a value, as they are written on the command line."""
-    return [f"--{name.replace('_', '-')}" for name, value in values.items() if value]
+def given_options() -> dict[str, str]:
+    """Arguments and options on the command line: name -> text, as "--set" or "FILE.tir"."""
+    context = CONTEXT.get()
+    return {
+        one.name: one.opts[0] if one.param_type_name == "option" else one.metavar.strip("[]")
+        for one in context.command.params
+        if context.get_parameter_source(one.name).name == "COMMANDLINE"
+    }
 
 
-def refuse_with_vehicle(options: DataOptions, unused: dict[str, Any]) -> None:
+def refuse_besides(used: Collection[str]) -> None:
     """Refuse options without effect where the files are logs of a vehicle.
 
     Args:
-        unused: name of an option -> its value.
+        used: names of the arguments and options that have an effect.
 
     Raises:
-        UsageError: some are given; all of them.
+        UsageError: others are given; all of them.
     """
-    if wrong := given_options(vars(options) | unused):
+    if wrong := [text for name, text in given_options().items() if name not in used]:
         reason = f"{', '.join(wrong)} with --vehicle"
         remedy = "leave it out: vehicle.toml says how logs are read"
         raise UsageError(InputProblem(reason, remedy))
@@ -287,7 +291,6 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
-    silence.broken()
     try:
         typer.echo(_printable(text))
     except BrokenPipeError:
@@ -298,7 +301,6 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
-    silence.broken()
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
@@ -407,8 +409,7 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Any]:
         task = bar.add_task(title, total=1.0, note="")
 
         def show(share, note):
-            silence.broken()
-            bar.update(task, completed=share, note=note + clock.left(share))
+                    bar.update(task, completed=share, note=note + clock.left(share))
 
         yield show
 

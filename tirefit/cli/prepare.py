@@ -1,15 +1,16 @@
 """``tirefit prepare``: convert recordings of a rig to data for a fit."""
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tirefit import __version__
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
-from tirefit.cli.notes import merged_notes, warn
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
+from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     Folder,
@@ -105,15 +106,11 @@ def prepare(
         ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
         check_results([*made, *sharing.files(out, made)], files)
-        task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        with claimed(out), merged_notes(len(files) > 1):
-            outcomes = (
-                fleet("prepare", pieces, _one, task, sharing, out)
-                if sharing.apart
-                else one_by_one(pieces, _one, task, lambda *_: None)
-            )
-            raise typer.Exit(worst_of([outcome.code for outcome in outcomes]))
+        with claimed(out):
+            work = partial(_one, out, how, config)
+            done = run_pieces("prepare", pieces, work, sharing, out)
+            raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 def _settings(base, changes: dict[str, Any]):
@@ -149,25 +146,17 @@ def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]
     return [file], how, config
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Settings that all files share: result folder, ``tirefit.read`` arguments, steps."""
-
-    out: Path
-    how: dict[str, Any]
-    config: Any
-
-
-def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
+def _one(out: Path, how: dict[str, Any], config, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
+    """Prepare one file into a folder; ``how`` are arguments of ``tirefit.read``."""
     from tirefit.data.prepare.prepare import prepare as prepare_data
     from tirefit.data.read import read
     from tirefit.report.canvas import save_picture
 
-    (file, name), out, how = piece, task.out, task.how
+    file, name = piece
     # Recordings have bad rows, which are cut out.
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(data)
-    prepared = replace(prepare_data(data, task.config), read=how)
+    prepared = replace(prepare_data(data, config), read=how)
     names = [f"{name}.{end}" for end in ("csv", "segments.tsv", "prepare.json", "png")]
     with staged(out, names, prepared, f".{name}") as folder:
         save_picture(prepared.plot(), folder / names[-1])

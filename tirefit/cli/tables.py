@@ -4,7 +4,7 @@ from dataclasses import replace
 from enum import StrEnum
 from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -186,30 +186,39 @@ def predict(
         of_file: dict = {"side": side, "signs": signs, "combination": combination}
         of_file["starred"] = starred_angles
         kind = tire_kind(source)
-        if kind == "tir":
-            _predict_tir(source, data, out, how, parameter, of_file, beside)
-            return
-        if any(of_file.values()):
+        if kind != "tir" and any(of_file.values()):
             own = "--starred-angles, --side, --signs and --combination"
             reason = f"{own} apply to .tir files only"
             raise UsageError(reason, f"leave them out with {source}")
-        is_file = kind == "fit"
-        values = _checked_request(source, is_file, data, out, parameter)
+        values = _checked_request(kind == "fit", out, parameter)
+        from tirefit.data.tir import read_tir
+
+        tir = read_tir(source) if kind == "tir" else None
         start_jax()
         from tirefit.data.read import read
+        from tirefit.fitting import tir as of_tir
         from tirefit.fitting.predict import outside_fit
         from tirefit.fitting.predict import predict as forces_of
         from tirefit.fitting.store import load_fit
 
-        fitted = load_fit(source) if is_file else source
-        if not isinstance(fitted, str):
-            how["otherwise"] = fitted.content["data"]["convention"], source
+        tire: Any = source
+        if tir is not None:
+            tire = of_tir.tire_of(tir, values=values, **of_file)
+            how["otherwise"] = of_tir.TIR_SIGNS, ".tir files"
+        elif kind == "fit":
+            tire = load_fit(source)
+            how["otherwise"] = tire.content["data"]["convention"], source
         table = read(data, **how, forces=False)
         warn(table)
-        for text in () if isinstance(fitted, str) else outside_fit(fitted, table):
+        noted = outside_fit(tire, table) if kind == "fit" else []
+        if tir is not None:
+            noted = [*of_tir.remarks(tir, tire, table, signs), *of_tir.moments_noted(tir, table)]
+        for text in noted:
             complain(f"warning: {source}: {text}")
-        forces = forces_of(fitted, table, values)
-        if not is_file:
+        forces = forces_of(tire, table, values)
+        if tir is not None:
+            say(_tir_text(source, tir, of_file, values))
+        elif kind != "fit":
             say(f"{source} with {_values_text(source, values)}")
         _write(out, table, forces, source, beside)
 
@@ -234,44 +243,23 @@ def _write(out, table, forces, source, beside: bool) -> None:
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
 
-def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> None:
-    """Predict with a ``.tir`` file; ``of_file`` are arguments of ``tire_of``.
-
-    Data without a declared convention are read in that of ``.tir`` files, ISO-W.
-    """
-    values = _checked_request(source, False, data, out, parameter)
-    from tirefit.data.tir import read_tir
-
-    tir = read_tir(source)
-    start_jax()
-    from tirefit.data.read import read
-    from tirefit.fitting.predict import predict as forces_of
-    from tirefit.fitting.tir import TIR_SIGNS, moments_noted, remarks, tire_of
-
-    tire, signs = tire_of(tir, values=values, **of_file), of_file["signs"]
-    how["otherwise"] = TIR_SIGNS, ".tir files"
-    table = read(data, **how, forces=False)
-    warn(table)
-    noted = remarks(tir, tire, table, signs)
-    for text in (*noted, *moments_noted(tir, table)):
-        complain(f"warning: {source}: {text}")
-    forces = forces_of(tire, table, values)
-    messages = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
-    messages += [f"mounted {of_file['side']}"] if of_file["side"] else []
-    messages += [f"in signs {signs}"] if signs else []
-    messages += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
-    messages += [f"{key} = {value:g}" for key, value in values.items()]
-    say(", ".join(messages))
-    _write(out, table, forces, source, beside)
+def _tir_text(source: str, tir, of_file: dict, values: dict[str, float]) -> str:
+    """How a ``.tir`` file is used; ``of_file`` are arguments of ``tire_of``."""
+    parts = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
+    parts += [f"mounted {of_file['side']}"] if of_file["side"] else []
+    parts += [f"in signs {of_file['signs']}"] if of_file["signs"] else []
+    parts += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
+    parts += [f"{key} = {value:g}" for key, value in values.items()]
+    return ", ".join(parts)
 
 
-def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
+def _checked_request(is_fit: bool, out: Path, parameter: list[str] | None) -> dict[str, float]:
     """Values of ``--set``; raises UsageError with all problems before the work."""
     from tirefit.data.write import output_problems
 
     problems = output_problems(out, ".csv")
     values = numbers("--set", parameter, problems)
-    if is_file and values:
+    if is_fit and values:
         problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
     UsageError.raise_for(problems)
     check_inputs_kept([out])
