@@ -29,7 +29,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_distinct, check_results, is_page
+from tirefit.cli.output import check_results, is_page, names_of
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError
@@ -46,17 +46,15 @@ PAGE_OF_ALL = "fits.html"
 
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
-    stems = [_stem(file) for file in files]
-    if len(files) == 1 or joint:
-        return [out if out is not None else Path(stems[0])]
+    alone = len(files) == 1 or joint
+    if alone and out is not None:
+        return [out]
     remedy = "rename one, or fit them one by one with different --out"
-    check_distinct(stems, f"{remedy}: their results would overwrite each other")
-    return [(out or Path()) / stem for stem in stems]
-
-
-def _stem(file: Path) -> str:
-    name = file.name.removesuffix(".gz")
-    return Path(name).stem if Path(name).suffix else f"{name}.fit"
+    remedy += ": their results would overwrite each other"
+    names = names_of(files[:1] if alone else files, remedy)
+    # The folder of a file without an ending has another name than the file.
+    ends = ["" if file.suffix else ".fit" for file in files]
+    return [(out or Path()) / f"{name}{end}" for name, end in zip(names, ends, strict=False)]
 
 
 @takes_data_options
@@ -194,7 +192,7 @@ def fit(
         pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
         fits: dict[str, Any] | None = {} if html and not apart else None
         work = partial(_fit_piece, task, strict, fits)
-        here = sharing if apart else Sharing(None, None)
+        here = sharing if apart else Sharing()
         done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
         _report_all(done, pieces, fits or {})
         raise typer.Exit(worst_of([outcome.code for outcome in done]))
@@ -242,13 +240,11 @@ def _report_all(done: list[Outcome], pieces: list[Piece], fits: dict[str, Any]) 
 
 def _page_of_all(folder: Path, fits: dict[str, Any], failed: dict[str, str]) -> None:
     """Write the page of all fits; remove that of an earlier command."""
-    from tirefit.fitting.result import SCHEMA
-
     page = folder / PAGE_OF_ALL
     if fits:
         from tirefit.report.fits_html import write_fits_page
 
         write_fits_page(fits, page, failed)
         say(f"wrote {page}")
-    elif is_page(page, SCHEMA):
+    elif is_page(page):
         page.unlink()

@@ -107,8 +107,8 @@ def _failed(piece: Piece, printed: str) -> "FileRecord":
 class Sharing:
     """Where the work is done: in this process, in several others, or on a cluster."""
 
-    jobs: int | None
-    scheduler: str | None
+    jobs: int | None = None
+    scheduler: str | None = None
 
     def __post_init__(self):
         if self.jobs is not None and self.scheduler is not None:

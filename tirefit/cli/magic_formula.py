@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit_one import PAGE, Also, fit_files, wrote
+from tirefit.cli.fit_one import CHAIN, PAGE, Also, fit_files
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, given_options, progress_bar, say, start_jax
-from tirefit.cli.output import check_results, claimed, is_page, staged
+from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import ExitCode, UsageError, exit_code
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
@@ -116,18 +116,13 @@ def _files(out: Path) -> list[Path]:
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
-    from tirefit.fitting.result import SCHEMA
-    from tirefit.report.fit_panels import FIGURE_FILES
-    from tirefit.report.mf_draw import MAGIC_FORMULA_FILES, save_magic_formula
+    from tirefit.report.mf_draw import save_magic_formula
+
+    def draw(folder: Path) -> None:
+        if also is not None:
+            save_magic_formula(result, folder, also.svg)
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
-    earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
-    earlier += [PAGE] if is_page(out / PAGE, SCHEMA) else []
-    with staged(out, earlier, result) as folder:
-        written = result.save(folder)
-        if also is not None:
-            written += save_magic_formula(result, folder, also.svg)
-            written += result.save(folder / PAGE) if also.html else []
-    full = also is not None and also.full
-    say(result.summary(full=full).replace(_ADVICE, advice))
-    say(wrote(out, written))
+    known = [path.name for path in _files(out) if path.name != CHAIN]
+    text = result.summary(full=also is not None and also.full).replace(_ADVICE, advice)
+    write_result(result, out, known, draw, PAGE if also and also.html else "", text=text)

@@ -239,8 +239,6 @@ def forces_named(force: list[str] | None) -> list[str] | None:
 _COMMANDS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SOON, _NOW_AND_THEN = 5.0, 10.0
 """Seconds until the first line of progress without a terminal, and between others."""
-_KNOWN = 2.0
-"""Seconds of work from which its end is estimated."""
 
 
 def read_options(given: DataOptions, config) -> dict[str, Any]:
@@ -352,66 +350,45 @@ def has_terminal() -> bool:
     return sys.stderr.isatty()
 
 
-class _Clock:
-    """The remaining time, from the time and the share done."""
-
-    def __init__(self, soon: float):
-        self.begun = self.printed = time.monotonic()
-        self.silence = soon
-
-    def left(self, share: float) -> str:
-        passed = time.monotonic() - self.begun
-        if not share or passed < _KNOWN:
-            return ""
-        seconds = passed * (1 - share) / share
-        amount, unit = (seconds, "s") if seconds < 100 else (seconds / 60, "min")
-        return f", about {amount:.2g} {unit} left"
-
-    def is_time(self) -> bool:
-        """Whether to print a line if there is no bar: soon, then from time to time."""
-        if time.monotonic() - self.printed < self.silence:
-            return False
-        self.printed, self.silence = time.monotonic(), _NOW_AND_THEN
-        return True
-
-
 @contextmanager
-def progress_bar(title: str, soon: float = _SOON) -> Iterator[Any]:
+def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, str], None]]:
     """Show a bar on a terminal, else print a line from time to time.
 
     Args:
         soon: seconds until the first line.
+
+    Yields:
+        A function of the share that is done, and of a note.
     """
     if isinstance(sys.stderr, Unheard):
         yield lambda share, note: None
         return
-    clock = _Clock(soon)
     if not has_terminal():
+        due = time.monotonic() + soon
 
-        def tell(share, note):
-            if share and clock.is_time():
-                complain(f"{title}: {100 * share:.0f} %, {note}{clock.left(share)}")
+        def tell(share: float, note: str) -> None:
+            nonlocal due
+            if share and time.monotonic() >= due:
+                due = time.monotonic() + _NOW_AND_THEN
+                complain(f"{title}: {100 * share:.0f} %, {note}")
 
         yield tell
         return
     # Slow to import, and used only on a terminal.
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
+        Remaining(),
         TextColumn("{task.fields[note]}"),
     )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=1.0, note="")
-
-        def show(share, note):
-                    bar.update(task, completed=share, note=note + clock.left(share))
-
-        yield show
+        yield lambda share, note: bar.update(task, completed=share, note=note)
 
 
 def read_config(path: Path | None):

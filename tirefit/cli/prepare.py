@@ -19,10 +19,9 @@ from tirefit.cli.options import (
     path_option,
     read_config,
     read_options,
-    say,
     takes_data_options,
 )
-from tirefit.cli.output import check_distinct, check_results, claimed, staged
+from tirefit.cli.output import check_results, claimed, names_of, write_result
 from tirefit.data.remote import expanded, file_at
 from tirefit.results import DataError, ExitCode, UsageError
 
@@ -101,8 +100,7 @@ def prepare(
             config = _settings(base, changes)
         if not files:
             raise UsageError("no FILE given", "name one, or --repeat")
-        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
-        check_distinct(names, "prepare them into different --out")
+        names = names_of(files, "prepare them into different --out")
         ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
         check_results([*made, *sharing.files(out, made)], files)
@@ -150,7 +148,6 @@ def _one(out: Path, how: dict[str, Any], config, piece: Piece) -> tuple[ExitCode
     """Prepare one file into a folder; ``how`` are arguments of ``tirefit.read``."""
     from tirefit.data.prepare.prepare import prepare as prepare_data
     from tirefit.data.read import read
-    from tirefit.report.canvas import save_picture
 
     file, name = piece
     # Recordings have bad rows, which are cut out.
@@ -158,11 +155,7 @@ def _one(out: Path, how: dict[str, Any], config, piece: Piece) -> tuple[ExitCode
     warn(data)
     prepared = replace(prepare_data(data, config), read=how)
     names = [f"{name}.{end}" for end in ("csv", "segments.tsv", "prepare.json", "png")]
-    with staged(out, names, prepared, f".{name}") as folder:
-        save_picture(prepared.plot(), folder / names[-1])
-        prepared.save(folder, name)
-    say(str(prepared))
-    say("wrote " + ", ".join(str(out / key) for key in names))
+    write_result(prepared, out, names, {names[-1]: ""}, name=name)
     return ExitCode.OK, _record(prepared, str(file), str(out / f"{name}.csv"))
 
 

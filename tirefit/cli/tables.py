@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from tirefit import __version__
-from tirefit.cli.fleet import worst_of
+from tirefit.cli.fleet import Piece, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import CombinationOption
-from tirefit.cli.notes import merged_notes, warn
+from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -21,7 +21,6 @@ from tirefit.cli.options import (
     SideOption,
     SignsOption,
     complain,
-    error_text,
     errors_to_exit,
     model_names,
     numbers,
@@ -37,7 +36,7 @@ from tirefit.cli.output import check_inputs_kept, check_results, check_table
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
-from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, UsageError
 
 Axle = StrEnum("Axle", "rear front")
 
@@ -88,28 +87,24 @@ def inspect(
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
 
-    with errors_to_exit(), merged_notes():
-        how = read_options(options, read_config(options.config))
-        codes, files = list[ExitCode](), expanded(files)
-        for file in files:
-            try:
-                data = read(file, **how)
-                inspection = look(data)
-                identified = _identified(data, model) if gate else None
-            except TirefitError as error:
-                if error.exit_code == ExitCode.USAGE:
-                    raise
-                complain(error_text(error))
-                codes.append(error.exit_code)
-                continue
-            content = inspection.to_dict()
-            content |= {"identifiability": identified.to_dict()} if identified else {}
-            if len(files) > 1 and not json:
-                warn(data, assumed=data.source.assumptions)
-                inspection = replace(inspection, warnings=(), assumptions=())
-            text = inspection.summary() + (identified.summary() if identified else "")
-            say(dumps(json_safe(content), indent=1) if json else text)
-        raise typer.Exit(worst_of(codes))
+    def show(piece: Piece) -> tuple[ExitCode, Any]:
+        data = read(piece.file, **how)
+        inspection = look(data)
+        identified = _identified(data, model) if gate else None
+        content = inspection.to_dict()
+        content |= {"identifiability": identified.to_dict()} if identified else {}
+        if len(files) > 1 and not json:
+            warn(data, assumed=data.source.assumptions)
+            inspection = replace(inspection, warnings=(), assumptions=())
+        text = inspection.summary() + (identified.summary() if identified else "")
+        say(dumps(json_safe(content), indent=1) if json else text)
+        return ExitCode.OK, None
+
+    with errors_to_exit():
+        how, files = read_options(options, read_config(options.config)), expanded(files)
+        pieces = [Piece(file, "") for file in files]
+        done = run_pieces("inspect", pieces, show, Sharing(), Path())
+        raise typer.Exit(worst_of([one.code for one in done]))
 
 
 def _identified(data, models):
