@@ -34,7 +34,15 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import are_whole, check_results, claimed, digest, names_of, write_result
+from tirefit.cli.output import (
+    are_whole,
+    check_results,
+    claimed,
+    digest,
+    is_page,
+    names_of,
+    write_result,
+)
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
@@ -299,7 +307,9 @@ def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     result = study(table, holdout=task.kept, seed=task.seed, **task.settings)
     result = replace(result, asked=asked)
     pictures, page = ({drawn[0]: ""}, drawn[1]) if figures else ({}, "")
-    write_result(result, out, written + drawn, pictures, page, name, full=task.full)
+    # A figure without an earlier page beside it is the user's own.
+    known = written + drawn if figures or is_page(out / drawn[1]) else written
+    write_result(result, out, known, pictures, page, name, full=task.full)
     return exit_code(result.outcomes), record_of_document(document)
 
 
