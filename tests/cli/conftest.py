@@ -124,10 +124,10 @@ def unrendered(rendered_only):
 
 @pytest.fixture
 def no_figures(monkeypatch):
-    """Fits write an empty ``fit.png``: figures take half of the time of a command."""
+    """Fits write a ``fit.png`` without a picture: figures take half of the time of a command."""
 
     def figures(result, folder, svg=False):
-        (folder / "fit.png").touch()
+        (folder / "fit.png").write_text("no picture")
         return [folder / "fit.png"]
 
     monkeypatch.setattr("tirefit.report.fit_figures.save_figures", figures)

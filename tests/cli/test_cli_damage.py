@@ -118,7 +118,7 @@ def test_full_and_missing_folders_are_named_and_the_report_printed(
         full = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
     assert REPORTS[name] in full.stdout and "wrote" not in full.stdout
     assert full.stderr.startswith("error:\n  o/")
-    cause = ": cannot be written: File too large; o is as it was before, with notes.txt"
+    cause = ": cannot be written: File too large; o is as it was before"
     assert cause in full.stderr
     assert "make room" in full.stderr and there(tmp_path / "o") == ["notes.txt"]
 
@@ -232,7 +232,6 @@ def test_a_folder_that_becomes_read_only_keeps_its_files(
     (tmp_path / "o").chmod(0o755)
     assert "VERDICT" in said.stdout, said.stderr
     assert "o: cannot be written: Permission denied; o is as it was" in said.stderr
-    assert f"with {', '.join(before)}" in said.stderr
     assert there(tmp_path / "o") == before
 
 

@@ -296,18 +296,10 @@ def test_resume_keeps_finished_cases(again, calls, tmp_path):
     assert contents(tmp_path / "out") == before  # the old one stays until the new one
 
 
-def cut(path):
-    """A document without its verdict, or a table truncated by a crash."""
-    if path.suffix == ".json":
-        content = json.loads(path.read_text("utf-8"))
-        path.write_text(json.dumps(content | {"verdict": {}}))
-    else:
-        path.write_bytes(path.read_bytes()[:300])
-
-
-@pytest.mark.parametrize("name", ["load.json", "load.rows.csv"])
-def test_resume_repeats_damaged_cases(again, calls, tmp_path, name):
-    cut(tmp_path / "out" / name)
+def test_resume_repeats_damaged_cases(again, calls, tmp_path):
+    document = tmp_path / "out" / "load.json"
+    content = json.loads(document.read_text("utf-8"))
+    document.write_text(json.dumps(content | {"verdict": {}}))
     said = again("offset.csv", "load.csv", "--resume", exit_code=3)
     assert "offset.csv: done before" in said.stdout
     assert calls == ["load"]

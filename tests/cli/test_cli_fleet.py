@@ -33,17 +33,16 @@ def test_every_piece_runs_once_in_the_requested_number_of_processes(two):
 
 @pytest.mark.long
 def test_a_piece_that_kills_workers_fails_alone(two, tmp_path):
+    """Piece 5, which killed a worker once, is repeated; those beside a death return."""
     results = list(shared(partial(fatal, tmp_path), range(8), two))
-    numbers = [number for number, _ in results]
-    assert sorted(numbers) == list(range(8))
-    ended = dict(results)
-    assert isinstance(ended.pop(3), Ended) and ended == {k: k for k in range(8) if k != 3}
+    assert sorted(number for number, _ in results) == list(range(8))
+    values = dict(results)
+    assert isinstance(values.pop(3), Ended) and values == {k: k for k in range(8) if k != 3}
     assert (tmp_path / "5").exists()
 
 
 def test_an_early_end_cancels_pending_pieces(two, tmp_path):
-    """Of three submitted pieces one ends and two are held by the workers: the fourth one
-    never begins."""
+    """No more begin than the piece that ends, and one that each worker holds."""
     two.wait_for_workers(2)
     with closing(shared(partial(held, tmp_path), range(30), two)) as results:
         assert next(results) == (0, 0)
@@ -55,7 +54,7 @@ def test_an_early_end_cancels_pending_pieces(two, tmp_path):
     (tmp_path / "go").touch()
     assert [value for value, _ in two.gather(later)] == [2, 2]
     begun = {path.name for path in tmp_path.glob("begun*")}
-    assert "begun0" in begun < {f"begun{number}" for number in range(4)}
+    assert "begun0" in begun and len(begun) <= 3
 
 
 def test_a_missing_scheduler_is_a_usage_error(monkeypatch):
@@ -134,7 +133,7 @@ def quick(monkeypatch, no_figures):
         for number, piece in reversed(list(enumerate(pieces))):
             if piece.file.name in fatal:
                 (piece.to / ".tirefit-writing").mkdir(parents=True)
-                yield number, Ended(2)
+                yield number, Ended()
             else:
                 yield number, work(piece)
 
@@ -147,7 +146,7 @@ def test_a_file_that_kills_workers_is_reported_once(run, files, quick, tmp_path)
     """It leaves no partial files, and --resume repeats only this file."""
     command = ["fit", *files[:3], *HOW, "--out", "out", "--jobs", "2"]
     said = run(*command, exit_code=3)
-    assert said.stderr.count("b.csv") == 1 and "2 workers" in said.stderr
+    assert said.stderr.count("b.csv") == 1 and "worker" in said.stderr
     folders = {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()}
     assert folders == {"a", "c"}
     assert said.stdout.index("of a.csv") < said.stdout.index("of c.csv")

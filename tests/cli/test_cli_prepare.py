@@ -86,7 +86,7 @@ def test_workers_give_the_result_of_one_process(run, unrendered, recording, work
     )
     assert {name: both.pop(name) for name in ("results.parquet", "fleet.html")}
     assert both == one and len(one) == 4
-    said = shared.stdout.replace("two/", "one/").splitlines()
+    said = shared.stdout.replace("wrote to two:", "wrote to one:").splitlines()
     assert said[:-1] == alone.stdout.splitlines() and "no.csv" in shared.stderr
 
 

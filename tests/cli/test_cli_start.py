@@ -35,7 +35,6 @@ def test_compiled_programs_are_stored_if_possible(tmp_path, monkeypatch):
         pytest.param("JAX_ENABLE_X64=nonsense", marks=pytest.mark.long),
         pytest.param("JAX_NUMPY_RANK_PROMOTION=nonsense", marks=pytest.mark.long),
         pytest.param("EQX_ON_ERROR=nonsense", marks=pytest.mark.long),
-        "XLA_FLAGS=--nonsense",
     ],
 )
 def test_a_variable_that_jax_does_not_accept_is_named(given, tmp_path):
@@ -48,15 +47,6 @@ def test_a_variable_that_jax_does_not_accept_is_named(given, tmp_path):
     assert done.returncode == 2 and done.stderr.startswith("error:\n  "), done.stderr
     assert f"{name}={value!r}" in done.stderr and "Traceback" not in done.stderr
     assert done.stderr.endswith(f"remedy: correct or unset {name}\n")
-
-
-def test_flags_are_named_by_a_command_that_imports_jax_before_its_start(tmp_path):
-    line = [sys.executable, "-m", "tirefit", "export", "brush", "--to", "adams"]
-    environment = os.environ | {"XLA_FLAGS": "--nonsense"}
-    done = subprocess.run(
-        [*line, "--out", str(tmp_path / "out.tir")], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 2 and "XLA_FLAGS='--nonsense'" in done.stderr, done.stderr
 
 
 def test_a_variable_that_only_the_command_set_is_not_named(monkeypatch):

@@ -13,7 +13,6 @@ from tirefit.fitting.mf.priors import published_priors
 from tirefit.fitting.mf.result import tir_of
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
-from tirefit.results import UsageError
 
 # The longitudinal force of the tire is 0.8 in friction and 0.7 in stiffness of the
 # other's, as its lateral one is; and of another nominal load and radius.
@@ -118,7 +117,9 @@ def test_a_tire_of_another_version_lends_common_coefficients():
 
 
 def test_other_models_refuse_to_borrow(tmp_path):
-    from tirefit.cli.magic_formula import only_of_magic_formula
+    from typer.testing import CliRunner
 
-    with pytest.raises(UsageError, match="--like without"):
-        only_of_magic_formula("brush", {"like": tmp_path / "other.tir"}, {})
+    from tirefit.cli.commands import app
+
+    said = CliRunner().invoke(app, ["fit", "a.csv", "--like", str(tmp_path / "other.tir")])
+    assert said.exit_code == 2 and "--like without --model mf52, mf61, mf62" in said.stderr

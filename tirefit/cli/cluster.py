@@ -1,26 +1,30 @@
 """The workers of a Dask cluster, and the work that they share.
 
-Each piece is a task that carries all it needs: Dask repeats the tasks of a worker that died.
+Each piece is a task that carries all it needs, so that Dask can run it again anywhere.
 """
 
 import logging
-import os
-import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
-from itertools import islice
-from typing import Any, NamedTuple
+from contextlib import contextmanager
+from itertools import count
+from typing import Any
 
 from tirefit.results import InputProblem, UsageError
 
 _CONNECT = 30.0  # seconds to wait for a scheduler and its first worker
 
 _LOCAL = {
-    # A worker may die for another reason: a task is given up when two died while it ran.
-    "distributed.scheduler.allowed-failures": 1,
-    # Without any worker for so long, the tasks fail instead of waiting.
-    "distributed.scheduler.no-workers-timeout": "60s",
+    # A task whose worker died fails at once; `shared` repeats it, with nothing beside it.
+    "distributed.scheduler.allowed-failures": 0,
+    # Other tasks wait at the scheduler, not at a worker, whose death would fail them too.
+    "distributed.scheduler.worker-saturation": 1.0,
+    # Without any worker for so long, the tasks fail instead of waiting. On a machine with
+    # six times as many busy processes as cores, a worker was restarted in 10 s.
+    "distributed.scheduler.no-workers-timeout": "300s",
+    # A worker's nanny restarts it. Dask would end the nanny if the worker had died and was
+    # just restarting so long after an earlier death, 15 s by default.
+    "distributed.deploy.lost-worker-timeout": "1 day",
     # A fit needs all of its memory at once: spilling or pausing would not help it.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
@@ -30,10 +34,8 @@ _LOCAL = {
 """Settings of the workers on this machine."""
 
 
-class Ended(NamedTuple):
-    """Stands for the result of a piece that ended every worker that ran it."""
-
-    workers: int
+class Ended:
+    """Stands for the result of a piece whose worker died, also with no other piece at work."""
 
 
 @contextmanager
@@ -49,7 +51,7 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
     """
     try:
         import dask
-        import distributed
+        from distributed import Client, LocalCluster
     except ImportError as error:
         reason = "--jobs and --scheduler need distributed, which is not installed"
         raise UsageError(InputProblem(reason, "pip install 'tirefit[cluster]'")) from error
@@ -59,39 +61,28 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
         with _connected(scheduler) as client:
             yield client
         return
-    # Idle threads of OpenBLAS keep the cores of other processes busy.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with dask.config.set(_LOCAL):
-        workers = distributed.LocalCluster(
+    with (
+        dask.config.set(_LOCAL),
+        LocalCluster(
             n_workers=jobs,
             threads_per_worker=1,
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
-        )
-    try:
-        with distributed.Client(workers, set_as_default=False) as client:
-            yield client
-    finally:
-        # Every file that they wrote is whole, so there is no need to wait for them.
-        for nanny in workers.workers.values():
-            nanny.auto_restart = False
-            if nanny.pid is not None:
-                with suppress(ProcessLookupError):
-                    os.kill(nanny.pid, signal.SIGTERM)
-        with suppress(TimeoutError):
-            workers.close(timeout=20)
+        ) as workers,
+        Client(workers, set_as_default=False) as client,
+    ):
+        yield client
 
 
 def _connected(address: str) -> Any:
     from distributed import Client
 
+    remedy = "start one with `dask scheduler`; it prints its address"
     try:
         client = Client(address, timeout=_CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        reason = f"--scheduler: no scheduler answers at {address}"
-        remedy = "start one with `dask scheduler`; it prints its address"
-        raise UsageError(reason, remedy) from error
+        raise UsageError(f"--scheduler: no scheduler answers at {address}", remedy) from error
     try:
         client.wait_for_workers(1, timeout=_CONNECT)
     except TimeoutError:
@@ -105,8 +96,10 @@ def _connected(address: str) -> Any:
 def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[tuple[int, Any]]:
     """Yield (number, ``work(piece)``) of every piece, in the order of completion.
 
-    A piece that ends its workers again and again yields :class:`Ended`. When the iteration
-    stops early, or is interrupted, pieces that have not begun are cancelled.
+    Dask blames the death of a worker on every task that it has given to this worker. A piece
+    that was blamed therefore runs once more at the end, when the cluster has no other piece:
+    if its worker dies again, the piece yields :class:`Ended`. When the iteration stops early,
+    or is interrupted, pieces that have not begun are cancelled.
 
     Args:
         work: a function that can be pickled, as its arguments and results can.
@@ -119,33 +112,31 @@ def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[tuple[int
     from distributed import as_completed
     from distributed.scheduler import KilledWorker, NoValidWorkerError, NoWorkerError
 
-    waiting, running, numbers = enumerate(pieces), as_completed(loop=client.loop), dict[Any, int]()
-
-    def submit() -> None:
-        """Submit a piece for each free thread, and one if none is at work.
-
-        A piece that waited at a worker would count as a cause of its death.
-        """
-        room = sum(client.nthreads().values()) - len(numbers)
-        for number, piece in islice(waiting, max(room, not numbers)):
-            future = client.submit(work, piece, pure=False)
-            numbers[future] = number
-            running.add(future)
-
+    futures: dict[Any, int] = {}
+    blamed: list[int] = []
     try:
-        submit()
-        for future in running:
-            number = numbers.pop(future)
+        futures = dict(zip(client.map(work, pieces, pure=False), count()))
+        for future in as_completed(list(futures), loop=client.loop):
+            number = futures.pop(future)
             try:
                 result = future.result()
-            except KilledWorker as error:
-                result = Ended(error.allowed_failures + 1)
-            submit()
+            except KilledWorker:
+                blamed.append(number)
+            else:
+                yield number, result
+        for number in blamed:
+            alone = client.submit(work, pieces[number], pure=False)
+            futures[alone] = number
+            try:
+                result = alone.result()
+            except KilledWorker:
+                result = Ended()
+            del futures[alone]
             yield number, result
     except (CancelledError, NoWorkerError, NoValidWorkerError) as error:
         lost = "connection to the scheduler is lost"
         reason = lost if isinstance(error, CancelledError) else "workers are all gone"
         raise UsageError(f"the {reason}", "start it again, then --resume") from None
     finally:
-        if numbers and client.status == "running":
-            client.cancel(list(numbers), force=True)
+        if futures and client.status == "running":
+            client.cancel(list(futures), force=True)

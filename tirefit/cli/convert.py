@@ -11,7 +11,7 @@ from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
     CombinationOption,
     convert_whole,
-    only_of_magic_formula,
+    is_whole,
 )
 from tirefit.cli.options import (
     SeedOrNone,
@@ -77,8 +77,7 @@ def convert(
         if signs and file is None:
             raise UsageError("--signs applies to .tir files only", "leave it out")
         if model in MAGIC_FORMULA_NAMES:
-            asked = dict(magic_formula=magic_formula, force=force, slip_min=slip_min, seed=seed)
-            only_of_magic_formula(model, {}, asked)
+            is_whole(model, (), ("magic_formula", "force", "slip_min", "seed"))
             assert file is not None  # as --magic-formula is not given
             of_file = {"signs": signs, "combination": combination}
             found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)

@@ -1,7 +1,8 @@
 """``tirefit diagnose``: find the effects that a model lacks, and the gap without them."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,10 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperCommand
 
-from tirefit import __version__
 from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
-from tirefit.cli.fit_one import wrote
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
@@ -28,15 +27,22 @@ from tirefit.cli.options import (
     errors_to_exit,
     forces_named,
     numbers,
-    progress_bar,
     read_config,
     read_options,
-    refuse_with_vehicle,
+    refuse_besides,
     say,
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_distinct, check_results, claimed, is_page, staged
+from tirefit.cli.output import (
+    are_whole,
+    check_results,
+    claimed,
+    digest,
+    is_page,
+    names_of,
+    write_result,
+)
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
@@ -138,10 +144,7 @@ def diagnose(
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         if vehicle is not None:
-            alone: dict = dict(model=model, set=parameter, sim=sim, rig=rig)
-            alone |= dict(jobs=jobs, scheduler=scheduler, resume=resume, side=side)
-            alone |= dict(signs=signs, force=force, combination=combination)
-            refuse_with_vehicle(options, alone)
+            refuse_besides(_OF_VEHICLE)
             return diagnose_car(
                 files,
                 vehicle,
@@ -155,8 +158,7 @@ def diagnose(
                 seed=seed,
             )
         refuse_tires(front, rear)
-        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
-        check_distinct(names, "rename one: their results would overwrite each other")
+        names = names_of(files, "rename one: their results would overwrite each other")
         parts = [part for name in names for part in _written(name, figures)]
         made = [out / one for part in parts for one in part]
         check_results([*made, *sharing.files(out, made)], files)
@@ -177,10 +179,16 @@ def diagnose(
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed, full)
             pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-            worst = _all(pieces, task, sharing)
-        raise typer.Exit(worst)
+            work = partial(_one, task)
+            codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
+            if len(pieces) > 1:
+                done = codes.count(ExitCode.OK)
+                say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
+        raise typer.Exit(worst_of(codes))
 
 
+_OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".split()
+"""Arguments and options that ``--vehicle`` uses."""
 _PLAIN = "brush"  # the default base model
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
@@ -205,11 +213,9 @@ def _warn_of_unused(config, how: dict, asked: dict) -> None:
 def _keys(config) -> list[str]:
     """Keys that a configuration sets: ``force``, ``noise.fx``, ``parameters.mu``."""
     keys = []
-    for name, value in config:
-        if name in config.model_fields_set:
-            inner = getattr(value, "model_fields_set", value)
-            section = isinstance(inner, dict | set)
-            keys += [f"{name}.{key}" for key in sorted(inner)] if section else [name]
+    for name, value in config.model_dump(exclude_unset=True).items():
+        section = isinstance(value, dict)
+        keys += [f"{name}.{key}" for key in sorted(value)] if section else [name]
     return keys
 
 
@@ -283,100 +289,49 @@ class _Task:
     full: bool
 
 
-def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
-    """Diagnose every file; one bad file does not stop the others."""
-    if sharing.apart:
-        outcomes = fleet("diagnose", pieces, _one, task, sharing, task.out)
-        codes = [outcome.code for outcome in outcomes]
-    else:
-        with progress_bar("diagnose") as progress:
-            codes = [outcome.code for outcome in one_by_one(pieces, _one, task, progress)]
-    if len(pieces) > 1:
-        done = codes.count(ExitCode.OK)
-        say(f"{done} of {len(pieces)} files diagnosed, results in {task.out}")
-    return worst_of(codes)
-
-
-def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
+def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     """Diagnose one file, unless its result exists."""
     from tirefit.diagnosis.diagnose import diagnose as study
-    from tirefit.diagnosis.summary.result import SCHEMA, record_of_document
+    from tirefit.diagnosis.summary.result import record_of_document
 
     file, name = piece
-    out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
+    out, figures = task.out, task.figures
     table = _read(file, task.how, task.settings["rig"])
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
-    document = out / f"{name}.json"
-    if task.resume and all(_is_whole(out / one, len(table)) for one in expected):
-        if record := _done_before(document, table, task.settings, kept, seed):
+    document, asked = out / f"{name}.json", _asked(task, table)
+    if task.resume and are_whole(out / one for one in expected):
+        if record := _done_before(document, asked):
             say(f"{file}: done before, kept: {document}")
             return ExitCode.OK, record
-    result = study(table, holdout=kept, seed=seed, **task.settings)
-    earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
-    with staged(out, written + earlier, result, f".{name}") as folder:
-        result.save(folder, name)
-        if figures:
-            from tirefit.report.canvas import save_picture
-
-            save_picture(result.plot(), folder / f"{name}.png")
-            result.save(folder / f"{name}.html")
-    say(result.summary(full=task.full))
-    say(wrote(out, [Path(one) for one in expected]))
+    result = study(table, holdout=task.kept, seed=task.seed, **task.settings)
+    result = replace(result, asked=asked)
+    pictures, page = ({drawn[0]: ""}, drawn[1]) if figures else ({}, "")
+    # A figure without an earlier page beside it is the user's own.
+    known = written + drawn if figures or is_page(out / drawn[1]) else written
+    write_result(result, out, known, pictures, page, name, full=task.full)
     return exit_code(result.outcomes), record_of_document(document)
 
 
-def _is_whole(path: Path, rows: int) -> bool:
-    """Whether a file exists and is complete: not empty, as after a crash or on a full
-    disk; for a table, with as many lines as rows."""
-    if not path.is_file() or not path.stat().st_size:
-        return False
-    if path.suffix != ".csv":
-        return True
-    return path.read_bytes().count(b"\n") == rows + 1
+def _asked(task: _Task, table) -> str:
+    """Digest of everything that the diagnosis of this table depends on."""
+    rig, given = task.settings["rig"], task.settings.get("sim")
+    if given not in (None, True):
+        given = [given.kind, given.source, given.sha256]
+    return digest(
+        task.settings | {"rig": [asdict(rig), rig.beside(table)], "sim": given},
+        [one.source.sha256 for one in (table, *task.kept)],
+        task.how,
+        task.seed,
+    )
 
 
-def _done_before(path: Path, table, settings: dict, kept, seed: int) -> "FileRecord | None":
-    """The record of a document if it is whole, and of this file, these settings, this seed
-    and version."""
-    from tirefit.diagnosis.effects import EFFECTS
+def _done_before(path: Path, asked: str) -> "FileRecord | None":
+    """The record of a document if it is whole, and of this data and these settings."""
     from tirefit.diagnosis.summary.result import record_of_document
 
     try:
-        record = record_of_document(path)
         content = json.loads(path.read_text(encoding="utf-8"))
-        data, sim = content["data"], content["simulator"]
-        there = [
-            data["sha256"],
-            data["convention"],
-            data["assumptions"],
-            content["model"],
-            sim and [sim[k] for k in ("kind", "source", "sha256")],
-            content["seed"],
-            content["version"],
-            content["settings"],
-        ]
+        return record_of_document(path) if content["asked"] == asked else None
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
-    source, rig, given = table.source, settings["rig"], settings.get("sim")
-    # The stand-in for a simulator follows from the data.
-    model = settings["model"] or there[3]
-    base = [model, given and ["columns", "columns", None]]
-    if given not in (None, True):
-        base = [given.source, [given.kind, given.source, given.sha256]]
-    asked = [
-        source.sha256,
-        source.convention,
-        [*source.notes, *rig.notes, *rig.beside(table)],
-        *base,
-        seed,
-        __version__,
-        {
-            "rig": asdict(rig),
-            "effects": [e.id for e in EFFECTS if e.id not in settings["without"]],
-            "holdout": [other.source.sha256 for other in kept],
-            "forces": settings["forces"],
-        },
-    ]
-    # Compare as in the document, where tuples are lists.
-    return record if there == json.loads(json.dumps(asked)) else None

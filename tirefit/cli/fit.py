@@ -10,9 +10,8 @@ import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
 from tirefit.cli.fit_vehicle import fit_vehicle
-from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
-from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, only_of_magic_formula
-from tirefit.cli.notes import merged_notes
+from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
+from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -22,16 +21,15 @@ from tirefit.cli.options import (
     completed,
     errors_to_exit,
     forces_named,
-    has_terminal,
     path_option,
     read_config,
     read_options,
-    refuse_with_vehicle,
+    refuse_besides,
     say,
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_distinct, check_results, is_page
+from tirefit.cli.output import check_results, is_page, names_of
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError
@@ -48,17 +46,15 @@ PAGE_OF_ALL = "fits.html"
 
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
-    stems = [_stem(file) for file in files]
-    if len(files) == 1 or joint:
-        return [out if out is not None else Path(stems[0])]
+    alone = len(files) == 1 or joint
+    if alone and out is not None:
+        return [out]
     remedy = "rename one, or fit them one by one with different --out"
-    check_distinct(stems, f"{remedy}: their results would overwrite each other")
-    return [(out or Path()) / stem for stem in stems]
-
-
-def _stem(file: Path) -> str:
-    name = file.name.removesuffix(".gz")
-    return Path(name).stem if Path(name).suffix else f"{name}.fit"
+    remedy += ": their results would overwrite each other"
+    names = names_of(files[:1] if alone else files, remedy)
+    # The folder of a file without an ending has another name than the file.
+    ends = ["" if file.suffix else ".fit" for file in files]
+    return [(out or Path()) / f"{name}{end}" for name, end in zip(names, ends, strict=False)]
 
 
 @takes_data_options
@@ -153,16 +149,11 @@ def fit(
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         from tirefit.fitting.config import FitConfig
 
-        whole = {"part": part, "like": like, "leave_out": leave_out}
-        whole = {name: value for name, value in whole.items() if value is not None}
-        unused: dict[str, Any] = dict(solver=solver, sampler=sampler, force=force)
-        unused |= dict(resume=resume, jobs=jobs, scheduler=scheduler)
-        own = {"unknowns": unknown, "window": window}
         if vehicle is not None:
-            others = dict(joint=joint, html=html, svg=svg, strict=strict, seed=seed)
-            refuse_with_vehicle(options, unused | whole | others)
-            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **own))
-        if any(own.values()):
+            refuse_besides(_OF_VEHICLE)
+            car = {"unknowns": unknown, "window": window}
+            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
+        if unknown or window:
             reason = "--unknown or --window without --vehicle"
             raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
         base = read_config(options.config) or FitConfig()
@@ -177,9 +168,12 @@ def fit(
         if sampler is not None:
             chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
             settings = settings.model_copy(update={"posterior": chosen})
-        if only_of_magic_formula(settings.model, whole, unused):
+        also = Also(svg, html, full)
+        if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
+            whole = {"part": part, "like": like, "leave_out": leave_out}
+            whole = {name: value for name, value in whole.items() if value is not None}
             (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(files, directory, settings, how, whole, strict, Also(svg, html, full))
+            code = fit_whole(files, directory, settings, how, whole, strict, also)
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         start_jax()
@@ -193,38 +187,33 @@ def fit(
         made += sharing.files(out or Path(), directories) if apart else []
         check_results(made, files)
         keep = resume and (apart or not html or len(files) == 1)
-        task = FitTask(settings, how, posterior, resume, keep, Also(svg, html, full), strict)
+        task = FitTask(settings, how, posterior, resume, keep, also)
         groups: list[Any] = [files] if joint else files
         pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
-        fits: dict[str, Any] = {}
-        if apart:
-            done = _done(fleet("fit", pieces, _attempt, task, sharing, out or Path()), pieces)
-        else:
-            done = _fit_here(pieces, task, fits)
-        _report_all(done, pieces, fits)
+        fits: dict[str, Any] | None = {} if html and not apart else None
+        work = partial(_fit_piece, task, strict, fits)
+        here = sharing if apart else Sharing()
+        done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
+        _report_all(done, pieces, fits or {})
         raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
-def _fit_here(pieces: list[Piece], task: FitTask, fits: dict[str, Any]) -> list[Outcome]:
-    """Fit every piece in this process; add the fits for a page of all to ``fits``."""
-
-    def tell(_, note: str) -> None:
-        if len(pieces) > 1 and has_terminal():
-            complain(f"file {note}")
-
-    with merged_notes(len(pieces) > 1):
-        return _done(one_by_one(pieces, partial(_attempt, fits=fits), task, tell), pieces)
+_OF_VEHICLE = ("files", "vehicle", "model", "out", "unknown", "window", "posterior", "full")
+"""What ``--vehicle`` uses, or may be given with it."""
+_OF_WHOLE = ("part", "like", "leave_out")
+_NOT_OF_WHOLE = ("solver", "sampler", "force", "resume", "jobs", "scheduler")
+"""Options of a whole Magic Formula only, and of other models only."""
 
 
-def _attempt(
-    piece: Piece, task: FitTask, fits: dict[str, Any] | None = None
+def _fit_piece(
+    task: FitTask, strict: bool, fits: dict[str, Any] | None, piece: Piece
 ) -> tuple[ExitCode, "FileRecord"]:
     """Fit a piece; add the fit to ``fits``, if given, for a page of all."""
     files = piece.file if isinstance(piece.file, list) else [piece.file]
     record, result = fit_one(files, piece.to, task)
-    if fits is not None and task.also.html and result is not None:
+    if fits is not None and result is not None:
         fits[piece.to.name] = result
-    return exit_code_of(record, task.strict), record
+    return exit_code_of(record, strict), record
 
 
 def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:
@@ -251,13 +240,11 @@ def _report_all(done: list[Outcome], pieces: list[Piece], fits: dict[str, Any]) 
 
 def _page_of_all(folder: Path, fits: dict[str, Any], failed: dict[str, str]) -> None:
     """Write the page of all fits; remove that of an earlier command."""
-    from tirefit.fitting.result import SCHEMA
-
     page = folder / PAGE_OF_ALL
     if fits:
         from tirefit.report.many_files import write_fits_page
 
         write_fits_page(fits, page, failed)
         say(f"wrote {page}")
-    elif is_page(page, SCHEMA):
+    elif is_page(page):
         page.unlink()

@@ -1,16 +1,12 @@
 """Fit one file, or files that are fitted together, for ``tirefit fit``."""
 
-import hashlib
-import json
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tirefit import __version__
 from tirefit.cli.notes import holds_notes, warn
 from tirefit.cli.options import progress_bar, say
-from tirefit.cli.output import claimed, is_page, staged
+from tirefit.cli.output import are_whole, claimed, digest, say_written, write_result
 from tirefit.results import ExitCode, Outcome, TirefitError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
@@ -24,7 +20,7 @@ def fit_files(directory: Path) -> list[Path]:
     """Every file that a fit may write or replace in its folder."""
     from tirefit.report.fit_figures import FIGURE_FILES
 
-    names = ("fit.json", "posterior.nc", CHAIN, PAGE, *FIGURE_FILES)
+    names = ("fit.json", "posterior.nc", CHAIN, *FIGURE_FILES, PAGE)
     return [directory / name for name in names]
 
 
@@ -46,18 +42,11 @@ class FitTask:
     resume: bool
     keep: bool  # skip fits that are done
     also: Also
-    strict: bool
 
     def digest(self, tables) -> str:
         """Digest of everything that the result of a fit of these tables depends on."""
-        asked = [
-            self.settings.model_dump(mode="json"),
-            self.how,
-            self.posterior,
-            [table.source.sha256 for table in tables],
-            __version__,
-        ]
-        return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
+        settings, files = self.settings.model_dump(mode="json"), [t.source.sha256 for t in tables]
+        return digest(settings, self.how, self.posterior, files)
 
 
 def fit_one(files, directory: Path, task: FitTask) -> tuple["FileRecord", "FitResult | None"]:
@@ -89,7 +78,7 @@ def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
     expected += ["posterior.nc"] if task.posterior else []
     expected += ["fit.svg"] if task.also.svg else []
     expected += [PAGE] if task.also.html else []
-    if not all((directory / name).exists() for name in expected):
+    if not are_whole(directory / name for name in expected):
         return None
     try:
         content = read_record(directory / "fit.json", SCHEMA, "")
@@ -115,7 +104,7 @@ def fit_into(directory, data, settings, posterior=False, resume=False, also=Also
             result = _sampled(result, directory, settings, resume)
         try:
             written = _save(replace(result, asked=asked), directory, also)
-            written += [directory / CHAIN] if posterior and (directory / CHAIN).exists() else []
+            written += [CHAIN] if posterior and (directory / CHAIN).exists() else []
         except OSError as error:
             if posterior and (directory / CHAIN).exists():
                 error.add_note("--resume continues from its chain")
@@ -123,7 +112,7 @@ def fit_into(directory, data, settings, posterior=False, resume=False, also=Also
     # The assumptions of several files are printed once, merged, at the end.
     record = result.data | ({"assumptions": []} if holds_notes() else {})
     say(replace(result, data=record).summary(full=also.full))
-    say(wrote(directory, written))
+    say_written(directory, written)
     return result
 
 
@@ -136,20 +125,15 @@ def _first_words(result, directory: Path) -> str:
     return f"least squares: {found}; written to {directory}; sampling the posterior\n"
 
 
-def wrote(directory: Path, written: Collection[Path]) -> str:
-    """The line that lists the files written."""
-    return f"wrote to {directory}: " + ", ".join(path.name for path in written)
+def _save(result, directory: Path, also: Also) -> list[str]:
+    """Write the result, its figures and its page; returns the names of the files."""
+    from tirefit.report.fit_figures import save_figures
 
+    def draw(folder: Path) -> None:
+        save_figures(result, folder, svg=also.svg)
 
-def _save(result, directory: Path, also: Also) -> list[Path]:
-    from tirefit.fitting.result import SCHEMA
-    from tirefit.report.fit_figures import FIGURE_FILES, save_figures
-
-    earlier = [PAGE] if is_page(directory / PAGE, SCHEMA) else []
-    with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier], result) as folder:
-        written = result.save(folder) + save_figures(result, folder, svg=also.svg)
-        written += result.save(folder / PAGE) if also.html else []
-    return [directory / path.name for path in written]
+    known = [path.name for path in fit_files(directory) if path.name != CHAIN]
+    return write_result(result, directory, known, draw, PAGE if also.html else "", text="")
 
 
 def _sampled(result, directory: Path, settings, resume: bool):

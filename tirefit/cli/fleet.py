@@ -7,7 +7,7 @@ the command for a file, and its record for the table of all results.
 import os
 import pickle
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import chdir, closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -24,6 +24,7 @@ from tirefit.cli.options import (
     complain,
     error_text,
     errors_to_exit,
+    has_terminal,
     progress_bar,
     say,
     start_jax,
@@ -54,8 +55,8 @@ class Piece(NamedTuple):
     to: Any
 
 
-Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
-"""Function of a command for one file; the second argument is shared by all files."""
+Work = Callable[[Piece], tuple[ExitCode, "FileRecord"]]
+"""Function of a command for one file; for workers it can be pickled."""
 
 
 class Outcome(NamedTuple):
@@ -75,10 +76,10 @@ def worst_of(codes: Iterable[ExitCode]) -> ExitCode:
     return min((code for code in codes if code), default=ExitCode.OK)
 
 
-def attempted(attempt: Attempt, task: Any, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
+def _attempted(work: Work, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     """Run one file; neither a bad file nor a fault of the program stops the others."""
     try:
-        return attempt(piece, task)
+        return work(piece)
     except BrokenPipeError:
         raise
     except OSError as error:  # its report was printed
@@ -102,29 +103,12 @@ def _failed(piece: Piece, printed: str) -> "FileRecord":
     return FileRecord(str(piece.file), str(piece.to), "", FAILED, problem=problem)
 
 
-def one_by_one(
-    pieces: Sequence[Piece], attempt: Attempt, task: Any, tell: Callable[[float, str], None]
-) -> Iterator[Outcome]:
-    """Process every file here, in order; yield each outcome.
-
-    With one file, a fault of the program shows its traceback.
-
-    Args:
-        tell: is called before each file with the share that is done and a note.
-    """
-    count = len(pieces)
-    for number, piece in enumerate(pieces):
-        tell(number / count, f"{number + 1} of {count}: {piece.file}")
-        done = attempt(piece, task) if count == 1 else attempted(attempt, task, piece)
-        yield Outcome(*done)
-
-
 @dataclass(frozen=True)
 class Sharing:
     """Where the work is done: in this process, in several others, or on a cluster."""
 
-    jobs: int | None
-    scheduler: str | None
+    jobs: int | None = None
+    scheduler: str | None = None
 
     def __post_init__(self):
         if self.jobs is not None and self.scheduler is not None:
@@ -150,36 +134,54 @@ class Sharing:
         return ours
 
 
-def fleet(
-    title: str, pieces: Sequence[Piece], attempt: Attempt, task: Any, sharing: Sharing, out: Path
-) -> Generator[Outcome, None, None]:
-    """Process every file by the workers; print and yield results in the order of files.
+def run_pieces(
+    title: str, pieces: Sequence[Piece], work: Work, sharing: Sharing, out: Path
+) -> Iterator[Outcome]:
+    """Process every file, here or by workers; yield each outcome, in the order of the files.
 
-    At the end ``out`` holds the table of all results and its page.
+    With one file, processed here, a fault of the program shows its traceback. Files that are
+    shared among processes also get the table of all results and its page, in ``out``.
     """
+    count = len(pieces)
+    with merged_notes(count > 1) as notes:
+        if sharing.apart:
+            yield from _shared_outcomes(title, pieces, work, sharing, out, notes)
+            return
+        for number, piece in enumerate(pieces, 1):
+            if count > 1 and has_terminal():
+                complain(f"file {number} of {count}: {piece.file}")
+            yield Outcome(*(work(piece) if count == 1 else _attempted(work, piece)))
+
+
+def _shared_outcomes(title, pieces, work, sharing: Sharing, out: Path, notes: list):
+    """Process every file by the workers; print and yield results in the order of files."""
     from tirefit.data.records import records_into
     from tirefit.report.many_files import write_fleet_page
 
-    content = pickle.dumps((attempt, task))
-    work = partial(_apart, (os.getcwd(), __version__), content)
+    there = partial(_apart, (os.getcwd(), __version__), pickle.dumps(work))
     out.mkdir(parents=True, exist_ok=True)
-    left = dict(enumerate(pieces))
+    left, early = dict(enumerate(pieces)), dict[int, Outcome]()
+    count, following = len(pieces), 0
     try:
         with (
             records_into(out / TABLE) as table,
             progress_bar(title) as progress,
-            cluster(min(sharing.jobs or 1, len(pieces)), sharing.scheduler) as client,
-            closing(shared(work, pieces, client)) as results,
-            merged_notes(len(pieces) > 1) as notes,
+            cluster(min(sharing.jobs or 1, count), sharing.scheduler) as client,
+            closing(shared(there, pieces, client)) as results,
         ):
-            for outcome in _in_order(results, left, progress):
-                typer.echo(outcome.output, nl=False)
-                typer.echo(outcome.complained, nl=False, err=True)
-                if outcome.last:
-                    raise typer.Exit(outcome.code)
-                notes += outcome.notes
-                table.add(outcome.record)
-                yield outcome
+            for number, result in results:
+                piece = left.pop(number)
+                progress(1 - len(left) / count, f"{count - len(left)} of {count} files")
+                early[number] = _lost(piece) if isinstance(result, Ended) else result
+                while outcome := early.pop(following, None):
+                    following += 1
+                    typer.echo(outcome.output, nl=False)
+                    typer.echo(outcome.complained, nl=False, err=True)
+                    if outcome.last:
+                        raise typer.Exit(outcome.code)
+                    notes += outcome.notes
+                    table.add(outcome.record)
+                    yield outcome
     finally:
         for piece in left.values():  # after an interrupt: remove half-written results
             _sweep(piece)
@@ -187,28 +189,15 @@ def fleet(
     say(f"all results: {out / TABLE}, {out / PAGE}")
 
 
-def _in_order(results, left: dict[int, Piece], progress) -> Iterator[Outcome]:
-    """Outcomes in the order of the files; takes the files that are done from ``left``."""
-    waiting: dict[int, Outcome] = {}
-    following, count = 0, len(left)
-    for number, result in results:
-        piece = left.pop(number)
-        progress(1 - len(left) / count, f"{count - len(left)} of {count} files")
-        waiting[number] = _lost(piece, result) if isinstance(result, Ended) else result
-        while following in waiting:
-            yield waiting.pop(following)
-            following += 1
-
-
 def _sweep(piece: Piece) -> None:
     if isinstance(piece.to, Path):  # a folder for this file
         swept(piece.to)
 
 
-def _lost(piece: Piece, ended: Ended) -> Outcome:
+def _lost(piece: Piece) -> Outcome:
     _sweep(piece)
-    reason = f"each of {ended.workers} workers that ran this file died"
-    remedy = "if memory is short, give fewer --jobs; then --resume"
+    reason = "the worker that ran this file died, also with no other file at work"
+    remedy = "free memory if it is short, or run the command on this file only, without workers"
     problem = error_text(DataError(reason, remedy, str(piece.file)))
     return Outcome(ExitCode.DATA, _failed(piece, problem), complained=problem + "\n")
 
@@ -219,8 +208,8 @@ _ALONE = threading.Lock()  # output is redirected for the whole process
 
 
 @lru_cache(maxsize=2)
-def _unpacked(content: bytes) -> tuple[Attempt, Any]:
-    """The attempt with what all files share; JAX arrays have 64 bits only after the start."""
+def _unpacked(content: bytes) -> Work:
+    """The work with what all files share; JAX arrays have 64 bits only after the start."""
     start_jax()
     return pickle.loads(content)
 
@@ -230,13 +219,13 @@ def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome
 
     Args:
         of_command: working directory and version of the command.
-        content: the attempt with what all files share, as bytes.
+        content: the work with what all files share, as bytes.
     """
     output, complained, last = Unheard(), Unheard(), False
     with _ALONE, redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
         try:
             with errors_to_exit(), _where_the_command_runs(*of_command):
-                code, record = attempted(*_unpacked(content), piece)
+                code, record = _attempted(_unpacked(content), piece)
         except typer.Exit as end:
             code, last = ExitCode(end.exit_code), True
             record = _failed(piece, complained.getvalue())

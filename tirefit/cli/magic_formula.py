@@ -1,18 +1,20 @@
 """``tirefit fit --model mf52|mf61|mf62``: fit a whole Magic Formula, write a ``.tir``."""
 
+from collections.abc import Collection
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit_one import PAGE, Also, fit_files, wrote
+from tirefit.cli.fit_one import CHAIN, PAGE, Also, fit_files
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, given_options, progress_bar, say, start_jax
-from tirefit.cli.output import check_results, claimed, is_page, staged
-from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
+from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.results import ExitCode, UsageError, exit_code
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
+_NAMES = ", ".join(MAGIC_FORMULA_NAMES)
 
 Combination = StrEnum("Combination", "none similarity ellipse")
 
@@ -28,28 +30,23 @@ CombinationOption = Annotated[
 ]
 
 
-def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
+def is_whole(model: str | None, own: Collection[str], unused: Collection[str]) -> bool:
     """Whether the model is a whole Magic Formula.
 
     Args:
-        own: given options that only a whole Magic Formula has.
-        unused: name of an option that it does not have -> its value.
+        own: options that only a whole Magic Formula has.
+        unused: options that it does not have.
 
     Raises:
         UsageError: an option of the other kind of fit was given.
     """
     whole = model in MAGIC_FORMULA_NAMES
-    wrong = given_options(unused) if whole else []
-    problems = []
-    if wrong:
-        reason = f"{', '.join(wrong)} with --model {model}"
-        remedy = "leave it out: a whole Magic Formula is fitted in fixed stages"
-        problems.append(InputProblem(reason, remedy))
-    if own and not whole:
-        reason = f"{', '.join(given_options(own))} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
-        remedy = "leave it out: other models have no such stages"
-        problems.append(InputProblem(reason, remedy))
-    UsageError.raise_for(problems)
+    refused = unused if whole else own
+    if wrong := [text for name, text in given_options().items() if name in refused]:
+        joint = f"with --model {model}" if whole else f"without --model {_NAMES}"
+        remedy = "a whole Magic Formula is fitted in fixed stages"
+        remedy = remedy if whole else "other models have no such stages"
+        raise UsageError(f"{', '.join(wrong)} {joint}", f"leave it out: {remedy}")
     return whole
 
 
@@ -119,18 +116,8 @@ def _files(out: Path) -> list[Path]:
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
-    from tirefit.fitting.result import SCHEMA
-    from tirefit.report.fit_figures import FIGURE_FILES
-    from tirefit.report.mf_figures import MAGIC_FORMULA_FILES, save_magic_formula
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
-    earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
-    earlier += [PAGE] if is_page(out / PAGE, SCHEMA) else []
-    with staged(out, earlier, result) as folder:
-        written = result.save(folder)
-        if also is not None:
-            written += save_magic_formula(result, folder, also.svg)
-            written += result.save(folder / PAGE) if also.html else []
-    full = also is not None and also.full
-    say(result.summary(full=full).replace(_ADVICE, advice))
-    say(wrote(out, written))
+    known = [path.name for path in _files(out) if path.name != CHAIN]
+    text = result.summary(full=also is not None and also.full).replace(_ADVICE, advice)
+    write_result(result, out, known, draw, PAGE if also and also.html else "", text=text)

@@ -50,7 +50,7 @@ def merged_notes(many: bool = True) -> Iterator[list]:
     """
     global _held
     before, held = _held, list[tuple[str, list[str], list[str]]]()
-    _held = held if many else None
+    _held = held if many else before
     try:
         yield held
     finally:

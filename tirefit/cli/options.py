@@ -6,7 +6,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, fields
@@ -18,7 +18,6 @@ from typing import Annotated, Any
 
 import typer
 
-from tirefit.cli import silence
 from tirefit.data.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -157,21 +156,26 @@ def takes_data_options(command: Callable) -> Callable:
     return with_options
 
 
-def given_options(values: Mapping[str, Any]) -> list[str]:
-    """Options with a value, as they are written on the command line."""
-    return [f"--{name.replace('_', '-')}" for name, value in values.items() if value]
+def given_options() -> dict[str, str]:
+    """Arguments and options on the command line: name -> text, as "--set" or "FILE.tir"."""
+    context = CONTEXT.get()
+    return {
+        one.name: one.opts[0] if one.param_type_name == "option" else one.metavar.strip("[]")
+        for one in context.command.params
+        if context.get_parameter_source(one.name).name == "COMMANDLINE"
+    }
 
 
-def refuse_with_vehicle(options: DataOptions, unused: dict[str, Any]) -> None:
+def refuse_besides(used: Collection[str]) -> None:
     """Refuse options without effect where the files are logs of a vehicle.
 
     Args:
-        unused: name of an option -> its value.
+        used: names of the arguments and options that have an effect.
 
     Raises:
-        UsageError: some are given; all of them.
+        UsageError: others are given; all of them.
     """
-    if wrong := given_options(vars(options) | unused):
+    if wrong := [text for name, text in given_options().items() if name not in used]:
         reason = f"{', '.join(wrong)} with --vehicle"
         remedy = "leave it out: vehicle.toml says how logs are read"
         raise UsageError(InputProblem(reason, remedy))
@@ -235,8 +239,6 @@ def forces_named(force: list[str] | None) -> list[str] | None:
 _COMMANDS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SOON, _NOW_AND_THEN = 5.0, 10.0
 """Seconds until the first line of progress without a terminal, and between others."""
-_KNOWN = 2.0
-"""Seconds of work from which its end is estimated."""
 
 
 def read_options(given: DataOptions, config) -> dict[str, Any]:
@@ -287,7 +289,6 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
-    silence.broken()
     try:
         typer.echo(_printable(text))
     except BrokenPipeError:
@@ -298,7 +299,6 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
-    silence.broken()
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
@@ -350,67 +350,45 @@ def has_terminal() -> bool:
     return sys.stderr.isatty()
 
 
-class _Clock:
-    """The remaining time, from the time and the share done."""
-
-    def __init__(self, soon: float):
-        self.begun = self.printed = time.monotonic()
-        self.silence = soon
-
-    def left(self, share: float) -> str:
-        passed = time.monotonic() - self.begun
-        if not share or passed < _KNOWN:
-            return ""
-        seconds = passed * (1 - share) / share
-        amount, unit = (seconds, "s") if seconds < 100 else (seconds / 60, "min")
-        return f", about {amount:.2g} {unit} left"
-
-    def is_time(self) -> bool:
-        """Whether to print a line if there is no bar: soon, then from time to time."""
-        if time.monotonic() - self.printed < self.silence:
-            return False
-        self.printed, self.silence = time.monotonic(), _NOW_AND_THEN
-        return True
-
-
 @contextmanager
-def progress_bar(title: str, soon: float = _SOON) -> Iterator[Any]:
+def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, str], None]]:
     """Show a bar on a terminal, else print a line from time to time.
 
     Args:
         soon: seconds until the first line.
+
+    Yields:
+        A function of the share that is done, and of a note.
     """
     if isinstance(sys.stderr, Unheard):
         yield lambda share, note: None
         return
-    clock = _Clock(soon)
     if not has_terminal():
+        due = time.monotonic() + soon
 
-        def tell(share, note):
-            if share and clock.is_time():
-                complain(f"{title}: {100 * share:.0f} %, {note}{clock.left(share)}")
+        def tell(share: float, note: str) -> None:
+            nonlocal due
+            if share and time.monotonic() >= due:
+                due = time.monotonic() + _NOW_AND_THEN
+                complain(f"{title}: {100 * share:.0f} %, {note}")
 
         yield tell
         return
     # Slow to import, and used only on a terminal.
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
+        Remaining(),
         TextColumn("{task.fields[note]}"),
     )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=1.0, note="")
-
-        def show(share, note):
-            silence.broken()
-            bar.update(task, completed=share, note=note + clock.left(share))
-
-        yield show
+        yield lambda share, note: bar.update(task, completed=share, note=note)
 
 
 def read_config(path: Path | None):

@@ -1,16 +1,16 @@
 """Write folders of results: by one process at a time, each result completely or not."""
 
+import hashlib
 import json
 import os
 import re
 import shutil
-import signal
-import threading
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from tirefit import __version__
 from tirefit.cli.options import CONTEXT, say
 from tirefit.door import replaced_inputs
 from tirefit.files import fcntl, remove_left, replace_together, took_lock
@@ -49,11 +49,16 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
     DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in others])
 
 
-def check_distinct(names: Sequence[str], remedy: str) -> None:
-    """Raises UsageError if files have the same name, and so would their results."""
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
+def names_of(files: Sequence[Path], remedy: str) -> list[str]:
+    """The names of the results of files: without folder and ending.
+
+    Raises:
+        UsageError: some are the same, and so would be their results.
+    """
+    names = [Path(file.name.removesuffix(".gz")).stem for file in files]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(f"several input files are named {', '.join(twice)}", remedy)
+    return names
 
 
 def check_inputs_kept(made: Iterable[Path], inputs: Iterable[object] = ()) -> None:
@@ -87,10 +92,6 @@ def _named_files() -> dict[str, list[object]]:
     return found
 
 
-_OURS = {".json": '"schema": "tirefit.', ".toml": "that tirefit fit estimated"}
-"""Text that marks a result of tirefit, by the ending of the file."""
-
-
 _FORCES = ("fx", "fy", "mz", "mx", "my")
 
 
@@ -118,38 +119,33 @@ def _is_of_others(path: Path, made: Collection[Path]) -> bool:
     A file that does not name tirefit, as a figure, is ours if a document of its result is:
     a JSON file or page among ``made`` in its folder, of the same name if there is one.
     """
-    if path.suffix in _OURS:
-        return _is_other_text(path)
     try:
         content = path.read_bytes()
     except OSError:
         return False
-    if not content or b"tirefit" in content or path.suffix == ".html":
-        return content != b"" and b"tirefit" not in content
+    if not content.strip():
+        return False
+    if path.suffix in (".json", ".toml"):
+        return not _is_our_text(path.suffix, content.decode(errors="replace"))
+    if b"tirefit" in content or path.suffix == ".html":
+        return b"tirefit" not in content
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
     own = [one for one in documents if path.name.startswith(f"{one.name.partition('.')[0]}.")]
     documents = own or documents
     return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)
 
 
-def _is_other_text(path: Path) -> bool:
-    """Whether this is a JSON or TOML file that tirefit did not write. A damaged JSON file
-    counts as written by tirefit if it names a schema of tirefit."""
-    mark = _OURS[path.suffix]
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
-    if not text.strip():
-        return False
-    if path.suffix == ".toml":
-        return mark not in text.partition("\n")[0]
+def _is_our_text(ending: str, text: str) -> bool:
+    """Whether tirefit wrote a JSON or TOML file. A damaged JSON file counts as written by
+    tirefit if it names a schema of tirefit."""
+    if ending == ".toml":
+        return "that tirefit fit estimated" in text.partition("\n")[0]
     try:
         content = json.loads(text)
     except (ValueError, RecursionError):
-        return mark not in text
+        return '"schema": "tirefit.' in text
     schema = content.get("schema") if isinstance(content, dict) else None
-    return not str(schema).startswith("tirefit.")
+    return str(schema).startswith("tirefit.")
 
 
 def _is(path: Path) -> bool:
@@ -216,8 +212,7 @@ def staged(
     try:
         folder.mkdir()
         yield folder
-        with _interrupts_held():
-            _move(folder, directory, known)
+        _move(folder, directory, known)
     except OSError as error:
         say(str(report))
         raise _of(directory, folder, error) from None
@@ -228,30 +223,50 @@ def staged(
 def write_result(
     result: Any,
     out: Path,
-    known: Collection[str],
-    figures: Mapping[str, str],
+    known: Sequence[str],
+    figures: Mapping[str, str] | Callable[[Path], object],
     page: str = "",
+    name: str = "",
+    text: str | None = None,
     **how: bool,
-) -> None:
+) -> list[str]:
     """Write a result with its figures into a claimed folder; print it, and the files.
 
     Args:
         known: every file that the command may write, in the order of the printed list.
-        figures: name of a file -> argument of ``result.plot``, empty for the default.
+        figures: name of a file -> argument of ``result.plot``, empty for the default; or a
+            function that draws into a folder.
         page: name of the page; none if empty.
+        name: beginning of the names of files that are named after the data.
+        text: the result in words, its summary by default; if empty, nothing is printed.
         how: arguments of ``result.summary``.
+
+    Returns:
+        The names of the files written.
     """
     from tirefit.report.canvas import save_picture
 
-    with staged(out, known, result) as folder:
-        result.save(folder)
-        for name, what in figures.items():
-            save_picture(result.plot(what) if what else result.plot(), folder / name)
+    # A page of the user is neither replaced nor removed.
+    known = [one for one in known if one == page or not one.endswith(".html") or is_page(out / one)]
+    with staged(out, known, result, f".{name}" if name else "") as folder:
+        result.save(folder, *([name] if name else []))
+        if callable(figures):
+            figures(folder)
+        else:
+            for file, what in figures.items():
+                save_picture(result.plot(what) if what else result.plot(), folder / file)
         if page:
             result.save(folder / page)
-        written = [out / name for name in known if (folder / name).exists()]
-    say(result.summary(**how))
-    say("wrote " + ", ".join(map(str, written)))
+        written = [one for one in known if (folder / one).exists()]
+    if text != "":
+        say(text or result.summary(**how))
+        say_written(out, written)
+    return written
+
+
+def say_written(out: Path, written: Iterable[str]) -> None:
+    """Print the names of the files that were written into a folder."""
+    say(f"wrote to {out}: {', '.join(written)}")
 
 
 def swept(directory: Path) -> None:
@@ -264,10 +279,23 @@ def swept(directory: Path) -> None:
             directory.rmdir()
 
 
-def is_page(path: Path, schema: str) -> bool:
+def digest(*asked: Any) -> str:
+    """Digest of everything that a result depends on, and of the version of tirefit."""
+    return hashlib.sha256(json.dumps([*asked, __version__]).encode()).hexdigest()
+
+
+def are_whole(files: Iterable[Path]) -> bool:
+    """Whether all files exist, and none is empty, as after a crash of the machine."""
+    return all(path.is_file() and path.stat().st_size for path in files)
+
+
+_SCHEMA = re.compile(rb"tirefit\.\w+/\d")
+
+
+def is_page(path: Path) -> bool:
     """Whether an earlier command wrote this page, and not the user."""
     try:
-        return schema in path.read_text(encoding="utf-8", errors="replace")
+        return bool(_SCHEMA.search(path.read_bytes()))
     except OSError:
         return False
 
@@ -286,35 +314,8 @@ def _of(directory: Path, folder: Path, error: OSError) -> OSError:
     if path.is_relative_to(folder):
         path = directory / path.relative_to(folder)
     named = OSError(error.errno, error.strerror or str(error), str(path))
-    try:
-        kept = sorted(p.name for p in directory.iterdir() if p.name[0] != ".")
-    except OSError:
-        kept, there = [], f"the folder {directory} is gone"
-    else:
-        there = f"nothing is in {directory}"
-    if kept:
-        more = f" and {len(kept) - 8} more" if len(kept) > 8 else ""
-        names = ", ".join(kept[:8])
-        there = f"{directory} is as it was before, with {names}{more}"
-    named.add_note(there)
+    there = directory.is_dir()
+    named.add_note(
+        f"{directory} is as it was before" if there else f"the folder {directory} is gone"
+    )
     return named
-
-
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Context manager: delay Ctrl-C and termination requests to the end of the block."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread is interrupted
-        return
-    came: list[int] = []
-    before = {
-        number: signal.signal(number, lambda number, _: came.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if came:
-        signal.raise_signal(came[0])

@@ -1,14 +1,15 @@
 """``tirefit prepare``: convert recordings of a rig to data for a fit."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tirefit import __version__
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet, one_by_one, worst_of
-from tirefit.cli.notes import merged_notes, warn
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
+from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     Folder,
@@ -16,10 +17,9 @@ from tirefit.cli.options import (
     errors_to_exit,
     read_config,
     read_options,
-    say,
     takes_data_options,
 )
-from tirefit.cli.output import check_distinct, check_results, claimed, staged
+from tirefit.cli.output import check_results, claimed, names_of, write_result
 from tirefit.data.remote import expanded, file_at
 from tirefit.results import ExitCode
 
@@ -79,20 +79,15 @@ def prepare(
         base = read_config(options.config)
         how = read_options(options, base)
         config = _settings(base, changes)
-        names = [Path(file.name.removesuffix(".gz")).stem for file in files]
-        check_distinct(names, "prepare them into different --out")
+        names = names_of(files, "prepare them into different --out")
         ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
         made = [out / f"{name}{end}" for name in names for end in ends]
         check_results([*made, *sharing.files(out, made)], files)
-        task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        with claimed(out), merged_notes(len(files) > 1):
-            outcomes = (
-                fleet("prepare", pieces, _one, task, sharing, out)
-                if sharing.apart
-                else one_by_one(pieces, _one, task, lambda *_: None)
-            )
-            raise typer.Exit(worst_of([outcome.code for outcome in outcomes]))
+        with claimed(out):
+            work = partial(_one, out, how, config)
+            done = run_pieces("prepare", pieces, work, sharing, out)
+            raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 def _settings(base, changes: dict[str, Any]):
@@ -103,31 +98,18 @@ def _settings(base, changes: dict[str, Any]):
     return parse_settings(PrepareConfig, below | changes, "prepare")
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Settings that all files share: result folder, ``tirefit.read`` arguments, steps."""
-
-    out: Path
-    how: dict[str, Any]
-    config: Any
-
-
-def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
+def _one(out: Path, how: dict[str, Any], config, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
+    """Prepare one file into a folder; ``how`` are arguments of ``tirefit.read``."""
     from tirefit.data.prepare.prepare import prepare as prepare_data
     from tirefit.data.read import read
-    from tirefit.report.canvas import save_picture
 
-    (file, name), out, how = piece, task.out, task.how
+    file, name = piece
     # Recordings have bad rows, which are cut out.
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(data)
-    prepared = replace(prepare_data(data, task.config), read=how)
+    prepared = replace(prepare_data(data, config), read=how)
     names = [f"{name}.{end}" for end in ("csv", "segments.tsv", "prepare.json", "png")]
-    with staged(out, names, prepared, f".{name}") as folder:
-        save_picture(prepared.plot(), folder / names[-1])
-        prepared.save(folder, name)
-    say(str(prepared))
-    say("wrote " + ", ".join(str(out / key) for key in names))
+    write_result(prepared, out, names, {names[-1]: ""}, name=name)
     return ExitCode.OK, _record(prepared, str(file), str(out / f"{name}.csv"))
 
 

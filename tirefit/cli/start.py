@@ -1,13 +1,10 @@
 """Start JAX: 64-bit floats, variables of the environment that it refuses, stored programs."""
 
 import os
-import subprocess
-import sys
 import warnings
-from functools import cache
 from pathlib import Path
 
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import UsageError
 
 _READ_BY_JAX = ("JAX_", "XLA_", "EQX_")
 """First letters of the environment variables of JAX, its compiler and Equinox."""
@@ -38,8 +35,6 @@ def start() -> str | None:
     Raises:
         UsageError: JAX does not start with variables of the environment; it names them.
     """
-    if flags := os.environ.get("XLA_FLAGS"):
-        _refuse_flags(flags)
     try:
         import equinox  # noqa: F401  reads variables of its own
         import jax
@@ -72,37 +67,7 @@ def _of_variables(error: Exception) -> Exception:
         return error
     reason = f"JAX does not start with {', '.join(f'{k}={v!r}' for k, v in named.items())}"
     cause = f": {cause[:200]}" if cause else ""
-    return UsageError(InputProblem(reason + cause, _remedy(named)))
-
-
-def _remedy(names) -> str:
-    return f"correct or unset {', '.join(names)}"
-
-
-_TRIAL = """
-import os
-try:
-    import jax
-    jax.devices()
-finally:
-    os._exit(0)
-"""
-
-
-@cache
-def _refuse_flags(flags: str) -> None:
-    """Try the flags of XLA in a child process: XLA ends a process that has an unknown flag.
-
-    Raises:
-        UsageError: XLA ended the child.
-    """
-    # An exception ends the child without an error: this process meets the same exception.
-    line = [sys.executable, "-P", "-c", _TRIAL]
-    nothing = subprocess.DEVNULL
-    if subprocess.run(line, stdin=nothing, stdout=nothing, stderr=nothing).returncode:
-        raise UsageError(
-            InputProblem(f"XLA does not start with XLA_FLAGS={flags!r}", _remedy(["XLA_FLAGS"]))
-        )
+    return UsageError(reason + cause, f"correct or unset {', '.join(named)}")
 
 
 def _store_programs(config) -> str | None:

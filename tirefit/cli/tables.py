@@ -4,14 +4,14 @@ from dataclasses import replace
 from enum import StrEnum
 from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from tirefit import __version__
-from tirefit.cli.fleet import worst_of
+from tirefit.cli.fleet import Piece, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import CombinationOption
-from tirefit.cli.notes import merged_notes, warn
+from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -21,7 +21,6 @@ from tirefit.cli.options import (
     SideOption,
     SignsOption,
     complain,
-    error_text,
     errors_to_exit,
     model_names,
     numbers,
@@ -37,7 +36,7 @@ from tirefit.cli.output import check_inputs_kept, check_results, check_table
 from tirefit.data.remote import expanded
 from tirefit.data.tire_file import tire_kind
 from tirefit.files import json_safe
-from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, UsageError
 
 Axle = StrEnum("Axle", "rear front")
 
@@ -88,28 +87,24 @@ def inspect(
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
 
-    with errors_to_exit(), merged_notes():
-        how = read_options(options, read_config(options.config))
-        codes, files = list[ExitCode](), expanded(files)
-        for file in files:
-            try:
-                data = read(file, **how)
-                inspection = look(data)
-                identified = _identified(data, model) if gate else None
-            except TirefitError as error:
-                if error.exit_code == ExitCode.USAGE:
-                    raise
-                complain(error_text(error))
-                codes.append(error.exit_code)
-                continue
-            content = inspection.to_dict()
-            content |= {"identifiability": identified.to_dict()} if identified else {}
-            if len(files) > 1 and not json:
-                warn(data, assumed=data.source.assumptions)
-                inspection = replace(inspection, warnings=(), assumptions=())
-            text = inspection.summary() + (identified.summary() if identified else "")
-            say(dumps(json_safe(content), indent=1) if json else text)
-        raise typer.Exit(worst_of(codes))
+    def show(piece: Piece) -> tuple[ExitCode, Any]:
+        data = read(piece.file, **how)
+        inspection = look(data)
+        identified = _identified(data, model) if gate else None
+        content = inspection.to_dict()
+        content |= {"identifiability": identified.to_dict()} if identified else {}
+        if len(files) > 1 and not json:
+            warn(data, assumed=data.source.assumptions)
+            inspection = replace(inspection, warnings=(), assumptions=())
+        text = inspection.summary() + (identified.summary() if identified else "")
+        say(dumps(json_safe(content), indent=1) if json else text)
+        return ExitCode.OK, None
+
+    with errors_to_exit():
+        how, files = read_options(options, read_config(options.config)), expanded(files)
+        pieces = [Piece(file, "") for file in files]
+        done = run_pieces("inspect", pieces, show, Sharing(), Path())
+        raise typer.Exit(worst_of([one.code for one in done]))
 
 
 def _identified(data, models):
@@ -186,30 +181,39 @@ def predict(
         of_file: dict = {"side": side, "signs": signs, "combination": combination}
         of_file["starred"] = starred_angles
         kind = tire_kind(source)
-        if kind == "tir":
-            _predict_tir(source, data, out, how, parameter, of_file, beside)
-            return
-        if any(of_file.values()):
+        if kind != "tir" and any(of_file.values()):
             own = "--starred-angles, --side, --signs and --combination"
             reason = f"{own} apply to .tir files only"
             raise UsageError(reason, f"leave them out with {source}")
-        is_file = kind == "fit"
-        values = _checked_request(source, is_file, data, out, parameter)
+        values = _checked_request(kind == "fit", out, parameter)
+        from tirefit.data.tir import read_tir
+
+        tir = read_tir(source) if kind == "tir" else None
         start_jax()
         from tirefit.data.read import read
+        from tirefit.fitting import tir as of_tir
         from tirefit.fitting.predict import outside_fit
         from tirefit.fitting.predict import predict as forces_of
         from tirefit.fitting.store import load_fit
 
-        fitted = load_fit(source) if is_file else source
-        if not isinstance(fitted, str):
-            how["otherwise"] = fitted.content["data"]["convention"], source
+        tire: Any = source
+        if tir is not None:
+            tire = of_tir.tire_of(tir, values=values, **of_file)
+            how["otherwise"] = of_tir.TIR_SIGNS, ".tir files"
+        elif kind == "fit":
+            tire = load_fit(source)
+            how["otherwise"] = tire.content["data"]["convention"], source
         table = read(data, **how, forces=False)
         warn(table)
-        for text in () if isinstance(fitted, str) else outside_fit(fitted, table):
+        noted = outside_fit(tire, table) if kind == "fit" else []
+        if tir is not None:
+            noted = [*of_tir.remarks(tir, tire, table, signs), *of_tir.moments_noted(tir, table)]
+        for text in noted:
             complain(f"warning: {source}: {text}")
-        forces = forces_of(fitted, table, values)
-        if not is_file:
+        forces = forces_of(tire, table, values)
+        if tir is not None:
+            say(_tir_text(source, tir, of_file, values))
+        elif kind != "fit":
             say(f"{source} with {_values_text(source, values)}")
         _write(out, table, forces, source, beside)
 
@@ -234,44 +238,23 @@ def _write(out, table, forces, source, beside: bool) -> None:
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
 
-def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> None:
-    """Predict with a ``.tir`` file; ``of_file`` are arguments of ``tire_of``.
-
-    Data without a declared convention are read in that of ``.tir`` files, ISO-W.
-    """
-    values = _checked_request(source, False, data, out, parameter)
-    from tirefit.data.tir import read_tir
-
-    tir = read_tir(source)
-    start_jax()
-    from tirefit.data.read import read
-    from tirefit.fitting.predict import predict as forces_of
-    from tirefit.fitting.tir import TIR_SIGNS, moments_noted, remarks, tire_of
-
-    tire, signs = tire_of(tir, values=values, **of_file), of_file["signs"]
-    how["otherwise"] = TIR_SIGNS, ".tir files"
-    table = read(data, **how, forces=False)
-    warn(table)
-    noted = remarks(tir, tire, table, signs)
-    for text in (*noted, *moments_noted(tir, table)):
-        complain(f"warning: {source}: {text}")
-    forces = forces_of(tire, table, values)
-    messages = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
-    messages += [f"mounted {of_file['side']}"] if of_file["side"] else []
-    messages += [f"in signs {signs}"] if signs else []
-    messages += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
-    messages += [f"{key} = {value:g}" for key, value in values.items()]
-    say(", ".join(messages))
-    _write(out, table, forces, source, beside)
+def _tir_text(source: str, tir, of_file: dict, values: dict[str, float]) -> str:
+    """How a ``.tir`` file is used; ``of_file`` are arguments of ``tire_of``."""
+    parts = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
+    parts += [f"mounted {of_file['side']}"] if of_file["side"] else []
+    parts += [f"in signs {of_file['signs']}"] if of_file["signs"] else []
+    parts += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
+    parts += [f"{key} = {value:g}" for key, value in values.items()]
+    return ", ".join(parts)
 
 
-def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
+def _checked_request(is_fit: bool, out: Path, parameter: list[str] | None) -> dict[str, float]:
     """Values of ``--set``; raises UsageError with all problems before the work."""
     from tirefit.data.write import output_problems
 
     problems = output_problems(out, ".csv")
     values = numbers("--set", parameter, problems)
-    if is_file and values:
+    if is_fit and values:
         problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
     UsageError.raise_for(problems)
     check_inputs_kept([out])

@@ -261,6 +261,7 @@ class Diagnosis(Record):
     largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
     compares the slip column with the slip of the wheel speed; None if that is not known. ``runs``
     describes the differences of the runs, by kind of offset; empty for a single run.
+    ``asked`` is a hash of data and settings, by which ``--resume`` recognises the result.
 
     ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator, ``base`` and
@@ -302,6 +303,7 @@ class Diagnosis(Record):
     settings: Settings
     seed: int
     version: str
+    asked: str = ""
     rows: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict, metadata=NOT_WRITTEN)
     table: TireData | None = field(default=None, metadata=NOT_WRITTEN)
     mean_load: float = field(default=np.nan, metadata=NOT_WRITTEN)
