@@ -265,17 +265,22 @@ def on_host(
     lower: Values | float | None = None,
     upper: Values | float | None = None,
     max_steps: int = MAX_STEPS,
+    rest: tuple[int, float] = (MAX_STEPS, 0.0),
 ) -> Solution:
-    """Least squares from ``start`` (p,), of a function that gives the normal equations."""
-    solver, z, steps = solver or NormalEquations(), np.asarray(start, float), 0
+    """Least squares from ``start`` (p,), of a function that gives the normal equations.
+
+    Args:
+        rest: the search also ends if this number of steps gained less than this in all.
+    """
+    solver, z, costs, rests = solver or NormalEquations(), np.asarray(start, float), [], False
     state = solver.begin(z)
-    while steps < max_steps and not state.done:
+    while len(costs) < max_steps and not (state.done or rests):
         found = linearise(np.asarray(state.trial))
         z, state = advanced(solver, z, state, found, lower, upper)
-        steps += 1
-    cost = float(state.best.cost)
-    ended = bool(state.done) and np.isfinite(cost)
-    return Solution(np.asarray(z), cost, ended, steps, np.asarray(state.best.normal))
+        costs.append(float(state.best.cost))
+        rests = len(costs) > rest[0] and costs[-1 - rest[0]] - costs[-1] < rest[1]
+    ended = bool(state.done or rests) and np.isfinite(costs[-1])
+    return Solution(np.asarray(z), costs[-1], ended, len(costs), np.asarray(state.best.normal))
 
 
 def _ordinary(residual: Residual, start) -> Callable:

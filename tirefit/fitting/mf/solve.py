@@ -34,6 +34,10 @@ _FIRST_DAMPING = 10.0  # of the search; the first trial has a tenth of it
 _SETTLED = 1e-6
 """Least gain in deviance of one more undamped step: 0.001 of a standard error."""
 
+_REST = 15, 1e-3
+"""The search ends if this number of passes gained less than this deviance (a thirtieth
+of a standard error) in all: at a kink of the formula every step stays damped."""
+
 _LIMITED = 256  # number of points at which the curvature factors of a force are limited
 
 _LARGEST_E, _OVER = 0.98, 0.005
@@ -235,4 +239,4 @@ def minimise(
         return Normal(rows + float(u @ u), curvature + np.eye(len(u)), downhill)
 
     solver = NormalEquations(0.0, settled, first_damping=_FIRST_DAMPING, scaling=_between)
-    return on_host(normal, start, solver, max_steps=max_steps)
+    return on_host(normal, start, solver, max_steps=max_steps, rest=_REST)
