@@ -272,7 +272,8 @@ def on_host(
     Args:
         rest: the search also ends if this number of steps gained less than this in all.
     """
-    solver, z, costs, rests = solver or NormalEquations(), np.asarray(start, float), [], False
+    solver, z, rests = solver or NormalEquations(), np.asarray(start, float), False
+    costs: list[float] = []
     state = solver.begin(z)
     while len(costs) < max_steps and not (state.done or rests):
         found = linearise(np.asarray(state.trial))
