@@ -145,9 +145,9 @@ def test_the_optimum_is_at_least_as_good_as_scipys():
         slope = row_gradients(problem, whole(x))[1][:, free]
         return np.concatenate([slope, np.eye(len(free))])
 
-    ours = residual(end.u[free])
+    ours = residual(end.z[free])
     np.testing.assert_allclose(ours @ ours, end.cost, rtol=1e-12)
-    for first in (start[free], end.u[free], end.u[free] + 0.05):
+    for first in (start[free], end.z[free], end.z[free] + 0.05):
         peer = least_squares(residual, first, jacobian, xtol=1e-12, ftol=1e-12)
         assert ours @ ours <= 2 * peer.cost * (1 + 1e-6)
 

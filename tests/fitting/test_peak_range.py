@@ -12,8 +12,7 @@ import tirefit
 from tirefit.data.read import read
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.family import family_of, probabilities, reached, shape_in_doubt
-from tirefit.fitting.others import solved_as
+from tirefit.fitting.family import family_of, probabilities, reached, shape_in_doubt, solved_as
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import solve_problem
 from tirefit.report.fit_report import fit_report
@@ -165,9 +164,9 @@ def test_settings_of_the_peak_and_the_slope_go_with_it():
     settings = {"mu": {"prior": {"mean": 0.9, "std": 0.01}}, "cpa2": {"per_run": True}}
     config = parse_config({"parameters": settings})
     other = solved_as("magic-formula", build(data, "brush", config), config)
-    priors = {p.name: p.prior for p in other.solved.problem.layout.free}
+    priors = {p.name: p.prior for p in other.problem.layout.free}
     assert priors["D"] == (0.9, 0.01) and priors["B"] is None
-    assert other.solved.problem.layout.labels[:2] == ("B[a]", "B[b]")
+    assert other.problem.layout.labels[:2] == ("B[a]", "B[b]")
     assert solved_as("brush-n", build(data, "brush", config), config) is None  # no speed
 
 

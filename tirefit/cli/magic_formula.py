@@ -116,6 +116,11 @@ def _files(out: Path) -> list[Path]:
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
+    from tirefit.report.mf_figures import save_magic_formula
+
+    def draw(folder: Path) -> None:
+        if also is not None:
+            save_magic_formula(result, folder, also.svg)
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
     known = [path.name for path in _files(out) if path.name != CHAIN]

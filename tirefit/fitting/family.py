@@ -10,20 +10,22 @@ a fit that is ok, and in the range of the others (``make statistics``).
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.fitting.config import FitConfig
+from tirefit.fitting.config import FitConfig, ParameterConfig
 from tirefit.fitting.derived import derived_from_profile, quantity_of
 from tirefit.fitting.hints import remainder
-from tirefit.fitting.identified import minus_two_log_likelihood
-from tirefit.fitting.others import estimates_of, solved_as
-from tirefit.fitting.problem import FitTask
+from tirefit.fitting.identified import minus_two_log_likelihood, profile_estimates
+from tirefit.fitting.problem import FitTask, build
+from tirefit.fitting.profile import Profile, profile_all
 from tirefit.fitting.result import Estimate, PeakRange
-from tirefit.fitting.solve import Solved
-from tirefit.models import MODELS
+from tirefit.fitting.solve import Solved, solve_problem
+from tirefit.models import MODELS, modelled
+from tirefit.params import specs
+from tirefit.results import DataError, UsageError
 
 NEAR_PEAK = 0.98
 """Share of the fitted peak below which the rows do not reach it; a brush has it at 0.73 of
@@ -43,6 +45,13 @@ _BRUSH = re.compile(r"(brush(?:-load|-anisotropic)?)(?:-(d?)([mnhs]*))?")
 """Name of a brush: family, pressure, friction."""
 
 
+_PEAK = ("mu", "mu_peak", "D", "Dx", "Dy")
+"""Peak force over load, by the name that it has in a model."""
+
+_SLOPE = ("cpa2", "B", "Bx", "By")
+"""Parameters that set the slope at zero slip; their units differ."""
+
+
 def family_of(task: FitTask) -> list[str]:
     """Names of models of other shapes for the rows of a task: brush, brush-d, Magic Formula,
     with the friction law of the task's model, its load dependence and its lag."""
@@ -57,6 +66,43 @@ def family_of(task: FitTask) -> list[str]:
         combined = np.mean(np.minimum(*slips) > 0.05 * max(map(np.max, slips))) > 0.05
         names.append("magic-formula-combined" if combined else "magic-formula")
     return [one for one in names if one in MODELS and one != name]
+
+
+def solved_as(name: str, task: FitTask, config: FitConfig) -> Solved | None:
+    """Another model solved on the rows of a task, with the settings that apply to it.
+
+    None if the model lacks a force or an input, or if the settings do not suit it.
+    """
+    forces = [channel.name for channel in task.problem.channels]
+    if not {*forces} <= {*modelled(MODELS[name])}:
+        return None
+    chosen = {"model": name, "force": forces, "parameters": _parameters(name, config)}
+    config = config.model_copy(update=chosen)
+    try:
+        return solve_problem(build(task.data, name, config, len(task.problem.rows.weight)), config)
+    except (DataError, UsageError):
+        return None
+
+
+def _parameters(name: str, config: FitConfig) -> dict[str, ParameterConfig]:
+    """Settings of the parameters that the model has, or has under another name."""
+    known = specs(MODELS[name])
+    settings: dict[str, ParameterConfig] = {}
+    for key, one in config.parameters.items():
+        names: Sequence[str] = (key,) if key in known else ()
+        if key in _PEAK and not names:
+            names = [k for k in _PEAK if k in known]
+        elif key in _SLOPE and not names and one.per_run:
+            names, one = [k for k in _SLOPE if k in known], ParameterConfig(per_run=True)
+        if one.tied is None or one.tied in known:
+            settings |= dict.fromkeys(names, one)
+    return settings
+
+
+def estimates_of(solved: Solved) -> tuple[list[Profile], dict[str, Estimate]]:
+    """Profiles and estimates of the parameters of a solved problem."""
+    profiles = profile_all(solved.problem, solved.z, solved.covariance, solved.level)
+    return profiles, profile_estimates(solved, profiles)[0]
 
 
 def reached(solved: Solved, derived: Mapping[str, Estimate]) -> dict[str, float]:
@@ -102,8 +148,8 @@ def peak_ranges(
     if not any(share < NEAR_PEAK for share in shares.values()):
         if not shares or not noisy or not shape_in_doubt(solved):
             return {}
-    others = [one for name in family_of(task) if (one := solved_as(name, task, config))]
-    every = {task.name: solved} | {one.name: one.solved for one in others}
+    every = {task.name: solved}
+    every |= {n: one for n in family_of(task) if (one := solved_as(n, task, config))}
     chances = probabilities(every)
     as_good = [name for name, chance in chances.items() if chance > _CONTRADICTED]
     peaks = {task.name: derived} | {k: _peaks(every[k]) for k in as_good if k != task.name}

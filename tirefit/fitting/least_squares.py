@@ -129,7 +129,12 @@ def _gain(move, at: Normal):
     return at.beside - move @ (2 * at.gradient + at.normal @ move)
 
 
-def _after_step(z, at: Normal, damping, allowed: Callable, longest):
+def at_least_a_share(size: Float[Array, " p"]) -> Float[Array, " p"]:
+    """Damping of each element from the diagonal of the normal matrix, by ``LEAST_SCALE``."""
+    return jnp.maximum(size, LEAST_SCALE * jnp.max(size)) + NO_CURVATURE
+
+
+def _after_step(z, at: Normal, damping: Float[Array, " p"], allowed: Callable, longest):
     """z (p,) after one damped step in which no element moves by more than longest.
 
     Elements that would move further, or leave their range, are limited, and the step of
@@ -141,9 +146,7 @@ def _after_step(z, at: Normal, damping, allowed: Callable, longest):
         asked = z + jnp.clip(move, -longest, longest)
         return allowed(asked), asked
 
-    size = jnp.diagonal(at.normal)
-    size = jnp.maximum(size, LEAST_SCALE * jnp.max(size)) + NO_CURVATURE
-    system = at.normal + damping * jnp.diag(size)
+    system = at.normal + jnp.diag(damping)
     move = -jnp.linalg.solve(system, at.gradient)
     reached, asked = limited(move)
     free = (reached == asked) & (jnp.abs(move) <= longest)
@@ -168,6 +171,7 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
         rtol, atol: the search ends where an undamped step would lower the sum of squares by
             less than this share of it, or this amount.
         first_damping: before the first trial; a large one stays near the start.
+        scaling: the damping of each element (p,) from the diagonal of the normal matrix.
 
     Options:
         lower, upper: smallest and largest z (p,) of a trial.
@@ -185,6 +189,7 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
     rtol: float = TOLERANCE
     atol: float = TOLERANCE**2
     first_damping: float = FIRST_DAMPING
+    scaling: Callable = eqx.field(default=at_least_a_share, static=True)
     norm: Callable = eqx.field(default=optx.max_norm, static=True)  # of the interface, unused
 
     def begin(self, z: Float[Values, " p"], aux: Any = None) -> _State:
@@ -232,9 +237,10 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
         damping = jnp.maximum(damping, LEAST_DAMPING)
         stiffen = jnp.where(fair, STIFFEN, 2 * state.stiffen)
         limits = partial(jnp.clip, min=lower, max=upper)
-        whole = _after_step(z, best, LEAST_DAMPING, limits, jnp.inf)
+        size = self.scaling(jnp.diagonal(best.normal))
+        whole = _after_step(z, best, LEAST_DAMPING * size, limits, jnp.inf)
         settled = jnp.abs(_gain(whole - z, best)) <= self.rtol * best.cost + self.atol
-        trial = _after_step(z, best, damping, limits, LONGEST_STEP)
+        trial = _after_step(z, best, damping * size, limits, LONGEST_STEP)
         promised = _gain(trial - z, best)
         return z, _State(
             best, trial, damping, stiffen, promised, settled | (damping > STUCK), state.aux
@@ -259,17 +265,23 @@ def on_host(
     lower: Values | float | None = None,
     upper: Values | float | None = None,
     max_steps: int = MAX_STEPS,
+    rest: tuple[int, float] = (MAX_STEPS, 0.0),
 ) -> Solution:
-    """Least squares from ``start`` (p,), of a function that gives the normal equations."""
-    solver, z, steps = solver or NormalEquations(), np.asarray(start, float), 0
+    """Least squares from ``start`` (p,), of a function that gives the normal equations.
+
+    Args:
+        rest: the search also ends if this number of steps gained less than this in all.
+    """
+    solver, z, rests = solver or NormalEquations(), np.asarray(start, float), False
+    costs: list[float] = []
     state = solver.begin(z)
-    while steps < max_steps and not state.done:
+    while len(costs) < max_steps and not (state.done or rests):
         found = linearise(np.asarray(state.trial))
         z, state = advanced(solver, z, state, found, lower, upper)
-        steps += 1
-    cost = float(state.best.cost)
-    ended = bool(state.done) and np.isfinite(cost)
-    return Solution(np.asarray(z), cost, ended, steps, np.asarray(state.best.normal))
+        costs.append(float(state.best.cost))
+        rests = len(costs) > rest[0] and costs[-1 - rest[0]] - costs[-1] < rest[1]
+    ended = bool(state.done or rests) and np.isfinite(costs[-1])
+    return Solution(np.asarray(z), costs[-1], ended, len(costs), np.asarray(state.best.normal))
 
 
 def _ordinary(residual: Residual, start) -> Callable:

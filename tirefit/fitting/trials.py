@@ -12,10 +12,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tirefit.fitting.config import FitConfig
+from tirefit.fitting.family import estimates_of, solved_as
 from tirefit.fitting.identified import at_bound
 from tirefit.fitting.inference import minima
 from tirefit.fitting.likelihood import row_moments
-from tirefit.fitting.others import estimates_of, solved_as
 from tirefit.fitting.problem import FitTask
 from tirefit.fitting.result import Trial
 from tirefit.fitting.solve import Solved
@@ -65,13 +65,13 @@ def _tried(
     other = solved_as(name, task, config)
     if other is None:
         return None
-    known, estimates = specs(MODELS[name]), estimates_of(other.solved)[1]
+    known, estimates = specs(MODELS[name]), estimates_of(other)[1]
     for label, one in estimates.items():
         if at_bound(known[label.partition("[")[0]], one.value):
             return Trial(column, name, f"{label} stops at its bound")
         if not one.identified:
             return Trial(column, name, f"{label} is not identified")
-    before, after = (errors_left_out(each, task) for each in (solved, other.solved))
+    before, after = (errors_left_out(each, task) for each in (solved, other))
     forces = list(before)
     scales = {k: np.median(solved.problem.used(solved.problem.rows.scale[k])) for k in forces}
     gains = sum((before[k] ** 2 - after[k] ** 2) / scales[k] ** 2 for k in forces)

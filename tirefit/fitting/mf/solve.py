@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.compiled import BRIEF
+from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, Solution, on_host
 from tirefit.fitting.mf.parts import influences
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, curvatures
@@ -29,13 +30,11 @@ _ROWS = (8192, 1024)
 """Numbers of rows of a block. A call costs as much as about 1000 rows, and the last
 block is padded. The sizes are few because each is compiled."""
 
-_MAX_STEPS = 200
-_FIRST_DAMPING, _LEAST_DAMPING, _STUCK = 1.0, 1e-6, 1e10
-_GOOD, _FAIR = 0.75, 0.25
+_FIRST_DAMPING = 10.0  # of the search; the first trial has a tenth of it
 _SETTLED = 1e-6
 """Least gain in deviance of one more undamped step: 0.001 of a standard error."""
 
-_RESTS, _GAINED = 15, 1e-3
+_REST = 15, 1e-3
 """The search ends if this number of passes gained less than this deviance (a thirtieth
 of a standard error) in all: at a kink of the formula every step stays damped."""
 
@@ -97,15 +96,6 @@ class Problem:
     def with_blocks(self, blocks: Iterable[Block]) -> "Problem":
         """The same problem with other rows."""
         return replace(self, blocks=tuple(blocks))
-
-
-class Minimum(NamedTuple):
-    """The end of a search."""
-
-    u: np.ndarray  # (p,)
-    cost: float  # sum of squares of rows and priors
-    converged: bool
-    steps: int  # passes over the rows
 
 
 def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...]:
@@ -230,48 +220,23 @@ def curvature_at(problem: Problem, u: np.ndarray) -> np.ndarray:
     return _passed(problem, u, np.full(len(u), True))[1]
 
 
-def minimise(
-    problem: Problem, start: np.ndarray, max_steps: int = _MAX_STEPS, settled: float = _SETTLED
-) -> Minimum:
-    """Levenberg-Marquardt over the free coefficients, from ``start`` (p,), until one
-    more step would gain less than ``settled`` of deviance.
+def _between(size):
+    """Damping by the geometric mean of that of the priors (Levenberg) and that of the rows
+    (Marquardt). Of six starts of pure F_y, either one alone ended in another minimum, at a
+    kink of the formula, from three, and the mean from one."""
+    return jnp.sqrt(size)
 
-    A trial whose cost is larger or not finite is refused. The damping matrix is the
-    geometric mean of that of the priors (Levenberg) and that of the rows (Marquardt).
-    Of six starts of pure F_y, either one alone ended in another minimum, at a kink of
-    the formula, from three, and the mean from one.
-    """
-    free = np.flatnonzero(problem.free)
-    u = np.array(start, float)
-    rows, curvature, slope = _passed(problem, u, problem.free)
-    cost, steps = rows + float(u @ u), 1
-    damping, stiffen = _FIRST_DAMPING, 2.0
-    converged, costs = False, [cost]
-    while steps < max_steps and damping < _STUCK:
-        normal = curvature[np.ix_(free, free)] + np.eye(len(free))
-        downhill = -(slope + u)[free]
-        left = float(downhill @ np.linalg.solve(normal, downhill))
-        rests = len(costs) > _RESTS and costs[-1 - _RESTS] - costs[-1] < _GAINED
-        if left < settled or rests:
-            converged = True
-            break
-        damped = normal + damping * np.diag(np.sqrt(np.diagonal(normal)))
-        move = np.linalg.solve(damped, downhill)
-        promised = float(move @ (2 * downhill - normal @ move))
-        trial = u.copy()
-        trial[free] += move
-        passed = _passed(problem, trial, problem.free)
-        steps += 1
-        gain = cost - passed[0] - float(trial @ trial)
-        share = gain / promised
-        if gain > 0:
-            u, (rows, curvature, slope) = trial, passed
-            cost -= gain
-        costs.append(cost)
-        if gain > 0 and share > _FAIR:
-            damping, stiffen = damping * (0.1 if share > _GOOD else 1 / 3), 2.0
-        else:
-            # By 2, 4, 8, ...: several refusals in a row soon find the scale.
-            damping, stiffen = damping * stiffen, 2 * stiffen
-        damping = max(damping, _LEAST_DAMPING)
-    return Minimum(u, cost, converged or damping >= _STUCK, steps)
+
+def minimise(
+    problem: Problem, start: np.ndarray, max_steps: int = MAX_STEPS, settled: float = _SETTLED
+) -> Solution:
+    """Least squares over the free coefficients, from ``start`` (p,), until one more step would
+    gain less than ``settled`` of deviance."""
+
+    def normal(u) -> Normal:
+        rows, curvature, slope = _passed(problem, u, problem.free)
+        downhill = np.where(problem.free, slope + u, 0.0)
+        return Normal(rows + float(u @ u), curvature + np.eye(len(u)), downhill)
+
+    solver = NormalEquations(0.0, settled, first_damping=_FIRST_DAMPING, scaling=_between)
+    return on_host(normal, start, solver, max_steps=max_steps, rest=_REST)

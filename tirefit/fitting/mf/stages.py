@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.fitting.least_squares import Solution
 from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
 from tirefit.fitting.mf.rows import ForceRows, Group
 from tirefit.fitting.mf.solve import (
     Block,
-    Minimum,
     Problem,
     blocks_of,
     curvature_at,
@@ -161,9 +161,9 @@ def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool
     if starts:
         few = problem_of(work, groups, names, _ENOUGH)
         ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts]
-        work.u = min(ends, key=lambda end: end.cost).u
+        work.u = min(ends, key=lambda end: end.cost).z
     for _ in range(_ROUNDS):
-        work.u = minimise(problem_of(work, groups, names), work.u, _TRIES, _ROUGHLY).u
+        work.u = minimise(problem_of(work, groups, names), work.u, _TRIES, _ROUGHLY).z
         predicted = row_values(work.problem, work.u, group.force, group.cells.inputs)
         before = groups[-1].variance(predicted)
         groups[-1] = group = _with_noise(work, group, predicted, rows)
@@ -174,9 +174,9 @@ def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool
     end = minimise(problem, work.u)
     if is_last:
         moved, end = _hold(work, problem, end)
-    work.u, work.moved = end.u, work.moved | set(names)
+    work.u, work.moved = end.z, work.moved | set(names)
     # The covariance includes the held coefficients: the rows may determine them at this end.
-    work.covariance = _covariance(work.covariance, problem, end.u)
+    work.covariance = _covariance(work.covariance, problem, end.z)
     rmse = work.rmse(group)
     work.stages.append(
         Stage(
@@ -186,7 +186,7 @@ def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool
             rows=int(np.sum(group.cells.rows)),
             cells=len(group.cells.rows),
             moved=int(np.count_nonzero(moved.free)),
-            chi2=end.cost - float(end.u @ end.u),
+            chi2=end.cost - float(end.z @ end.z),
             steps=end.steps,
             converged=end.converged,
             rmse=rmse,
@@ -253,15 +253,15 @@ def _cells_per_one(work: Search, group: Group, names) -> float:
     return max(autocorrelation_time(parts), by_setting)
 
 
-def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimum]:
+def _hold(work: Search, problem: Problem, end: Solution) -> tuple[Problem, Solution]:
     """Fix coefficients that the rows do not identify at the centre of their priors."""
-    left = np.diagonal(_covariance(work.covariance, problem, end.u))
+    left = np.diagonal(_covariance(work.covariance, problem, end.z))
     held = problem.free & (left > _HELD)
     own = own_coefficients(problem.tire.version, problem.blocks[0].force)
     names = np.array(problem.names)
     work.held = (work.held - set(own)) | set(names[held].tolist())
     problem = problem.with_free(names[problem.free & ~held].tolist())
-    return problem, minimise(problem, np.where(held, 0.0, end.u))
+    return problem, minimise(problem, np.where(held, 0.0, end.z))
 
 
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:
