@@ -99,6 +99,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "diagnosis.rows.rig": ["Rig", "load_rig"],
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
+        "fitting.identifiability": ["identifiability"],
         "fitting.mf.fit": ["fit_magic_formula"],
         "fitting.posterior": ["sample"],
         "fitting.predict": ["predict"],

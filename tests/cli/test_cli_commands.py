@@ -139,7 +139,7 @@ def test_data_options_have_the_same_meaning_in_every_command(run, no_figures, tm
         "--unit", "kappa=%", "--unit", "fx=kN", "--convention", "iso-w", "--slip",
         "kappa", "--constant", "v=20",
     )  # fmt: skip
-    found = json.loads(run("inspect", "d.csv", "--json", *options).stdout)
+    found = json.loads(run("inspect", "d.csv", "--json", "--no-gate", *options).stdout)
     largest = {column["name"]: column["max"] for column in found["columns"]}
     assert found["convention"] == "iso-w" and found["warnings"] == []
     np.testing.assert_allclose(
@@ -191,15 +191,15 @@ def test_wrong_options_of_predict_are_refused(run, tmp_path, arguments, code, sa
 
 def test_inspect_as_json(run, tmp_path):
     write(tmp_path / "d.csv", "sigma_x,fx,fz", SLIP, parabolic(SLIP), np.full(31, FZ))
-    content = json.loads(run("inspect", "d.csv", "--json").stdout)
+    content = json.loads(run("inspect", "d.csv", "--json", "--model", "brush").stdout)
     assert "31" in json.dumps(content)
-    text = run("inspect", "d.csv").stdout
+    text = run("inspect", "d.csv", "--model", "brush").stdout
     assert "sigma_x" in text and "braking" in text
 
 
 def test_inspect_goes_on_after_a_bad_file(run, tmp_path):
     write(tmp_path / "d.csv", "sigma_x,fx,fz", SLIP, parabolic(SLIP), np.full(31, FZ))
-    result = run("inspect", "none.csv", "d.csv", exit_code=3)
+    result = run("inspect", "none.csv", "d.csv", "--no-gate", exit_code=3)
     assert "none.csv" in result.stderr and "d.csv" in result.stdout
 
 
@@ -334,3 +334,16 @@ def test_derive_refuses_a_wrong_unit_with_a_working_remedy(run, tmp_path):
     assert "warning: channels contradict" in run(*arguments, "--believe").stdout
     result = run(*arguments, "--unit", "v_x", exit_code=2)
     assert "--unit NAME=VALUE" in result.stderr
+
+
+def test_inspect_lists_identifiable_parameters(run, tmp_path):
+    run("simulate", "rig", "--out", "rig.csv", "--largest", "0.004")
+    said = run("inspect", "rig.csv", "--model", "brush").stdout
+    assert "fx brush" in said and "not mu: needs slips" in said
+    content = json.loads(run("inspect", "rig.csv", "--model", "brush", "--json").stdout)
+    (gate,) = content["identifiability"]["gates"]
+    grades = {p["name"]: p["grade"] for p in gate["parameters"]}
+    assert grades == {"cpa2": "well", "mu": "not"}
+    plain = run("inspect", "rig.csv", "--no-gate").stdout
+    assert "expected standard errors" not in plain
+    run("inspect", "rig.csv", "--model", "brusch", exit_code=2)

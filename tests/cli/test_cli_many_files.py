@@ -24,7 +24,7 @@ def sweeps(tmp_path):
 
 
 COMMANDS = {
-    "inspect": ["inspect"],
+    "inspect": ["inspect", "--no-gate"],
     "fit": ["fit", "--no-posterior", "--out", "fits"],
     "fit, joint": ["fit", "--no-posterior", "--joint", "--out", "joint"],
     "fit, Magic Formula": ["fit", "--model", "mf61", "--part", "fx", "--out", "mf"],
@@ -50,7 +50,7 @@ def test_every_note_is_printed_once_with_its_count(run, sweeps, no_figures, name
 
 
 def test_the_report_of_one_file_has_all_notes(run, sweeps):
-    done = run("inspect", sweeps[0])
+    done = run("inspect", "--no-gate", sweeps[0])
     assert "what was assumed\n" in done.stdout and "files" not in done.stdout
     assert done.stderr == ""
 

@@ -22,6 +22,7 @@ from tirefit.cli.options import (
     SignsOption,
     complain,
     errors_to_exit,
+    model_names,
     numbers,
     pairs,
     path_option,
@@ -62,19 +63,41 @@ def methods(json: JsonOption = False) -> None:
 
 
 @takes_data_options
-def inspect(files: Files, options: DataOptions, json: JsonOption = False) -> None:
-    """Show how a file was read and which fits it supports."""
+def inspect(
+    files: Files,
+    options: DataOptions,
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="model whose parameters are checked (repeat for more; default: some"
+            " brush models and the Magic Formula)",
+            autocompletion=model_names,
+        ),
+    ] = None,
+    gate: Annotated[
+        bool,
+        typer.Option(
+            "--gate/--no-gate", help="compute how well the file determines the parameters of models"
+        ),
+    ] = True,
+    json: JsonOption = False,
+) -> None:
+    """Show how a file was read, which fits it supports, and how well it determines the
+    parameters of models."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
 
     def show(piece: Piece) -> tuple[ExitCode, Any]:
         data = read(piece.file, **how)
         inspection = look(data)
+        identified = _identified(data, model) if gate else None
         content = inspection.to_dict()
+        content |= {"identifiability": identified.to_dict()} if identified else {}
         if len(files) > 1 and not json:
             warn(data, assumed=data.source.assumptions)
             inspection = replace(inspection, warnings=(), assumptions=())
-        say(dumps(json_safe(content), indent=1) if json else inspection.summary())
+        text = inspection.summary() + (identified.summary() if identified else "")
+        say(dumps(json_safe(content), indent=1) if json else text)
         return ExitCode.OK, None
 
     with errors_to_exit():
@@ -82,6 +105,14 @@ def inspect(files: Files, options: DataOptions, json: JsonOption = False) -> Non
         pieces = [Piece(file, "") for file in files]
         done = run_pieces("inspect", pieces, show, Sharing(), Path())
         raise typer.Exit(worst_of([one.code for one in done]))
+
+
+def _identified(data, models):
+    """How well the data determine the parameters of the models."""
+    start_jax()
+    from tirefit.fitting.identifiability import identifiability
+
+    return identifiability(data, models)
 
 
 def derive(
