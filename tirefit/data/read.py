@@ -203,7 +203,7 @@ def _checked(table: Table, options: Options) -> TireData:
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)
-    _drop_absent_noise(reading)
+    reading.assumptions += check.drop_absent_noise(reading.columns, reading.headers)
     reading.faults += check.range_faults(
         reading.columns, reading.shown, reading.headers, read_as.convention
     )
@@ -309,15 +309,6 @@ def _constants(reading: _Reading) -> None:
         unit = CANONICAL[base_column(name)][0]
         sentence = f"{name} = {value:g} {unit} in all rows, as declared"
         reading.assumptions.append(sentence)
-
-
-def _drop_absent_noise(reading: _Reading) -> None:
-    """Remove a noise of the slip that is zero in all rows: the slip is exact."""
-    for name in [name for name in reading.columns if name.endswith("_std")]:
-        if base_column(name) in ("alpha", *SLIP_DEFINITIONS) and not reading.columns[name].any():
-            reading.columns.pop(name)
-            header = reading.headers.pop(name, name)
-            reading.assumptions.append(f"column {header!r} is zero in all rows: no slip noise")
 
 
 def _slip_to_sigma(reading: _Reading, definition: str | None) -> None:
