@@ -230,8 +230,7 @@ def _checked(table: Table, options: Options) -> TireData:
         constants=table.constants,
     )
     beside = (f"{c}{end}" for c in CANONICAL for end in ("", "_std", "_sim"))
-    order = [name for name in beside if name in reading.columns]
-    ordered = {name: reading.columns[name] for name in order}
+    ordered = {name: reading.columns[name] for name in beside if name in reading.columns}
     return TireData(table.name, ordered, ~reading.bad(), run, runs, source)
 
 
