@@ -98,13 +98,16 @@ def test_stated_slip_noise_is_not_estimated():
     assert "sigma_x_std" in prepared.slip_source
 
 
-def driven(seed, steps, noise=0.0, own=40.0, rows=ROWS, effect=0.0):
+def driven(seed, steps, noise=0.0, own=40.0, rows=ROWS, effect=0.0, period=np.inf):
     """A slip angle that goes up and down at 20 Hz with independent steps on it, measured
-    with white ``noise``; a force that follows all of the slip, with noise ``own`` [N]."""
+    with white ``noise``; a force that follows all of the slip, with noise ``own`` [N] and
+    a friction of 0.9 that changes by 12 % with a ``period`` [s]."""
     generator = np.random.default_rng(seed)
     time, load = np.arange(rows) / 20, np.full(rows, 4000.0)
     alpha = 0.15 * np.sin(1.3 * time) + steps * generator.normal(size=rows)
-    force = brush(np.tan(alpha + effect), 4e4, 0.9, load) + own * generator.normal(size=rows)
+    friction = 0.9 * (1 + 0.12 * np.sin(2 * np.pi * time / period))
+    force = brush(np.tan(alpha + effect), 4e4, friction, load)
+    force = force + own * generator.normal(size=rows)
     alpha = alpha + noise * generator.normal(size=rows)
     return {"time": time, "alpha": alpha, "fy": force, "fz": load, "v": np.full(rows, 20.0)}
 
@@ -144,6 +147,18 @@ def test_steps_of_the_slip_leave_the_noise_of_the_force(seed, effects):
     assert found.noise.forces["fy"] == pytest.approx(40, rel=0.1)
     rms = [step.rms_left_out for step in found.ladder.steps]
     assert rms[-1] <= rms[0]
+
+
+@pytest.mark.parametrize(
+    "period", [2.0, 8.0, *(pytest.param(p, marks=pytest.mark.long) for p in (0.5, 1.0, 3.0))]
+)
+def test_a_ripple_of_the_friction_is_a_gap_and_no_noise(period):
+    """Its rms is 230 N, in forces whose sign the slip changes every 2.4 s. In records of 600
+    rows whose noise has a standard error of 3 % the rest of the ripple adds up to 5 N."""
+    found = diagnose(read_frame(driven(1, 0.02, period=period)), effects=FEW)
+    assert found.verdict.status == "unknown"
+    assert found.gap.resolvable
+    assert found.noise.forces["fy"] == pytest.approx(40, rel=0.2)
 
 
 def test_an_effect_beside_steps_of_the_slip_is_named():

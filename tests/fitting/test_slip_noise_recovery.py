@@ -7,11 +7,13 @@ import pytest
 from recipes import STD, TRUTH, brush_force, curve, table
 from scipy.stats import binom
 
+from tirefit.data.read import read_frame
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import _noise_record, fit
 from tirefit.fitting.far_rows import settle
 from tirefit.fitting.posterior import _density, _whitening, sample
 from tirefit.report.fit_tables import noise_text
+from tirefit.results import DataError
 
 CPA2, MU, FZ = 3e4, 0.95, 4000.0
 TURNED, ROWS = 0.15, 400  # largest slip angle
@@ -73,6 +75,20 @@ def test_the_peak_is_not_below_the_measured_forces(shape, seed):
     assert not any(row.set_aside for row in settled.far)
 
 
+def test_no_slip_noise_is_the_fit_without_it():
+    """A standard deviation of zero in the settings or in all rows; of some rows, it is wrong."""
+    data, config = file_of("uniform", 20.0, 0.0, 0)
+    plain = parse_config({"noise": {"fy": 20.0}, "solver": "gauss-newton", "starts": 1})
+    expected = settle(data, "brush", plain).solved.z
+    columns = {name: data[name] for name in ("alpha", "fy", "fz")}
+    zero = np.zeros(ROWS)
+    of_column = read_frame(columns | {"alpha_std": zero})
+    for stated, settings in [(data, config), (of_column, plain)]:
+        np.testing.assert_array_equal(settle(stated, "brush", settings).solved.z, expected)
+    with pytest.raises(DataError, match="row 0, .*is not a standard deviation"):
+        read_frame(columns | {"alpha_std": np.where(np.arange(ROWS) % 2, 0.01, zero)})
+
+
 def test_sliding_rows_determine_the_friction_without_bias():
     """A third of the rows slide. One standard deviation of the slip changes the force by up to
     40 of its own. Estimates of eight files scatter by 0.0002, so that the mean of four is known
@@ -128,7 +144,15 @@ def test_weighted_draws_have_the_moments_of_the_posterior_on_a_grid(shape, fy_st
 @pytest.mark.statistics
 @pytest.mark.parametrize(
     ("fy_std", "alpha_std"),
-    [(5.0, 0.02), (20.0, 0.02), (20.0, 0.003), (80.0, 0.01), (200.0, 0.02), (400.0, 0.03)],
+    [
+        (20.0, 0.0),
+        (5.0, 0.02),
+        (20.0, 0.02),
+        (20.0, 0.003),
+        (80.0, 0.01),
+        (200.0, 0.02),
+        (400.0, 0.03),
+    ],
 )
 @pytest.mark.parametrize("shape", ["uniform", "sine", "steps"])
 def test_intervals_hold_with_slip_noise(shape, fy_std, alpha_std):

@@ -16,6 +16,7 @@ from tirefit.data.cells import Column, all_grouped, may_hold, parsed
 from tirefit.data.columns import is_number
 from tirefit.data.own_tables import own_table
 from tirefit.data.signs import evidence_of, fitting_conventions
+from tirefit.data.units import base_column
 from tirefit.data.vehicle_log import vehicle_log
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
@@ -108,6 +109,18 @@ _RULES = (
     Rule("v", lambda speed: speed < 0, "is a negative speed", _CORRECT),
     Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed", _CORRECT),
 )
+
+
+def drop_absent_noise(columns: dict[str, np.ndarray], headers: dict[str, str]) -> list[str]:
+    """Remove the noise of a slip that is zero in all rows, and return a sentence on each."""
+    slips = ("alpha", *SLIP_DEFINITIONS)
+    stds = [name for name in columns if name.endswith("_std") and base_column(name) in slips]
+    zero = [name for name in stds if not columns[name].any()]
+    for name in zero:
+        del columns[name]
+    return [
+        f"column {headers.pop(name, name)!r} is zero in all rows: no slip noise" for name in zero
+    ]
 
 
 def range_faults(

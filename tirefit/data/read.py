@@ -199,6 +199,7 @@ def _checked(table: Table, options: Options) -> TireData:
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)
+    reading.assumptions += check.drop_absent_noise(reading.columns, reading.headers)
     reading.faults += check.range_faults(
         reading.columns, reading.shown, reading.headers, read_as.convention
     )
@@ -225,8 +226,7 @@ def _checked(table: Table, options: Options) -> TireData:
         constants=table.constants,
     )
     beside = (f"{c}{end}" for c in CANONICAL for end in ("", "_std", "_sim"))
-    order = [name for name in beside if name in reading.columns]
-    ordered = {name: reading.columns[name] for name in order}
+    ordered = {name: reading.columns[name] for name in beside if name in reading.columns}
     return TireData(table.name, ordered, ~reading.bad(), run, runs, source)
 
 

@@ -4,7 +4,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, PositiveFloat, PrivateAttr
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PrivateAttr,
+)
 
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.door import read_toml
@@ -73,6 +80,9 @@ class ParameterConfig(Section):
                 yield InputProblem(f"{key} contradicts {rule}", f"leave one of them out: {remedy}")
 
 
+_SlipNoise = Annotated[NonNegativeFloat | None, AfterValidator(lambda std: std or None)]
+
+
 class NoiseConfig(Section):
     """Standard deviations of the noise. Missing ones are estimated; missing slip noise is zero.
     ``<force>_relative`` is a fraction of the load; ``<slip>_speed`` [m/s] is noise of the slip
@@ -87,10 +97,10 @@ class NoiseConfig(Section):
     my: PositiveFloat | None = None
     fx_relative: PositiveFloat | None = None
     fy_relative: PositiveFloat | None = None
-    sigma_x: PositiveFloat | None = None
-    alpha: PositiveFloat | None = None
-    sigma_x_speed: PositiveFloat | None = None
-    alpha_speed: PositiveFloat | None = None
+    sigma_x: _SlipNoise = None
+    alpha: _SlipNoise = None
+    sigma_x_speed: _SlipNoise = None
+    alpha_speed: _SlipNoise = None
     proportional_to_load: bool = False
     loss: Literal["trimmed", "squares", "huber", "soft-l1", "cauchy"] = "trimmed"
     effective_samples: Literal["estimate", "all"] = "estimate"

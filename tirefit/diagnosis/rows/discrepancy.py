@@ -218,8 +218,9 @@ def smooth_basis(prepared, slip_fraction, scale, most: int, runs: bool = False) 
     return _by_side(slip_fraction, factors, scale, most)
 
 
-def wave_basis(prepared, scale) -> np.ndarray:
-    """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
+def wave_basis(prepared, scale, friction) -> np.ndarray:
+    """Sine and cosine of slip, of time, and of the friction over time, side by side:
+    (n, 2 x waves)."""
     slip = prepared.slip
     span = max(np.ptp(slip), FLAT)
     most = int(np.clip(prepared.n // ROWS_OF_A_WAVE, 2 * _BUMPS[0], WAVES))
@@ -228,7 +229,8 @@ def wave_basis(prepared, scale) -> np.ndarray:
     if "time" in prepared.has:
         # With half waves: between two whole numbers of waves a third of the energy is lost.
         counts = np.arange(1, most + 0.1, 0.5)
-        waves.append(turns(prepared.covariates.time, counts))
+        over_time = turns(prepared.covariates.time, counts)
+        waves += [over_time, over_time * (friction / scale)[:, None]]
     columns = np.concatenate(waves, axis=1) * scale[:, None]
     size = np.sqrt(np.einsum("nk,nk->k", columns, columns))
     return columns / np.maximum(size, ROUNDING)

@@ -334,7 +334,8 @@ def _smooth(white, basis, waves, keep, in_time) -> "_Smooth":
         rest = np.where(keep, smooth.remainder(white), 0.0)
         chi2 = waves_within(kept, smooth.basis * keep[:, None], rest)
         best = 2 * int(np.argmax(chi2))
-        columns = np.concatenate([smooth.basis, waves[:, best : best + 2]], axis=1)
+        near = waves[:, max(best - 2, 0) : best + 4]  # one between two of them is three
+        columns = np.concatenate([smooth.basis, near], axis=1)
         more = _Smooth(columns, keep)
         left = np.where(keep, more.remainder(white), 0.0)
         unit = max(_scale(rest, smooth) ** 2, NONZERO)

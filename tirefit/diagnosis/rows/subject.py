@@ -398,12 +398,14 @@ def _noise(fit: Base, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLeve
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
     typical, most = fz / np.mean(fz), rows.n // 6
     basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
-    waves, groups, levels = wave_basis(rows, typical), neighbours(rows), {}
+    groups, levels = neighbours(rows), {}
+    of_friction = np.minimum(np.abs(fit.slip_fraction), 1.0)  # of a brush, within 0.2
     for c in rows.channels:
         given = rig.force_noise(c, fz)
         if f"{c}_std" in rows.data:
             given = rows.column(f"{c}_std")
         common = spread[c] * rows.common
+        waves = wave_basis(rows, typical, of_friction * mean[c])
         level = judge_noise(
             rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
             waves, groups, rows.time, rows.run, outliers,
