@@ -5,6 +5,7 @@ import pickle
 import struct
 import sys
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -405,6 +406,24 @@ def test_an_ambiguous_workbook_is_refused(tmp_path):
     assert "row 4, column 'fx': '#DIV/0!' is text" in refusal(path)
 
 
+OLD = Path(__file__).parent / "xls" / "sweep.xls"
+
+
+def test_an_excel_file_from_before_2007_is_read(tmp_path):
+    pytest.importorskip("xlrd")
+    (tmp_path / "a.csv").write_bytes(OLD.read_bytes())  # by content, not by ending
+    old, twin = read(tmp_path / "a.csv"), read(OLD.with_suffix(".csv"))
+    for name in ("sigma_x", "fx", "fz"):
+        np.testing.assert_array_equal(old[name], twin[name])
+    assert old.runs == twin.runs == ("1", "2")
+    assert old.source.units == twin.source.units and old.source.units["fx"] == "kN"
+    assert old.source.line[0] == 5 and said(old, "read from the sheet 'run 1'")
+    for end in (3000, 4500):
+        (tmp_path / "cut.xls").write_bytes(OLD.read_bytes()[:end])
+        message = refusal(tmp_path / "cut.xls")
+        assert "Excel file of before 2007 (.xls) cannot be read" in message
+
+
 def pickled(protocol):
     return lambda path: path.write_bytes(pickle.dumps(PLAIN, protocol))
 
@@ -454,6 +473,7 @@ def test_any_kind_may_be_gzipped(tmp_path):
     [
         ("pyarrow", lambda path: save_parquet(path, arrow_table(PLAIN))),
         ("openpyxl", lambda path: save_excel(path, {"one": SHEET})),
+        ("xlrd", lambda path: path.write_bytes(OLD.read_bytes())),
     ],
 )
 def test_a_missing_library_is_reported_with_its_install_command(
@@ -487,7 +507,7 @@ def test_log_files_need_an_optional_extra(tmp_path, monkeypatch, start, module):
 @pytest.mark.parametrize(
     ("start", "kind"),
     [
-        (b"\xd0\xcf\x11\xe0\xa1\xb1", "old Excel workbook"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1", "before 2007"),
         (b"TDSm", "LabVIEW"),
         (b"\x89HDF\r\n\x1a\n", "HDF5 file that is not MATLAB's"),
     ],

@@ -36,7 +36,6 @@ _NPZ = _IN_PYTHON.format("dict(numpy.load('{file}'))")
 _NPY = "dict(zip(['kappa', 'fx', 'fz'], numpy.load('{file}').T))"
 _PICKLE = _IN_PYTHON.format("pandas.read_pickle('{file}')")
 _UNREADABLE = {
-    rb"\xd0\xcf\x11\xe0": ("an old Excel workbook (.xls)", "save it as .xlsx or as CSV"),
     rb"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
     rb"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
     rb"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),

@@ -3,7 +3,7 @@
 import datetime
 import io
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,8 +105,14 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
 # --- Excel --------------------------------------------------------------------------
 
 
+_OLE = b"\xd0\xcf\x11\xe0"
+"""First bytes of Excel files from before 2007, and of other old Office files."""
+
+
 def is_excel(content: bytes) -> bool:
-    """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm)."""
+    """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm, .xls)."""
+    if content.startswith(_OLE):
+        return True
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return "xl/workbook.xml" in archive.namelist()
@@ -123,8 +129,8 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
         is_known: whether a cell is a column's name.
 
     Raises:
-        DataError: openpyxl is missing, the file is damaged, or no sheet or several sheets
-            have columns.
+        DataError: openpyxl, or xlrd for a file from before 2007, is missing, the file is
+            damaged, or no sheet or several sheets have columns.
     """
     sheets = _sheets(content, file)
     filled = {title: rows for title, rows in sheets.items() if rows}
@@ -151,22 +157,45 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
 
 def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]:
     """Title -> rows of every sheet."""
-    library = extra("openpyxl", "Excel files", file)
+    module, age, cells = "openpyxl", "", _cells_of_xlsx
+    if content.startswith(_OLE):
+        module, age, cells = "xlrd", " of before 2007 (.xls)", _cells_of_xls
+    library = extra(module, f"Excel files{age}", file)
     _check_unpacked(content, file)
     try:
-        book = library.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
-        sheets = {}
-        for sheet in book.worksheets:
-            sheet.reset_dimensions()  # some writers state fewer cells than the sheet has
-            sheets[sheet.title] = _rows(sheet.iter_rows(values_only=True), file)
-        book.close()
-        return sheets
+        return {title: _rows(rows, file) for title, rows in cells(library, content)}
     except DataError:
         raise
-    except Exception as error:  # openpyxl raises many kinds on damaged files
-        reason = f"the Excel file cannot be read: {error}"
+    except Exception as error:  # both raise many kinds on damaged files
+        reason = f"the Excel file{age} cannot be read: {error}"
         remedy = "save it again, as .xlsx and without a password"
         raise DataError(reason, remedy, file) from error
+
+
+def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
+    """Title and rows of values of each sheet."""
+    book = library.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+    for sheet in book.worksheets:
+        sheet.reset_dimensions()  # some writers state fewer cells than the sheet has
+        yield sheet.title, sheet.iter_rows(values_only=True)
+    book.close()
+
+
+def _cells_of_xls(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
+    """Title and rows of values of each sheet of a .xls file."""
+    book = library.open_workbook(file_contents=content, logfile=io.StringIO())
+
+    def value(cell):
+        if cell.ctype == library.XL_CELL_DATE:
+            return library.xldate_as_datetime(cell.value, book.datemode)
+        if cell.ctype == library.XL_CELL_ERROR:
+            return library.error_text_from_code.get(cell.value, "#N/A")
+        # Every number is a float: run 1 is 1.0.
+        number = isinstance(cell.value, float)
+        return int(cell.value) if number and cell.value.is_integer() else cell.value
+
+    for sheet in book.sheets():
+        yield sheet.name, ([value(cell) for cell in row] for row in sheet.get_rows())
 
 
 _UNPACKED, _CELLS = 128 * MIB, 4_000_000
@@ -176,6 +205,8 @@ _UNPACKED, _CELLS = 128 * MIB, 4_000_000
 
 def _check_unpacked(content: bytes, file: str) -> None:
     """Raises DataError if a workbook states a larger size when unpacked."""
+    if content.startswith(_OLE):
+        return
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         size = sum(one.file_size for one in archive.infolist())
     if size > _UNPACKED:
