@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tirefit.cli import silence
 from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
@@ -119,6 +120,7 @@ def _follow(names, chosen, how) -> None:
     from tirefit.online.estimate import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
+    silence.expected()  # rows may come at any time
     # A row with bytes that are not text is flagged, and reading continues.
     sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)

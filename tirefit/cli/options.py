@@ -18,6 +18,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tirefit.cli import silence
 from tirefit.data.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -289,6 +290,7 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
+    silence.broken()
     try:
         typer.echo(_printable(text))
     except BrokenPipeError:
@@ -299,6 +301,7 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
+    silence.broken()
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
@@ -388,7 +391,12 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=1.0, note="")
-        yield lambda share, note: bar.update(task, completed=share, note=note)
+
+        def show(share: float, note: str) -> None:
+            silence.broken()
+            bar.update(task, completed=share, note=note)
+
+        yield show
 
 
 def read_config(path: Path | None):
