@@ -28,7 +28,7 @@ KEYS = {
         "candidates", "untestable", "resolution", "forecast", "next_measurement",
         "next_measurement_reason",
         "slip_check", "runs", "base_parameters", "extended_parameters", "extension",
-        "settings", "seed", "version", "ladder_on",
+        "settings", "seed", "version", "asked", "ladder_on",
     ],
     "data": [
         "name", "path", "sha256", "convention", "channels", "assumptions", "set_aside",

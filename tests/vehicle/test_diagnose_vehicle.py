@@ -93,7 +93,8 @@ def test_the_record_prints_draws_and_saves(found, tmp_path):
     paths = found.save(tmp_path)
     content = json.loads(paths[0].read_text())
     assert content["verdict"]["effects"] == ["steering_delay"]
-    assert len(found.plot().axes) == len(found.budgets) + 3  # ladder, causes, sizes
+    # The ladder, and the budget of each logged channel: of all but that of all together.
+    assert len(found.plot().axes) == 1 + len(found.budgets) - 1
     assert "Budget of the simulator" in found._repr_html_()
     record = record_of_document(paths[0])
     amplitude = next(row for row in record.rows if row.kind == "effect")
@@ -194,7 +195,7 @@ def test_the_command_refuses_wrong_use_and_writes_results(late, tmp_path):
     command = ["diagnose", log, "--vehicle", vehicle, "--out", tmp_path / "out"]
     bad = {
         (3, "none.csv"): ["--holdout", log.parent / "none.csv"],
-        (2, "--convention, --rig with --vehicle"): ["--rig", "rig.toml", "--convention", "iso-w"],
+        (2, "--rig, --convention with --vehicle"): ["--rig", "rig.toml", "--convention", "iso-w"],
     }
     for (code, said), more in bad.items():
         done = CliRunner().invoke(app, [*map(str, [*command, *more])])

@@ -178,7 +178,7 @@ def test_the_command_writes_files_that_other_commands_read(drive, tmp_path):
     assert set(content["parameters"]) == set(TRUE)
     assert (tmp_path / "out" / "trajectory.png").stat().st_size > 10_000
     bad = CliRunner().invoke(app, [*line, "--joint", "--slip", "s"])
-    assert bad.exit_code == 2 and "--slip, --joint with --vehicle" in bad.stderr
+    assert bad.exit_code == 2 and "--joint, --slip with --vehicle" in bad.stderr
     bad = CliRunner().invoke(app, [*line[:2], "--window", "1"])
     assert bad.exit_code == 2 and "without --vehicle" in bad.stderr
 

@@ -11,7 +11,7 @@ from tirefit import __version__
 COMMANDS = {
     "demo": "Fit and diagnose measured samples that ship with tirefit.",
     "fit": "Fit a model to measurements: parameters with intervals, figures, report.",
-    "convert": "Convert a Magic Formula to a brush or another version, or a brush to a .tir.",
+    "convert": "Convert a Magic Formula to a brush or another version.",
     "export": "Write a tire as source code or as a file of another program.",
     "replay": "Predict measured drives of a car from its tires; report the error over time.",
     "diagnose": "Find the effects that explain the gap between a model or simulator and data.",
