@@ -102,3 +102,9 @@ def test_a_diagnosis_gives_a_data_frame():
     assert frame.loc[("effect", name), "value"] == size.value == pytest.approx(0.006, abs=0.001)
     assert frame.loc[("gap", "rms"), "value"] == found.gap.rms
     assert "frame" not in dir(found) and "to_frame" in dir(found)
+
+
+def test_fits_of_a_mapping_can_be_compared(fit, swept):
+    fits = {"brush": fit, "elliptic": tirefit.fit(swept.columns, "elliptic")}
+    table = tirefit.compare(fits.values())
+    assert {row[0] for row in table.rows[1:]} == {*fits} and table.rows[1][0] == "brush"

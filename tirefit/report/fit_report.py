@@ -1,7 +1,7 @@
 """The report of a fit: its sections, as text, as a page and as a fragment for notebooks."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tirefit.fitting.result import SCHEMA, FitResult, information
@@ -232,7 +232,7 @@ def _comparable(results: Sequence[FitResult]) -> None:
         )
 
 
-def compare(results: Sequence[FitResult]) -> Comparison:
+def compare(results: Iterable[FitResult]) -> Comparison:
     """Compare models fitted to the same data, with the same effective number of rows.
 
     Args:
@@ -250,6 +250,7 @@ def compare(results: Sequence[FitResult]) -> Comparison:
         >>> [row[0] for row in table.rows]
         ['model', 'elliptic', 'brush']
     """
+    results = list(results)
     _comparable(results)
     best = min(results, key=lambda r: r.statistics.rmse).statistics
     rows = best.n * len(results[0].forces)
