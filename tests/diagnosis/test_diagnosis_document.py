@@ -177,11 +177,6 @@ def test_undecidable_pairs_have_a_next_measurement_or_a_reason(studied, design):
 
 
 @pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    reason="force_offset, which explains the same exactly, has 0.005 against 0.58 by"
-    " its prior: below a tenth no rival is reported",
-)
 def test_one_load_and_one_sign_suggest_another_sign_or_load():
     data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 240)), "one sign")
     found = module.diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))

@@ -136,6 +136,14 @@ def test_what_is_known_beside_the_rows_excludes_a_twin():
         assert (decided(replace(found, weighed=weighed)).each["a"].twins == B) is is_twin
 
 
+def test_an_effect_that_does_not_help_has_no_twin_by_data_left_out():
+    sets = {AB: {"a": gain(), "b": gain(0.9)}, A: gains(A)}
+    found = replace(findings({AB: 0.8, A: 0.02}, sets), swaps={"b": {"c": gain(0.1, 1.0)}})
+    assert decided(found).also_possible == B
+    found = replace(found, swaps={"a": {"c": gain(0.1, 1.0)}})
+    assert decided(found).also_possible == (*B, "c")
+
+
 def test_swaps_are_gains_over_sets_with_another_effect_in_the_place_of_one():
     rng = np.random.default_rng(3)
     effects = ((), A, B, AB, ("a", "c"), ("c", "d"), ("b", "c"))

@@ -397,7 +397,10 @@ def _rivals(
             place = min(old) if len(old) == len(new) == 1 else ""
             found.setdefault(place, []).extend(sorted(new))
     for effect, swapped in findings.swaps.items():
-        lacks = policy.alike * findings.gains[best][effect].gain * more
+        own = findings.gains[best][effect]
+        if own.gain <= policy.gain * own.std:  # nothing is told of it
+            continue
+        lacks = policy.alike * own.gain * more
         for other, swap in sorted(swapped.items(), key=lambda one: one[1].gain):
             key = tuple(sorted({*best, other} - {effect}))
             # What is known beside these rows, such as a wheel speed, may exclude it.
