@@ -72,7 +72,7 @@ def test_all_six_notebooks_exist():
 def test_committed_notebooks_are_clean(path):
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
-    assert path.stat().st_size < 800_000
+    assert path.stat().st_size < 700_000
     assert notebook.metadata.kernelspec.name == "python3"
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
