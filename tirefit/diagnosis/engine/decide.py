@@ -362,10 +362,15 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
 def helping(found: Findings, policy: Policy = POLICY) -> Key:
     """The first set of ``gains`` whose every effect predicts data left out better."""
 
-    def helps(gains: Mapping[str, Gain]) -> bool:
-        return all(gain.gain > policy.gain * gain.std for gain in gains.values())
+    def help_all(gains: Mapping[str, Gain]) -> bool:
+        return all(_helps(gain, policy) for gain in gains.values())
 
-    return next((key for key, gains in found.gains.items() if helps(gains)), ())
+    return next((key for key, gains in found.gains.items() if help_all(gains)), ())
+
+
+def _helps(gain: Gain, policy: Policy) -> bool:
+    """Whether data left out are predicted better."""
+    return gain.gain > policy.gain * gain.std
 
 
 def _with_twins(sets: Weighed, features: Features, alike: Sequence[str]) -> Features:
@@ -398,7 +403,7 @@ def _rivals(
             found.setdefault(place, []).extend(sorted(new))
     for effect, swapped in findings.swaps.items():
         own = findings.gains[best][effect]
-        if own.gain <= policy.gain * own.std:  # nothing is told of it
+        if not _helps(own, policy):  # nothing is told of it
             continue
         lacks = policy.alike * own.gain * more
         for other, swap in sorted(swapped.items(), key=lambda one: one[1].gain):
