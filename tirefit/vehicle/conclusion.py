@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tirefit.diagnosis.engine.left_out import jackknife_error
 from tirefit.vehicle.replay import Replay
 
 AHEAD = 0.5
@@ -43,9 +44,7 @@ def turning(result: Replay) -> tuple[float, float] | None:
     parts = np.array_split(np.flatnonzero(there), _BLOCKS)
     products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
     whole, left = products.sum(axis=0), products.sum(axis=0) - products
-    each = left[:, 0] / left[:, 1]
-    error = float(np.sqrt(_BLOCKS - 1) * np.std(each))
-    return float(whole[0] / whole[1]), error
+    return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))
 
 
 def conclusions(result: Replay) -> list[str]:
