@@ -4,6 +4,7 @@ to measure next."""
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -14,6 +15,7 @@ from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import EFFECTS, Effect
+from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.engine.search import searched
 from tirefit.diagnosis.rows.prepared import (
     Prepared,
@@ -268,7 +270,9 @@ def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
     return tuple(name for name in gives if name in forces)
 
 
-def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], dict[str, list[str]]]:
+def _testable(
+    prepared: Prepared, atoms: tuple[Atom, ...], without: tuple[Any, ...]
+) -> tuple[list[int], dict[str, list[str]]]:
     """Atoms that the data can show, and the missing needs of the other effects."""
     possible, missing = [], {}
     blocks = blocks_of_settings(prepared)
@@ -299,7 +303,12 @@ def _changed(judged: Base, base: Base) -> bool:
 
 
 def studied(
-    prepared: Prepared, model: str | None, rig: Rig, effects, without, given: Given | None = None
+    prepared: Prepared,
+    model: str | None,
+    rig: Rig,
+    effects: tuple[Effect, ...],
+    without: tuple[Any, ...],
+    given: Given | None = None,
 ) -> Case:
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)

@@ -166,7 +166,8 @@ class Extended(AbstractTire):
         across = lateral_slip(across, along)
         found = force_of_state(tire, carrier, state, along, across, inputs)
         found = with_offsets(found, state, to.mode)
-        own, whole = tire(inputs), zip(("fx", "fy", "mz"), found, strict=True)
+        own: TireForces = tire(inputs)
+        whole: Any = zip(("fx", "fy", "mz"), found, strict=True)
         return own._replace(**{k: v for k, v in whole if getattr(own, k) is not None})
 
 

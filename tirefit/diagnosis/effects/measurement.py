@@ -2,13 +2,28 @@
 inertia of the wheel, crosstalk of channels, camber and conicity; and effects that differ
 between runs: new zeros, changed tires or surfaces."""
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.effects.record import PER_MILLE, adds, blend, code, multiplies, seldom, xp
-from tirefit.diagnosis.rows.rig import AGAINST, BESIDE, FOR
+from tirefit.diagnosis.effects.record import (
+    PER_MILLE,
+    Code,
+    Prior,
+    adds,
+    blend,
+    code,
+    multiplies,
+    seldom,
+    xp,
+)
+from tirefit.diagnosis.effects.state import Covariates, State
+from tirefit.diagnosis.rows.rig import AGAINST, BESIDE, FOR, Rig
 from tirefit.diagnosis.rows.slips import shown_runs
+from tirefit.params import Values
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.rows.prepared import Prepared
 
 _FINE = 5e-4
 """Standard error of a slip offset below which an offset of zero is evidence against it."""
@@ -23,12 +38,12 @@ _WARMING = 0.2
 """Time constant of a zero that settles while its amplifier warms up, over the record."""
 
 
-def _as_it_was_read(prior, prepared, rig):
+def _as_it_was_read(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """The prior, with the sign of the conversion that the reading of the slip requires."""
     return prior._replace(center=prior.center * prepared.definition)
 
 
-def _of_this_wheel(prior, prepared, rig):
+def _of_this_wheel(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """The prior: a force computed from the torque lacks the inertia that the rig states."""
     known = rig.wheel_inertia
     if not known:
@@ -38,7 +53,7 @@ def _of_this_wheel(prior, prepared, rig):
     )
 
 
-def _definition_odds(prepared) -> float:
+def _definition_odds(prepared: "Prepared") -> float:
     """Log odds from the slip of the wheel speed, whose errors are linear."""
     check = prepared.slip_check
     if check is None:
@@ -48,7 +63,7 @@ def _definition_odds(prepared) -> float:
     return AGAINST if check.told_apart else 0.0
 
 
-def _seen_between_slips(prior, prepared, rig):
+def _seen_between_slips(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """The prior, wide enough for the offset from the slip of the wheel speed."""
     check = prepared.slip_check
     if check is None or not check.shifted:
@@ -57,7 +72,7 @@ def _seen_between_slips(prior, prepared, rig):
     return prior._replace(scale=size, low=min(prior.low, -2 * size), high=max(prior.high, 2 * size))
 
 
-def _offset_odds(prepared) -> float:
+def _offset_odds(prepared: "Prepared") -> float:
     """Log odds from the slip of the wheel speed; the radius may be wrong as well."""
     check = prepared.slip_check
     if check is None or check.fits != check.read_as:
@@ -67,7 +82,7 @@ def _offset_odds(prepared) -> float:
     return AGAINST if check.agrees and check.offset_std < _FINE else 0.0
 
 
-def _camber(state, share, constants, rows):
+def _camber(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
     shift, force = constants
     thrust = force * _CORNERING * share * rows.gamma * rows.fz * rows.load
     return state._replace(
@@ -75,17 +90,17 @@ def _camber(state, share, constants, rows):
     )
 
 
-def _settled(rows, constants):
+def _settled(rows: Covariates, constants: tuple[float, ...]) -> Values | float:
     """A drift that is linear over the record, or faster at first; zero at the middle."""
     late = 0.5 - xp.exp(-(rows.time + 0.5) / _WARMING)
     return blend(constants, rows.time, late)
 
 
-def _force_drift(drift, constants, rows):
+def _force_drift(drift: float, constants: tuple[float, ...], rows: Covariates) -> Values:
     return PER_MILLE * drift * rows.load * _settled(rows, constants)
 
 
-def _force_hysteresis(size, constants, rows):
+def _force_hysteresis(size: float, constants: tuple[float, ...], rows: Covariates) -> Values:
     plain, grown = constants
     way = rows.turning * rows.side * (plain + grown * rows.usage)
     return PER_MILLE * size * rows.load * way
@@ -113,7 +128,7 @@ RUN_OFFSETS = {
 """Id of an effect without ``_run`` -> the quantity that differs between runs."""
 
 
-def _one_each(prepared) -> float:
+def _one_each(prepared: "Prepared") -> float:
     """Prior log odds: the pattern has a number for every run, and each beyond the first
     costs as much as a parameter in BIC."""
     count = len(shown_runs(prepared.run, prepared.data.runs))
@@ -122,7 +137,7 @@ def _one_each(prepared) -> float:
 
 
 def _parameter_of_runs(name: str) -> dict[str, Any]:
-    def factor(a, _, rows):
+    def factor(a: float, _: tuple[Any, ...], rows: Covariates) -> np.ndarray:
         return xp.exp(a * getattr(rows, RUN_OFFSETS[name].pattern))
 
     return code(multiplies(name, factor), odds=_one_each)
@@ -130,7 +145,7 @@ def _parameter_of_runs(name: str) -> dict[str, Any]:
 
 _IN_PROPORTION = code(adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz))
 
-CODE = {
+CODE: Code = {
     "slip_offset": code(
         adds("shift", lambda a, _, rows: a), odds=_offset_odds, prior=_seen_between_slips
     ),

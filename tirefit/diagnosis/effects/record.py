@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +17,17 @@ import numpy as np
 
 from tirefit.diagnosis.effects.state import Covariates, State, null_state
 from tirefit.diagnosis.engine import ROUNDING
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.params import Values
 from tirefit.results import InputProblem, UsageError
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.rows.prepared import Prepared
 
 
 class _Arrays:
-    def __getattr__(self, name: str):
-        def function(*given, **options):
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        def function(*given: np.ndarray | float, **options: Any) -> np.ndarray:
             traced = any(isinstance(one, jax.Array) for one in given)
             return getattr(jnp if traced else np, name)(*given, **options)
 
@@ -184,7 +189,7 @@ class Atom:
     def constants(self) -> tuple[float, ...]:
         return self.effect.variants[self.variant]
 
-    def prior(self, prepared, rig) -> Prior:
+    def prior(self, prepared: "Prepared", rig: Rig) -> Prior:
         """Prior in the unit of the amplitude, with information from data and rig."""
         effect = self.effect
         pair = effect.bounds[self.variant if len(effect.bounds) > 1 else 0]
@@ -193,12 +198,12 @@ class Atom:
         prior = Prior(effect.scale, effect.center, *pair).times(size)
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
-    def formula(self, rows: Covariates | None, time) -> str:
+    def formula(self, rows: Covariates | None, time: np.ndarray | None) -> str:
         """Text on the formula of the variant, empty if the effect has one only."""
         of = self.effect
         return of.which(self.constants, rows, time) if of.which else ""
 
-    def change(self, state: State, amplitude, rows: Covariates) -> State:
+    def change(self, state: State, amplitude: float, rows: Covariates) -> State:
         """The state with this variant added."""
         return self.effect.change(state, amplitude, self.constants, rows)
 
@@ -218,12 +223,12 @@ def choices(count: int) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(i == k) for i in range(count)) for k in range(count))
 
 
-def blend(constants, *values):
+def blend(constants: tuple[float, ...], *values: Values) -> Values | float:
     """Sum of the values weighted by the constants: one of them for :func:`choices`."""
     return sum(c * value for c, value in zip(constants, values, strict=True))
 
 
-def scaled(state: State, name: str, factor) -> State:
+def scaled(state: State, name: str, factor: Values | float) -> State:
     """The state with one field multiplied by a factor, which is kept positive."""
     factor = xp.maximum(factor, LEAST_FACTOR)
     return state._replace(**{name: getattr(state, name) * factor})
@@ -236,7 +241,9 @@ Term = Callable[[Any, Any, Covariates], Any]
 def adds(name: str, term: Term) -> Change:
     """The change of an effect that adds a term to a field of the state."""
 
-    def change(state, amplitude, constants, rows):
+    def change(
+        state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
+    ) -> State:
         added = getattr(state, name) + term(amplitude, constants, rows)
         return state._replace(**{name: added})
 
@@ -254,7 +261,7 @@ _SELDOM = -1.0
 """Log odds of an effect that is a third as frequent as usual ones."""
 
 
-def seldom(prepared) -> float:
+def seldom(prepared: "Prepared") -> float:
     """Prior log odds of an effect that most files do not have."""
     return _SELDOM
 
@@ -319,7 +326,7 @@ class States:
         scale: prior scales (K,) of the amplitudes of all atoms, in their own units.
     """
 
-    def __init__(self, atoms: Sequence[Atom], rows: Covariates, scale):
+    def __init__(self, atoms: Sequence[Atom], rows: Covariates, scale: Values) -> None:
         self._atoms, self._scale = atoms, scale
         self._rows = Covariates(*(_constant(part, np.shape(part)) for part in rows))
         self._null = State(*(_constant(value, np.shape(rows.fz)) for value in null_state()))
@@ -339,7 +346,7 @@ class States:
         ]
         return np.array(before[-1]), slopes
 
-    def changes(self, present: Present, center) -> Changes:
+    def changes(self, present: Present, center: Values) -> Changes:
         """Changes by each atom in addition to those present. ``center`` are the expected
         amplitudes (K,) in prior scales."""
         whole, amplitudes = self._after(self._null, present), dict(present)
@@ -401,11 +408,11 @@ def _changed(state: State, atom: Atom, amplitude: float, rows: Covariates) -> St
         raise UsageError(InputProblem(reason, remedy)) from error
 
 
-def _size(values) -> float:
+def _size(values: Values | float) -> float:
     return float(np.sqrt(np.vdot(values, values)))
 
 
-def _constant(values, shape: tuple[int, ...]) -> np.ndarray:
+def _constant(values: Values | float, shape: tuple[int, ...]) -> np.ndarray:
     """Values that no function of a user can write to, as hypotheses share them."""
     array = np.asarray(values, float)
     view = array.view() if array.shape == shape else np.broadcast_to(array, shape)

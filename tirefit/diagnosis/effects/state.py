@@ -7,13 +7,14 @@ while sliding), the difference of two brushes with the stiffness and friction of
 model is added, one with the effect and one without.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
-from tirefit.models.base import largest
+from tirefit.models.base import AbstractTire, largest
 from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import Values
@@ -97,7 +98,7 @@ class _Shaped(AbstractPressure):
     skew: Values | float
     flat: Values | float
 
-    def _mix(self, name: str, u):
+    def _mix(self, name: str, u: jax.Array) -> jax.Array:
         # Users give a number; here it is a traced value of a hypothesis.
         leaning = Asymmetric(self.skew)  # type: ignore[arg-type]
         skewed = getattr(leaning, name)(u)
@@ -106,13 +107,13 @@ class _Shaped(AbstractPressure):
     def density(self, u):
         return self._mix("density", u)
 
-    def cdf(self, u):
+    def cdf(self, u: jax.Array) -> jax.Array:
         return self._mix("cdf", u)
 
-    def moment(self, u):
+    def moment(self, u: jax.Array) -> jax.Array:
         return self._mix("moment", u)
 
-    def breakaway(self, rho):
+    def breakaway(self, rho: jax.Array) -> jax.Array:
         return _breakaway(rho, self.skew, self.flat)
 
 
@@ -126,24 +127,24 @@ _PEAKS = (1e-3, 2.0, 60)
 _AT_REST = 1e-60  # added to a squared slip, so that its root is differentiable at zero
 
 
-def _holding(u, skew, flat):
+def _holding(u: jax.Array | float, skew: jax.Array, flat: jax.Array) -> jax.Array:
     """Demand ratio (limit over demand) at which a bristle at u begins to slide: the
     pressures S(24) and S(25) integrated from the edge to u, over u."""
     skewed = 0.75 * u * (1 + skew * (u - 1))
     return (1 - flat) * skewed + flat * 0.625 * u * (u * (u - 2) + 2)
 
 
-def _holding_slope(u, skew, flat):
+def _holding_slope(u: jax.Array, skew: jax.Array, flat: jax.Array) -> jax.Array:
     skewed = 0.75 * (1 + skew * (2 * u - 1))
     quartic = 0.625 * (u * (3 * u - 4) + 2)
     return jnp.maximum((1 - flat) * skewed + flat * quartic, _LEAST_SLOPE)
 
 
 @jax.custom_jvp
-def _breakaway(rho, skew, flat):
+def _breakaway(rho: jax.Array, skew: jax.Array, flat: jax.Array) -> jax.Array:
     """u where limit and demand meet, by Newton's method; 2 beyond full sliding."""
 
-    def step(_, u):
+    def step(_: jax.Array, u: jax.Array) -> jax.Array:
         excess = _holding(u, skew, flat) - rho
         return jnp.clip(u - excess / _holding_slope(u, skew, flat), 0.0, 2.0)
 
@@ -153,7 +154,10 @@ def _breakaway(rho, skew, flat):
 
 
 @_breakaway.defjvp
-def _breakaway_slope(primals, tangents):
+def _breakaway_slope(
+    primals: tuple[jax.Array, jax.Array, jax.Array],
+    tangents: tuple[jax.Array, jax.Array, jax.Array],
+) -> tuple[jax.Array, jax.Array]:
     rho, skew, flat = primals
     u = _breakaway(rho, skew, flat)
     inside = u < 2.0
@@ -171,30 +175,30 @@ class _TwoFrictions(Friction):
     excess: Values | float = 0.0
     factor: Values | float = 1.0
 
-    def static(self, mu, v_s):
+    def static(self, mu: jax.Array, v_s: float) -> jax.Array:
         return mu * (1 + self.excess)
 
-    def kinetic(self, mu, v_s):
+    def kinetic(self, mu: jax.Array, v_s: float) -> jax.Array:
         return mu * self.factor
 
 
-def is_plain(model) -> bool:
+def is_plain(model: AbstractTire) -> bool:
     """Whether a model is the plain brush, to which changes of shape apply directly."""
-    brush = type(model) is Brush and type(model.pressure) is Parabolic
-    return brush and not model.friction.laws
+    plain = type(model) is Brush and type(model.pressure) is Parabolic
+    return plain and not cast(Brush, model).friction.laws
 
 
-def arm_of(model):
+def arm_of(model: AbstractTire) -> Values | float:
     """Half-length of the contact patch [m]; that of a car tire for models without one, as
     it only scales the aligning moment."""
     return getattr(model, "half_length", 0.1)
 
 
-def peak_ratio(base, fz, v):
+def peak_ratio(base: AbstractTire, fz: jax.Array | float, v: jax.Array | float) -> jax.Array:
     """Largest force over load of the base model at one load and speed."""
     slips = jnp.geomspace(*_PEAKS)
 
-    def force(slip):
+    def force(slip: jax.Array) -> Any:
         fx = base(TireInputs(sigma_x=slip, fz=fz, v=v)).fx
         if fx is not None:
             return fx
@@ -203,32 +207,34 @@ def peak_ratio(base, fz, v):
     return largest(jax.vmap(force)(slips)) / fz
 
 
-def slope_at_rest(base, inputs: TireInputs, mode: str):
+def slope_at_rest(base: AbstractTire, inputs: TireInputs, mode: str) -> jax.Array:
     """Slope of the force over the slip of a mode [N]."""
     driven, name = ("alpha", "fy") if mode == "y" else ("sigma_x", "fx")
 
-    def force(slip):
+    def force(slip: jax.Array) -> jax.Array:
         return getattr(base(inputs._replace(**{driven: slip})), name)
 
     # Not at exactly zero, where some laws have half the slope.
     return jax.jvp(force, (1e-6,), (1.0,))[1]
 
 
-def slip_of_state(state: State, slip):
+def slip_of_state(state: State, slip: Values | float) -> Any:
     """The true slip behind a measured one."""
     moved = slip + state.shift
     # x / (1 - w x) has a pole at 1 / w, so limit it to twenty times x.
     return moved / jnp.maximum(1 - state.curvature * moved, 0.05)
 
 
-def with_offsets(found, state: State, mode: str):
+def with_offsets(found: Sequence[Values], state: State, mode: str) -> tuple[Values, Values, Values]:
     """(fx, fy, mz) with what the state adds to the force that the slip drives."""
     fx, fy, mz = found
     extra = (0.0, state.force) if mode == "y" else (state.force, 0.0)
     return fx + extra[0], fy + extra[1], mz + state.moment
 
 
-def _shape_change(state: State, stiffness, mu, arm, slip, fz, bare: bool):
+def _shape_change(
+    state: State, stiffness: Any, mu: Any, arm: Any, slip: jax.Array, fz: Values | float, bare: bool
+) -> tuple[jax.Array, jax.Array]:
     """Force and moment of a brush with the effects, minus those of one without."""
     pressure = _Shaped(state.skew, state.flat)
     friction = _TwoFrictions(excess=state.static, factor=state.kinetic)
@@ -239,7 +245,14 @@ def _shape_change(state: State, stiffness, mu, arm, slip, fz, bare: bool):
     return with_effect[0] - plain[0], with_effect[1] - plain[1]
 
 
-def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireInputs):
+def force_of_state(
+    base: AbstractTire,
+    reference: tuple[Any, ...] | None,
+    state: State,
+    slip_x: Values | float,
+    slip_y: Values | float,
+    inputs: TireInputs,
+) -> tuple[Values, ...]:
     """(fx, fy, mz) of one sample [N, N, N m].
 
     Args:
@@ -254,7 +267,10 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
     along, across = slip_x * ratio, slip_y * ratio
     size = jnp.sqrt(along**2 + across**2 + _AT_REST)
     bare = reference is None
-    stiffness, mu, arm = (base.cpa2, base.mu, base.half_length) if bare else reference
+    if reference is None:
+        plain = cast(Brush, base)
+        reference = plain.cpa2, plain.mu, plain.half_length
+    stiffness, mu, arm = reference
     change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, bare)
     x, y = along / size, across / size
     added = x * change, y * change, arm * y * turn

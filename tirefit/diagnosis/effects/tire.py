@@ -15,7 +15,9 @@ from tirefit.diagnosis.effects.record import (
     scaled,
     xp,
 )
+from tirefit.diagnosis.effects.state import Covariates, State
 from tirefit.diagnosis.engine import FLAT
+from tirefit.params import Values
 
 _SKEWS = (-0.32, 0.95)
 """Range of d of S(24) in which the pressure and its slope at the edge keep their signs."""
@@ -47,27 +49,29 @@ _OF_FRICTION = 0.62
 _LEAST_KINETIC = 1e-3  # smallest kinetic friction over its usual value
 
 
-def _skewed(state, change):
+def _skewed(state: State, change: Values | float) -> State:
     return state._replace(skew=xp.clip(state.skew + change, *_SKEWS))
 
 
-def _skew_with(state, d, constants, rows):
+def _skew_with(state: State, d: float, constants: tuple[float, ...], rows: Covariates) -> State:
     moving = blend(constants, rows.force, rows.usage, xp.log(rows.fz))
     return _skewed(state, d * moving)
 
 
-def _kinetic_times(state, factor):
+def _kinetic_times(state: State, factor: Values | float) -> State:
     return state._replace(kinetic=state.kinetic * xp.maximum(factor, _LEAST_KINETIC))
 
 
-def _linear_loss(state, loss, constants, rows):
+def _linear_loss(
+    state: State, loss: float, constants: tuple[float, ...], rows: Covariates
+) -> State:
     kinetic, sliding, rolling = constants
     state = _kinetic_times(state, 1 - kinetic * loss * rows.sliding)
     falls = sliding * rows.sliding + rolling * rows.v
     return scaled(state, "friction", 1 - loss * falls)
 
 
-def _fall(state, share, constants, rows):
+def _fall(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
     """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), or with the logarithm,
     on the kinetic friction or on both. A negative share is a rise."""
     v_st, exponent, both = constants
@@ -85,7 +89,7 @@ def _fall(state, share, constants, rows):
 _ALONE, _ALL = "of the kinetic friction alone", "of static and kinetic friction alike"
 
 
-def _which_speed(constants, rows, time) -> str:
+def _which_speed(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
     kinetic, sliding, _ = constants
     how = "with the sliding speed" if kinetic or sliding else "with the speed of travel"
     return f"{_ALONE if kinetic else _ALL}, {how}"
@@ -121,7 +125,7 @@ def _which_step(constants, rows, time) -> str:
     return f"from {at[0]} to {at[1]} s" if at else ""
 
 
-def _drift(share, constants, rows):
+def _drift(share: float, constants: tuple[float, ...], rows: Covariates) -> Values | float:
     """A drift that is linear over the record, or fast at first as 1 - exp(-t / tau); zero
     at the middle."""
     even, way = constants
@@ -129,13 +133,13 @@ def _drift(share, constants, rows):
     return 1 + share * blend((even, 1 - even), rows.time, late)
 
 
-def _step(share, constants, rows):
+def _step(share: float, constants: tuple[float, ...], rows: Covariates) -> np.ndarray:
     """A change at one time, or between two times."""
     begin, end = constants
     return 1 + share * xp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
 
 
-def _other(state, share, constants, rows):
+def _other(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
     """Both slips share the friction in the patch, or the force is multiplied by a weight
     that falls with the other slip, cos(arctan B alpha), Pacejka 4.3.2."""
     shared, weighted = constants
@@ -145,7 +149,9 @@ def _other(state, share, constants, rows):
     return scaled(scaled(state, "friction", factor), "stiffness", factor)
 
 
-def _with_load(name, state, amplitude, constants, rows):
+def _with_load(
+    name: str, state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
+) -> State:
     """A dependence on the load: a power, linear, or linear in its logarithm."""
     linear = xp.maximum(1 + amplitude * (rows.fz - 1), LEAST_FACTOR)
     slow = xp.maximum(1 + amplitude * xp.log(rows.fz), LEAST_FACTOR)
@@ -166,7 +172,7 @@ def _by_condition(name: str) -> Code:
     }
 
 
-CODE = {
+CODE: Code = {
     "pressure_asymmetry": code(
         lambda state, d, constants, rows: _skewed(state, d), bounds=(_SKEWS,)
     ),

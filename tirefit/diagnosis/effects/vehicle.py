@@ -6,7 +6,8 @@ acceleration may fit any remainder, also on held-out data. The prior of such an 
 therefore the error of a measured quantity if the file states it (``tirefit derive`` copies it
 from vehicle.toml), else the error of a guess."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from tirefit.data.findings import error_of_point
 from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     PER_MILLE,
+    Code,
+    Prior,
     adds,
     blend,
     code,
@@ -22,10 +25,15 @@ from tirefit.diagnosis.effects.record import (
     seldom,
     xp,
 )
+from tirefit.diagnosis.effects.state import Covariates, State
 from tirefit.diagnosis.engine import NONZERO
-from tirefit.diagnosis.rows.covariates import wheelbase
+from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD
+from tirefit.params import Values
 from tirefit.slip import GRAVITY
+
+if TYPE_CHECKING:
+    from tirefit.diagnosis.rows.prepared import Prepared
 
 _CERTAIN = 30.0
 """Largest log odds: an error of one in 10^13, beyond which nothing changes."""
@@ -59,7 +67,7 @@ _QUANTITIES = {
 """Key of ``[vehicle]`` in rig.toml -> the quantity whose standard error it states."""
 
 
-def _error(key: str, prepared, rig) -> tuple[float | None, bool]:
+def _error(key: str, prepared: "Prepared", rig: Rig) -> tuple[float | None, bool]:
     """Standard error [m, s, share], and whether it or the quantity is stated; None if the
     force was measured and neither is stated."""
     of, derived = _QUANTITIES[key], prepared.derived
@@ -73,7 +81,8 @@ def _error(key: str, prepared, rig) -> tuple[float | None, bool]:
     if key == "clock" and stated:
         error = constants[of.key]
     if key == "position":
-        error *= derived.arm if stated else wheelbase(prepared.data, derived)
+        # The wheelbase, if not stated, is about twice the arm of an axle.
+        error *= derived.arm if stated else constants.get("wheelbase", 2 * derived.arm)
     return error, stated
 
 
@@ -87,14 +96,14 @@ def _narrowed(prior, scale: float):
     return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
 
 
-def _of_quantity(key: str, prior, prepared, rig):
+def _of_quantity(key: str, prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     error, stated = _error(key, prepared, rig)
     if error is None:
         return prior
     return _narrowed(prior, error) if stated else _of_scale(prior, error)
 
 
-def of_a_known_position(prior, prepared, rig):
+def of_a_known_position(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """Prior of an error of the tracked point along the vehicle.
 
     It is the error that ``tirefit derive`` estimated from the same logs; without an
@@ -110,22 +119,22 @@ def of_a_known_position(prior, prepared, rig):
     )
 
 
-def odds_of_derive(prepared) -> float:
+def odds_of_derive(prepared: "Prepared") -> float:
     """Prior log odds of an error of the tracked point: log likelihood ratio of the error that
     ``tirefit derive`` found against no error; 0 without an estimate."""
     known = error_of_point(prepared.data.source.constants)
     return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, _CERTAIN)
 
 
-def of_a_known_inertia(prior, prepared, rig):
+def of_a_known_inertia(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """Prior of an error of the yaw inertia over the wheelbase."""
     if prepared.derived is None:
         return prior
     share, _ = _error("yaw_inertia", prepared, rig)
-    return _of_scale(prior, share * prepared.derived.inertia)
+    return _of_scale(prior, (share or 0.0) * prepared.derived.inertia)
 
 
-def of_a_known_height(prior, prepared, rig):
+def of_a_known_height(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """Prior of the load transfer m h a_x / wheelbase over the range of a_x."""
     if "a_x" not in prepared.data:
         return prior
@@ -133,7 +142,7 @@ def of_a_known_height(prior, prepared, rig):
     return _narrowed(prior, _HEIGHT * span)
 
 
-def of_a_known_force(prior, prepared, rig):
+def of_a_known_force(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """Prior of the share of the friction that the other force uses, widened by the error
     of that force (twice, for its square)."""
     name = "fx_std" if prepared.mode == "y" else "fy_std"
@@ -144,19 +153,19 @@ def of_a_known_force(prior, prepared, rig):
     return prior._replace(scale=float(np.hypot(prior.scale, error)))
 
 
-def _within_the_past(prior, prepared, rig):
+def _within_the_past(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """The prior within the past and future that each row has."""
     first, last = AGES[[0, -1]] * float(prepared.covariates.interval[0])
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
-def said_of_motion(base, rig) -> tuple[str, ...]:
-    """A sentence about a base fit's force if it was derived from the motion."""
-    rows, derived = base.rows, base.rows.derived
+def said_of_motion(rows: "Prepared", rig: Rig, force: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """A sentence about a force if it was derived from the motion; ``force`` is the base's."""
+    derived = rows.derived
     if derived is None:
         return ()
     observed = rows.observed["fy"]
-    missed = observed - base.forces(base.as_given, base.amplitudes())["fy"]
+    missed = observed - force["fy"]
     message = (
         f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
         " it shares its channels with the slip, and so does held-out data"
@@ -177,7 +186,7 @@ def _rms(values) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _late(past, delay, rows):
+def _late(past: Values, delay: float, rows: Covariates) -> np.ndarray:
     """Change of values (n, k) by a delay [s]: (n,).
 
     Exact for values that are linear between columns.
@@ -192,7 +201,7 @@ def _late(past, delay, rows):
     return before + share * (after - before) - past[:, AHEAD]
 
 
-def lag(length, step):
+def lag(length: float, step: Values) -> Callable[..., Any]:
     """The change of values (n, k) by a first-order lag over a length: values -> (n,).
 
     Exact for values that are constant before the first column and linear between
@@ -210,7 +219,7 @@ def lag(length, step):
     since = xp.cumprod(decay, axis=1)
     share = xp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
 
-    def change(past):
+    def change(past: np.ndarray) -> np.ndarray:
         after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
         risen = before + share * (after - before) - decay * before
         earlier = xp.sum(since[:, :-1] * risen[:, 1:], axis=1)
@@ -219,14 +228,14 @@ def lag(length, step):
     return change
 
 
-def _with_lag(state, length, step, rows):
+def _with_lag(state: State, length: float, step: Values, rows: Covariates) -> State:
     """The forces behind by a first-order lag."""
     change = lag(length, step)
     force, moment = state.force + change(rows.pull), state.moment + change(rows.twist)
     return state._replace(force=force, moment=moment)
 
 
-def _delay(state, delay, constants, rows):
+def _delay(state: State, delay: float, constants: tuple[float, ...], rows: Covariates) -> State:
     """Delay the slip, or the forces (at the delayed slip and load), or filter the
     forces by a first-order lag with the delay as time constant [s]."""
     _, force, filtered = constants
@@ -238,18 +247,20 @@ def _delay(state, delay, constants, rows):
     return state._replace(shift=state.shift + _late(rows.past, delay, rows))
 
 
-def _relax(state, length, constants, rows):
+def _relax(state: State, length: float, constants: tuple[float, ...], rows: Covariates) -> State:
     _, force = constants
     if force:
         return _with_lag(state, length, rows.step, rows)
     return state._replace(shift=state.shift + lag(length, rows.step)(rows.past))
 
 
-def _steer(late):
+def _steer(late: Callable[..., Any]) -> Callable[..., Any]:
     """Change by a road wheel angle that differs from the logged one by ``late(past,
     amplitude, rows)`` (n,) [rad]; a force derived across the wheels turns with them."""
 
-    def change(state, amplitude, constants, rows):
+    def change(
+        state: State, amplitude: float, constants: tuple[Any, ...], rows: Covariates
+    ) -> State:
         slip, turned = rows.past[:, AHEAD], late(rows.steered, amplitude, rows)
         return state._replace(
             shift=state.shift + xp.tan(xp.arctan(slip) - turned) - slip,
@@ -259,7 +270,7 @@ def _steer(late):
     return change
 
 
-def _of_a_known_clock(prior, prepared, rig):
+def _of_a_known_clock(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """Prior of a delay between channels of one log."""
     known = _of_quantity("clock", prior, prepared, rig)
     return _within_the_past(known, prepared, rig)
@@ -285,20 +296,20 @@ _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope of the ground; opposite ones have the opposite sign."""
 
 
-def _slip_speed(share, constants, rows):
+def _slip_speed(share: float, constants: tuple[float, ...], rows: Covariates) -> Values:
     """Slip due to a radius that grows with v or v^2; zero at rest or at usual speed."""
     even, square, about = constants
     grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
     return share * (grown - about * rows.cruise)
 
 
-def _drag(share, constants, rows):
+def _drag(share: float, constants: tuple[float, ...], rows: Covariates) -> Values:
     ratio = rows.v / rows.cruise
     drag = share * blend(constants, ratio, ratio**2)
     return PER_MILLE * rows.load * drag
 
 
-def _ellipse(state, share, constants, rows):
+def _ellipse(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
     """Factor on the friction, or on the whole force."""
     (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
@@ -307,29 +318,31 @@ def _ellipse(state, share, constants, rows):
     return state._replace(friction=state.friction * left, stiffness=stiffness)
 
 
-def _one_speed_of_the_slip(prepared) -> float:
+def _one_speed_of_the_slip(prepared: "Prepared") -> float:
     """Log odds, smaller if the speed follows the slip, as slip then explains the same."""
     speed, slip = prepared.covariates.v, np.abs(prepared.slip)
     alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
     return seldom(prepared) - 2 * float(alike > _ALIKE)
 
 
-def _one_load(prepared) -> float:
+def _one_load(prepared: "Prepared") -> float:
     """Log odds, smaller if the load hardly varies, as a constant offset fits as well."""
     varies = float(np.std(np.log(prepared.inputs.fz)))
     return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
 
 
-def _slope(slope, constants, rows):
+def _slope(slope: float, constants: tuple[float, ...], rows: Covariates) -> np.ndarray:
     along, across = constants
     towards = along * xp.cos(rows.heading) + across * xp.sin(rows.heading)
     return slope * rows.load * rows.fz * towards
 
 
-def _of_the_axle(factor) -> dict[str, Any]:
+def _of_the_axle(factor: Callable[..., Any]) -> dict[str, Any]:
     """A factor that depends on the lateral acceleration, on friction, stiffness or both."""
 
-    def change(state, amplitude, constants, rows):
+    def change(
+        state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
+    ) -> State:
         friction, stiffness = constants
         times = xp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
         return state._replace(
@@ -339,7 +352,7 @@ def _of_the_axle(factor) -> dict[str, Any]:
     return code(change)
 
 
-CODE = {
+CODE: Code = {
     **_PAST,
     "slip_offset_load": code(
         adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), odds=_one_load

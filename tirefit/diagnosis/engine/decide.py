@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
 from importlib import resources
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import expit, logit, stdtr
@@ -327,7 +327,7 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
     sets, unlisted = found.weighed, learned.often("unlisted", found.unlisted)
     more = unlisted > policy.likely
 
-    def verdict(status: Status, probability: float, **answers) -> Verdict:
+    def verdict(status: Status, probability: float, **answers: Any) -> Verdict:
         return Verdict(status=status, probability=probability, unlisted=unlisted, **answers)
 
     key = helping(found, policy)
@@ -342,7 +342,12 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
     effects = tuple(e for e, one in each.items() if one.probability > policy.likely)
     acts_like = tuple(e for e in each if e not in effects)
     also = tuple(e for e in also if e not in each)
-    answers = {"acts_like": acts_like, "key": key, "each": each, "also_possible": also}
+    answers: dict[str, Any] = {
+        "acts_like": acts_like,
+        "key": key,
+        "each": each,
+        "also_possible": also,
+    }
     if not effects:
         shown = best and sets.nothing_shown <= policy.perhaps
         if not (key or more or shown):

@@ -69,7 +69,9 @@ class Found(NamedTuple):
     is_wave: bool = False
 
 
-def places_of(values: np.ndarray, centers: np.ndarray | None, count: int):
+def places_of(
+    values: np.ndarray, centers: np.ndarray | None, count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Weights (n, k) of the values at evenly spaced places, by linear interpolation; at the
     ``centers`` if the covariate has only these settings. Returns them and the places."""
     if centers is not None:
@@ -125,7 +127,7 @@ class Discrepancy:
             scores[k, :size] = score[cell.first : cell.end]
         return grams, scores
 
-    def _gains(self, fit: "Fit"):
+    def _gains(self, fit: "Fit") -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """Log evidence (cells, lengths, sizes), and what gives the functions."""
         if not self.cells:
             return np.zeros((0, len(LENGTHS), len(SIZES))), ()
@@ -211,7 +213,7 @@ def _wave_in(fit: "Fit", wave: Wave) -> Found | None:
     return Found(cell, float(_averaged(logs, 0)), 0.0, explains, value, std, True)
 
 
-def _averaged(logs: np.ndarray, axis) -> np.ndarray:
+def _averaged(logs: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
     """Logarithm of the mean of exponentials."""
     axes = (axis,) if isinstance(axis, int) else axis
     count = np.prod([logs.shape[a] for a in axes])
@@ -224,7 +226,7 @@ class Beside:
     """Further columns (m, q) beside a fit, whose coefficients have a normal prior of a common
     size: the evidence of each size and the coefficients there."""
 
-    def __init__(self, columns: np.ndarray, fit: "Fit", sizes: np.ndarray = SIZES):
+    def __init__(self, columns: np.ndarray, fit: "Fit", sizes: np.ndarray = SIZES) -> None:
         left = fit.remainder(columns)
         values, self.ways = np.linalg.eigh(left.T @ left)
         self.along = self.ways.T @ (left.T @ fit.remainder())

@@ -206,12 +206,23 @@ def without(values: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return values - unit @ (unit.T @ values)
 
 
-def with_priors(columns, residual, pull, off) -> tuple[np.ndarray, np.ndarray]:
+def with_priors(
+    columns: np.ndarray, residual: np.ndarray, pull: np.ndarray, off: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Columns and residual with a row for each prior."""
     return (np.concatenate([columns, np.diag(pull)]), np.concatenate([residual, -pull * off]))
 
 
-def fitted(atoms, effects, start: Start, linear, pull, off, sign, within) -> Fit:
+def fitted(
+    atoms: tuple[int, ...],
+    effects: Sequence[str],
+    start: Start,
+    linear: tuple[np.ndarray, np.ndarray],
+    pull: np.ndarray,
+    off: np.ndarray,
+    sign: np.ndarray,
+    within: tuple[np.ndarray, np.ndarray],
+) -> Fit:
     """A fit from its linearisation.
 
     Args:

@@ -142,7 +142,7 @@ def _smooth(subject: Forward, null: Fit, out: np.ndarray) -> np.ndarray:
     return null.residual - columns @ (softmax(logs) @ np.array(fits))
 
 
-def _error(parts) -> float:
+def _error(parts: np.ndarray) -> float:
     """Standard error of a sum of independent parts (F,)."""
     return float(np.sqrt(len(parts)) * np.std(parts, ddof=1))
 
@@ -158,7 +158,7 @@ def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
     return Gain(float(parts.sum()), _error(parts), closed, error)
 
 
-def jackknife_error(values) -> np.ndarray | np.floating:
+def jackknife_error(values: np.ndarray | Sequence[float]) -> np.ndarray | np.floating:
     """Standard error of an estimate by the jackknife, of shape (...).
 
     Args:
@@ -167,7 +167,9 @@ def jackknife_error(values) -> np.ndarray | np.floating:
     return np.sqrt(len(values) - 1) * np.std(values, axis=0)
 
 
-def _closed(rows, after, before, floor: float) -> tuple[float, float]:
+def _closed(
+    rows: np.ndarray, after: np.ndarray, before: np.ndarray, floor: float
+) -> tuple[float, float]:
     """1 - rms(after) / rms(before) beyond the noise, and its error by the jackknife
     over the parts left out."""
     weights = rows * np.vstack([np.ones(len(rows)), 1 - np.eye(len(rows))])
@@ -192,7 +194,7 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
     total = dict(zip(out.effects, out.whitened.sum(axis=0), strict=True))
     first = loss[()] if out.as_given is None else out.as_given
 
-    def step(effects: Key, after, before) -> Step:
+    def step(effects: Key, after: np.ndarray, before: np.ndarray) -> Step:
         parts, rms = share * (before - after), float(np.sqrt(share @ after))
         closed = (1.0, 0.0)
         if effects != NOISE:

@@ -62,30 +62,36 @@ def parts_of(key: tuple) -> list[tuple]:
     return list(chain.from_iterable(combinations(key, size) for size in sizes))
 
 
-def log_bayes(gram, score, center, sign, sets) -> np.ndarray:
+def log_bayes(
+    gram: np.ndarray,
+    score: np.ndarray,
+    center: np.ndarray,
+    sign: np.ndarray,
+    sets: Sequence[tuple[int, ...]],
+) -> np.ndarray:
     """Log Bayes factors (s,) of Gaussian amplitudes, prior scale 1, on the columns of
     each of the sets (s, k), all of one size."""
-    sets = np.asarray(sets)
-    own = np.arange(sets.shape[1])
-    g, m = gram[sets[:, :, None], sets[:, None, :]], center[sets]
+    index = np.asarray(sets)
+    own = np.arange(index.shape[1])
+    g, m = gram[index[:, :, None], index[:, None, :]], center[index]
     gm = np.einsum("sij,sj->si", g, m)
-    shifted = score[sets] - gm
+    shifted = score[index] - gm
     a = g + np.eye(len(own))
     # Solve instead of inverting, which loses most digits for similar effects.
     solved = np.linalg.solve(a, shifted[:, :, None])[:, :, 0]
-    value = np.sum((score[sets] - 0.5 * gm) * m + 0.5 * shifted * solved, axis=1)
+    value = np.sum((score[index] - 0.5 * gm) * m + 0.5 * shifted * solved, axis=1)
     value -= 0.5 * np.linalg.slogdet(a)[1]
     z = (m + solved) / np.sqrt(np.linalg.inv(a)[:, own, own])
-    one_sided = np.log(2) + log_ndtr(sign[sets] * z)
+    one_sided = np.log(2) + log_ndtr(sign[index] * z)
     # Round, as identical variants differ in last digits; only units of evidence count.
-    return np.round(value + np.sum(np.where(sign[sets] != 0, one_sided, 0.0), axis=1), 6)
+    return np.round(value + np.sum(np.where(sign[index] != 0, one_sided, 0.0), axis=1), 6)
 
 
 class Search:
     """The search on one subject. ``fits`` holds every refitted set of atoms, ``guessed`` the
     log weight and log evidence of sets that are too improbable to refit."""
 
-    def __init__(self, subject: Forward, effort: Effort = Effort()):
+    def __init__(self, subject: Forward, effort: Effort = Effort()) -> None:
         self.subject, self.effort = subject, effort
         self.effects = [atom.effect for atom in subject.atoms]
         self.ids = [effect.id for effect in self.effects]
@@ -114,7 +120,7 @@ class Search:
                 largest[self.ids[k]] = max(largest.get(self.ids[k], 0.0), z, key=abs)
         return largest
 
-    def further(self, fit: Fit):
+    def further(self, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Products, scores and columns of all atoms beside a fit."""
         return fit.further(self.subject.tangents(fit))
 
@@ -151,7 +157,9 @@ class Search:
             ):
                 self.fits[fit.atoms] = fit
 
-    def best_variants(self, gram, score, inside: Sequence[str] = ()):
+    def best_variants(
+        self, gram: np.ndarray, score: np.ndarray, inside: Sequence[str] = ()
+    ) -> list[list[tuple[float, int]]]:
         """For each further effect its atoms, the best effect first: [[(log evidence,
         atom), ...], ...]."""
         open_to = [
@@ -165,15 +173,21 @@ class Search:
             found.setdefault(self.ids[k], []).append((value, k))
         return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
 
-    def _screened(self, gram, score, sets) -> list[float]:
+    def _screened(
+        self, gram: np.ndarray, score: np.ndarray, sets: Sequence[tuple[int, ...]]
+    ) -> list[float]:
         center = self.subject.priors.center
         return log_bayes(gram, score, center, self.sign, sets).tolist()
 
-    def _clipped(self, atoms, amplitude) -> np.ndarray:
+    def _clipped(
+        self, atoms: tuple[int, ...], amplitude: np.ndarray | Sequence[float]
+    ) -> np.ndarray:
         priors, index = self.subject.priors, list(atoms)
         return np.clip(amplitude, priors.low[index], priors.high[index])
 
-    def _with(self, fit: Fit, k: int, gram, score) -> tuple[tuple[int, ...], list[Start]]:
+    def _with(
+        self, fit: Fit, k: int, gram: np.ndarray, score: np.ndarray
+    ) -> tuple[tuple[int, ...], list[Start]]:
         """A set with one more atom, and the starts of its refit: the step that the linear
         score suggests, and a small one of the other sign for a tangent that misleads."""
         center = self.subject.priors.center[k]
@@ -214,7 +228,7 @@ class Search:
         values = zip(self._screened(self.gram, self.scores, sets), sets, strict=True)
         chosen = [s for _, s in sorted(values, reverse=True)[: self.effort.pairs]]
 
-        def start(pair, sizes) -> Start:
+        def start(pair: tuple[int, ...], sizes: np.ndarray | float) -> Start:
             priors = self.subject.priors
             wanted = np.where(priors.center[list(pair)] != 0, priors.center[list(pair)], sizes)
             wanted = np.where(self.sign[list(pair)] != 0, self.sign[list(pair)], wanted)
@@ -222,7 +236,7 @@ class Search:
 
         self.refit(chosen, {s: [start(s, self._step(s)), start(s, -_SMALL)] for s in chosen})
 
-    def _step(self, atoms) -> np.ndarray:
+    def _step(self, atoms: tuple[int, ...]) -> np.ndarray:
         """Amplitudes of a set by the linear step from no effect."""
         index = np.ix_(atoms, atoms)
         found = np.linalg.solve(self.gram[index] + np.eye(len(atoms)), self.scores[list(atoms)])
@@ -342,11 +356,11 @@ class Weighed:
         log = self.log_weight
         return dict(zip(log, softmax([*log.values()]).tolist(), strict=True))
 
-    def holding(self, effects) -> float:
+    def holding(self, effects: tuple[str, ...]) -> float:
         """Probability of the sets that hold these effects, given an effect, all listed."""
         return _holding({k: p for k, p in self.listed.items() if k}, effects)
 
-    def holding_beside(self, effects) -> float:
+    def holding_beside(self, effects: tuple[str, ...]) -> float:
         """Probability of the sets that hold these effects, beside an unlisted one."""
         return _holding(self.beside, effects)
 
@@ -357,7 +371,7 @@ class Weighed:
         return min(self.hidden + sum(weak), 1.0)
 
 
-def _holding(sets: Mapping[Key, float], effects) -> float:
+def _holding(sets: Mapping[Key, float], effects: tuple[str, ...]) -> float:
     held = sum(p for k, p in sets.items() if set(effects) <= set(k))
     return held / max(sum(sets.values()), NONZERO)
 

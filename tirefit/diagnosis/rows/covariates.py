@@ -11,6 +11,7 @@ from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.engine import FLAT, ROUNDING
 from tirefit.diagnosis.rows.rig import STANDS
 from tirefit.diagnosis.rows.slips import Sweeps, segments, shown_runs, slip_rate
+from tirefit.params import Values
 from tirefit.slip import GRAVITY
 
 LOADS, _ANGLE = 0.03, 1e-3
@@ -38,12 +39,12 @@ class Sizes(NamedTuple):
     swing: float = 1.0  # changes the force by the load at the usual r' [kg m]
 
 
-def _largest(values) -> float:
+def _largest(values: Values) -> float:
     """Typical largest size of values (n,)."""
     return float(np.quantile(np.abs(values), 0.95))
 
 
-def half_force_slip(slip, share) -> float:
+def half_force_slip(slip: np.ndarray, share: np.ndarray) -> float:
     """Median size of the slips (n,) at 0.4 to 0.6 of the largest ``share``, the force
     over load (n,); at least a thousandth of the largest slip."""
     size, share = np.abs(slip), np.abs(share)
@@ -53,15 +54,15 @@ def half_force_slip(slip, share) -> float:
     return float(max(middle, FLAT + 1e-3 * _largest(size)))
 
 
-def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> Sizes:
+def sizes_of(rows: Covariates, slip: np.ndarray, mean_load: float, radius: float | None) -> Sizes:
     """Sizes of a file with these covariates, primary slips (n,), mean load [N] and
     rolling radius [m], None where unknown."""
     spread, rise = float(np.std(slip)), float(rows.rise[0])
 
-    def per(of: float, size) -> float:  # the reciprocal of no range is 1
+    def per(of: float, size: float | np.floating) -> float:  # the reciprocal of no range is 1
         return of / float(size) if size > ROUNDING else of
 
-    def rms(values):
+    def rms(values: Values | float) -> float:
         return np.sqrt(np.mean(values**2))
 
     speeds = np.ptp(rows.v)
@@ -117,12 +118,7 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
     return best[1] if best[0] < 1e-3 else None
 
 
-def wheelbase(data: TireData, derived: Derived) -> float:
-    """Wheelbase of the vehicle [m]: stated, or about twice the arm of an axle."""
-    return data.source.constants.get("wheelbase", 2 * derived.arm)
-
-
-def work_of_sliding(power, time, run) -> np.ndarray:
+def work_of_sliding(power: np.ndarray, time: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Work of sliding so far, from its power (n,), with each cooling: (n, coolings)."""
     work = np.zeros((len(power), len(_COOLINGS)))
     span = np.ptp(time)
@@ -154,20 +150,22 @@ def _force_of(data: TireData, mode: str) -> np.ndarray:
     return column(data, f"f{mode}")
 
 
-def slowest(v) -> float:
+def slowest(v: np.ndarray) -> float:
     """Speed [m/s] below which a wheel counts as standing; of the speeds (n,)."""
     usual = float(np.median(np.abs(v)))
     return STANDS * usual if usual else 1.0
 
 
-def _over_range(values) -> np.ndarray:
+def _over_range(values: np.ndarray) -> np.ndarray:
     """Values minus their mean, over their range; zero if they do not vary."""
     span = np.ptp(values)
     varies = span > FLAT * np.max(np.abs(values))
     return (values - np.mean(values)) / span if varies else np.zeros(len(values))
 
 
-def covariates_of(data: TireData, mode: str, sweeps: Sweeps, slip, second, radius) -> Covariates:
+def covariates_of(
+    data: TireData, mode: str, sweeps: Sweeps, slip: np.ndarray, second: np.ndarray, radius
+) -> Covariates:
     """Covariates that follow from the columns; the base fit adds the others."""
     fz, v, zero = data.usable("fz"), column(data, "v"), np.zeros(data.n)
     time, run, size = column(data, "time"), data.run[data.used], np.hypot(slip, second)
@@ -212,11 +210,11 @@ def needs_met(
 ) -> frozenset[str]:
     """Names of the needs of effects that this data meets."""
 
-    def varies(name, least=0.0):
+    def varies(name: str, least: float = 0.0) -> bool:
         return name in data and bool(np.std(data.usable(name)) > least)
 
-    def relative(values):
-        return float(np.std(values) / max(np.mean(np.abs(values)), FLAT))
+    def relative(values: Values) -> float:
+        return float(np.std(values)) / max(float(np.mean(np.abs(values))), FLAT)
 
     heading = column(data, "heading")
     met = {

@@ -2,6 +2,7 @@
 function of one covariate; and the smooth functions and waves that represent any gap while
 the noise is estimated."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from tirefit.diagnosis.engine import FLAT, ROUNDING, UNSEEN
 from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, Wave, places_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slips import segments
+from tirefit.params import Values
 
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.subject import Base
@@ -148,14 +150,16 @@ _BUMPS = (4, 8)  # smallest and largest number of functions of the slip for each
 _LEVELS = 4  # largest number of settings of a covariate with a coefficient each
 
 
-def bumps(values, count: int) -> np.ndarray:
+def bumps(values: np.ndarray, count: int) -> np.ndarray:
     """Radial functions over the range of the values: (n, count)."""
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), FLAT)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
 
 
-def _by_side(slip_fraction, factors, scale, most: int) -> np.ndarray:
+def _by_side(
+    slip_fraction: np.ndarray, factors: Sequence[Values], scale: Values, most: int
+) -> np.ndarray:
     """Bumps over the size of the slip times each factor (n,), separately by sign if each
     sign has a twentieth of the rows: about ``most`` whitened columns."""
     inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
@@ -169,15 +173,17 @@ def _by_side(slip_fraction, factors, scale, most: int) -> np.ndarray:
     return _scaled(np.concatenate(columns, axis=1), scale)
 
 
-def _standard(values):
+def _standard(values: Values) -> np.ndarray | None:
+    values = np.asarray(values)
     spread = np.std(values)
     return (values - values.mean()) / spread if spread > UNSEEN else None
 
 
-def _modulations(prepared) -> list[np.ndarray]:
+def _modulations(prepared: Prepared) -> list[Values]:
     """Factors of the bumps in the order of importance: (n,) each."""
     rows = prepared.covariates
-    first, second = [np.ones(prepared.n)], []
+    first: list[Values] = [np.ones(prepared.n)]
+    second: list[Values] = []
     plain = (rows.v, rows.time, rows.temperature, rows.gamma, rows.other)
     for values in (np.log(rows.fz), *plain):
         if (unit := _standard(values)) is not None:
@@ -191,7 +197,7 @@ def _modulations(prepared) -> list[np.ndarray]:
     return first + second
 
 
-def _scaled(columns, scale):
+def _scaled(columns: np.ndarray, scale: Values) -> np.ndarray:
     """Whitened unit columns, reduced to a basis with the same covariance."""
     basis = columns * scale[:, None]
     size = np.linalg.norm(basis, axis=0)
@@ -202,7 +208,9 @@ def _scaled(columns, scale):
     return basis @ vectors[:, values > UNSEEN * values.max()]
 
 
-def smooth_basis(prepared, slip_fraction, scale, most: int, runs: bool = False) -> np.ndarray:
+def smooth_basis(
+    prepared: Prepared, slip_fraction: np.ndarray, scale: Values, most: int, runs: bool = False
+) -> np.ndarray:
     """Smooth functions of slip, times load, speed, time and direction (n, b).
 
     Args:
@@ -218,7 +226,7 @@ def smooth_basis(prepared, slip_fraction, scale, most: int, runs: bool = False) 
     return _by_side(slip_fraction, factors, scale, most)
 
 
-def wave_basis(prepared, scale, friction) -> np.ndarray:
+def wave_basis(prepared: Prepared, scale: Values, friction: np.ndarray) -> np.ndarray:
     """Sine and cosine of slip, of time, and of the friction over time, side by side:
     (n, 2 x waves)."""
     slip = prepared.slip
@@ -236,7 +244,7 @@ def wave_basis(prepared, scale, friction) -> np.ndarray:
     return columns / np.maximum(size, ROUNDING)
 
 
-def turns(share, counts) -> np.ndarray:
+def turns(share: Values, counts: np.ndarray) -> np.ndarray:
     """Sine and cosine, in turn, of evenly spaced numbers of turns (k,): (n, 2 k)."""
     # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
     step = counts[1] - counts[0] if len(counts) > 1 else 0.0
@@ -246,7 +254,7 @@ def turns(share, counts) -> np.ndarray:
     return np.cumprod(parts, axis=1).view(float)
 
 
-def _in_pairs(gram, score, ridge):
+def _in_pairs(gram: np.ndarray, score: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:
     """chi-squared and determinant of each wave, from the products ``gram`` (K, 3) of
     :func:`_pairs` and ``score`` (K, 2) with the residual; ``ridge`` adds to squares."""
     a, b, c = gram[:, 0] + ridge, gram[:, 1], gram[:, 2] + ridge
@@ -255,14 +263,14 @@ def _in_pairs(gram, score, ridge):
     return (c * sine**2 - 2 * b * sine * cosine + a * cosine**2) / size, size
 
 
-def _pairs(columns) -> np.ndarray:
+def _pairs(columns: np.ndarray) -> np.ndarray:
     """Products sine-sine, sine-cosine, cosine-cosine of waves (m, 2 K): (K, 3)."""
     sine, cosine = columns[:, ::2], columns[:, 1::2]
     each = ((sine, sine), (sine, cosine), (cosine, cosine))
     return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)
 
 
-def waves_within(waves, against, residual):
+def waves_within(waves: np.ndarray, against: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """chi-squared (K,), two degrees of freedom each, of every wave."""
     unit, _ = np.linalg.qr(against)
     rest = residual - unit @ (unit.T @ residual)

@@ -1,20 +1,21 @@
 """Least-squares fits: the first fit of a base model, the tire that stands in for a
 simulator known by its forces, and refits of hypotheses."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.effects import atoms_of
+from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.diagnosis.rows.forces import Design, Tire
 from tirefit.diagnosis.rows.prepared import Prepared
-from tirefit.diagnosis.rows.rig import unfit
+from tirefit.diagnosis.rows.rig import Rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given
 from tirefit.diagnosis.rows.slips import slip_nodes
 from tirefit.diagnosis.rows.structure import structures_of
@@ -56,7 +57,13 @@ class _Hypotheses:
     """Sets of atoms to be refitted from ``starts`` (h, w). Smaller sets are padded with
     amplitudes without effect."""
 
-    def __init__(self, model: Tire, starts, sets, design: Design):
+    def __init__(
+        self,
+        model: Tire,
+        starts: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]],
+        sets: Sequence[tuple[int, ...]],
+        design: Design,
+    ) -> None:
         self.model, self.design, self.p = model, design, len(starts[0][0])
         self.starts = np.zeros((len(sets), self.p + MOST_EFFECTS))
         for row, (z, amplitude) in zip(self.starts, starts, strict=True):
@@ -72,7 +79,7 @@ class _Hypotheses:
             for side, end in zip((-1.0, 1.0), ends, strict=True)
         )
 
-    def at(self, numbers, points) -> Normal:
+    def at(self, numbers: Sequence[int], points: np.ndarray) -> Normal:
         """Normal equations at points (k, w), priors included."""
         held, center = self.starts[numbers, : self.p], self.center[numbers]
         pull = np.ones(points.shape[1])
@@ -92,14 +99,25 @@ class _Hypotheses:
         return Normal(cost, normal, gradient)
 
 
-def refit(model: Tire, starts, sets, design: Design) -> Refit:
+def refit(
+    model: Tire,
+    starts: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]],
+    sets: Sequence[tuple[int, ...]],
+    design: Design,
+) -> Refit:
     """Sets of atoms refitted from starts (z, amplitudes in prior scales)."""
     those = _Hypotheses(model, starts, sets, design)
     z, _ = minimised(those.at, those.starts, those.bounds, _SOLVER, _STEPS)
     return Refit(z[:, : those.p], z[:, those.p :])
 
 
-def minimised(at: Callable, starts, bounds, solver: NormalEquations, most: int):
+def minimised(
+    at: Callable,
+    starts: np.ndarray,
+    bounds: Sequence[np.ndarray],
+    solver: NormalEquations,
+    most: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """Least squares from each of some starts (h, w), in lockstep, as ``at`` is faster for many.
 
     Args:
@@ -122,7 +140,7 @@ def minimised(at: Callable, starts, bounds, solver: NormalEquations, most: int):
     return z, np.array([float(state.best.cost) for state in states])
 
 
-def design_of(prepared: Prepared, effects, rig) -> Design:
+def design_of(prepared: Prepared, effects: tuple[Effect, ...], rig: Rig) -> Design:
     """The rows as padded arrays."""
     size = padded_size(prepared.n, _LEAST_ROWS)
     slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
@@ -165,7 +183,7 @@ def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
 
 
 def first_fit(
-    prepared: Prepared, name: str, data, effects, rig
+    prepared: Prepared, name: str, data: TireData, effects: tuple[Effect, ...], rig: Rig
 ) -> tuple[Tire, np.ndarray, np.ndarray]:
     """(tire, z, first guess of z) by least squares with Huber's loss at the measured slips."""
     if prepared.n < data.n:  # a large file is diagnosed on some of its rows
@@ -184,7 +202,7 @@ def first_fit(
     design = design._replace(observed=observed, scale=scale)
     weights, forces = design.weights(), design.forces
 
-    def at(numbers, points) -> Normal:
+    def at(numbers: Sequence[int], points: np.ndarray) -> Normal:
         found = []
         for mean, columns in tire.slopes(points, [()] * len(points), design):
             missed = ((forces - mean) * weights).reshape(-1)
@@ -203,7 +221,9 @@ def first_fit(
     return tire, z[int(np.argmin(costs))], starts[0]
 
 
-def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool):
+def begin(
+    prepared: Prepared, tire: Tire, z: np.ndarray, guess: np.ndarray, rig: Rig, simulated: bool
+) -> tuple[Tire, Design, np.ndarray, np.ndarray, dict[Any, Any]]:
     """(tire, design of the rows, z, guess, offset of a simulator by channel (n,))."""
     design, missed = design_of(prepared, tire.effects, rig), {}
     if simulated:

@@ -1,9 +1,9 @@
 """Forces of every row under a base model with effects, and their slopes."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -94,26 +94,36 @@ class _Where(NamedTuple):
     def of(cls, design: Design) -> "_Where":
         return cls(*(getattr(design, name) for name in cls._fields))
 
-    def each(self):
+    def each(self) -> tuple[Values, Values, Values, TireInputs]:
         return self.slip, self.weight, self.second, self.inputs
 
 
-def _reference(tire, where: _Where, mode: str):
+def _reference(
+    tire: AbstractTire, where: _Where, mode: str
+) -> tuple[jax.Array, jax.Array, Values | float]:
     """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
     stiffness = jax.vmap(lambda one: slope_at_rest(tire, one, mode))(where.inputs) / 2
     return stiffness, peak_ratio(tire, *where.reference), arm_of(tire)
 
 
-def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
+def _mean_and_spread(model: AbstractTire, layout: Layout, mode: str, where: _Where) -> Callable:
     """(z, reference, state, slips, weights, second, inputs) of one row -> mean and
     variance of each force over the latent slip, without offset: two tuples."""
 
-    def row(z, reference, state, slips, weights, second, inputs):
+    def row(
+        z: jax.Array,
+        reference: tuple[Any, ...] | None,
+        state: State,
+        slips: jax.Array,
+        weights: jax.Array,
+        second: jax.Array,
+        inputs: TireInputs,
+    ) -> tuple[list[jax.Array], list[jax.Array]]:
         tire = with_values(model, layout.natural(z))
 
-        def at(slip):
+        def at(slip: jax.Array) -> tuple[Values, ...]:
             moved = slip_of_state(state, slip)
-            pair = (state.other, moved) if mode == "y" else (moved, state.other)
+            pair: tuple[Any, Any] = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
             found = force_of_state(tire, reference, state, *pair, inputs)
@@ -129,7 +139,9 @@ def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
     return row
 
 
-def _carrier(model, layout, mode: str, z, where: _Where):
+def _carrier(
+    model: AbstractTire, layout: Layout, mode: str, z: jax.Array, where: _Where
+) -> tuple[jax.Array, ...] | None:
     """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
     if is_plain(model):
         return None
@@ -137,12 +149,14 @@ def _carrier(model, layout, mode: str, z, where: _Where):
     return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
 
 
-def _each(count, one: Callable, z, states):
+def _each(
+    count: jax.Array, one: Callable, z: jax.Array, states: jax.Array
+) -> tuple[jax.Array, ...]:
     """``one`` for each of the first ``count`` fits in turn; zero for the others."""
     shapes = jax.eval_shape(one, z[0], states[0])
     blank = jax.tree.map(lambda a: jnp.zeros((len(z), *a.shape), a.dtype), shapes)
 
-    def body(k, found):
+    def body(k: jax.Array, found: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         here = one(z[k], states[k])
         return jax.tree.map(lambda all, new: all.at[k].set(new), found, here)
 
@@ -150,13 +164,21 @@ def _each(count, one: Callable, z, states):
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
-def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
+def _forces_of(
+    model: AbstractTire,
+    layout: Layout,
+    mode: str,
+    z: jax.Array,
+    states: jax.Array,
+    count: jax.Array,
+    where: _Where,
+) -> tuple[jax.Array, ...]:
     """Mean and variance over the latent slip of the forces (b, C, n) of the first
     ``count`` fits, of z (b, p) and states with effects (b, F, n)."""
     row = _mean_and_spread(model, layout, mode, where)
     row = jax.vmap(row, (None, 0, 0, 0, 0, 0, 0))
 
-    def one(z, state):
+    def one(z: jax.Array, state: jax.Array) -> tuple[jax.Array, jax.Array]:
         carrier = _carrier(model, layout, mode, z, where)
         mean, spread = row(z, carrier, State(*state), *where.each())
         return jnp.stack(mean) + jnp.stack([*where.offset.values()]), jnp.stack(spread)
@@ -165,17 +187,25 @@ def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
-def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
+def _slopes_of(
+    model: AbstractTire,
+    layout: Layout,
+    mode: str,
+    z: jax.Array,
+    states: jax.Array,
+    count: jax.Array,
+    where: _Where,
+) -> tuple[jax.Array, ...]:
     """Mean forces (b, C, n) of some fits and their slopes by z (b, C, p, n) and by the
     fields of the state (b, C, F, n). A row's force depends on z and its own state
     alone: one pass back for each channel serves all, with a z for every row."""
     row = jax.vmap(_mean_and_spread(model, layout, mode, where))
 
-    def one(z, state):
-        def mean(z, carrier, state):
+    def one(z: jax.Array, state: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        def mean(z: jax.Array, carrier, state: jax.Array) -> jax.Array:
             return jnp.stack(row(z, carrier, State(*state), *where.each())[0])
 
-        def carried(z):
+        def carried(z: jax.Array):
             return _carrier(model, layout, mode, z, where)
 
         spread = jnp.broadcast_to(z, (state.shape[1], z.size))
@@ -195,7 +225,9 @@ def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
-def _brush_of(model, layout, mode: str, z, where: _Where):
+def _brush_of(
+    model: AbstractTire, layout: Layout, mode: str, z: jax.Array, where: _Where
+) -> tuple[jax.Array, jax.Array]:
     return _reference(with_values(model, layout.natural(z)), where, mode)[:2]
 
 
@@ -213,7 +245,9 @@ class Tire:
         """States of the rows of a design under hypotheses of these effects."""
         return States(atoms_of(self.effects), design.rows, design.prior_scale)
 
-    def _run(self, program, points, states, design: Design) -> Iterator:
+    def _run(
+        self, program: Callable[..., Any], points: np.ndarray, states: Iterator[Any], design: Design
+    ) -> Iterator:
         """Results of a program for z (h, p) and the states (F, n) of fits, one by one;
         the next states are computed while JAX evaluates the last ones."""
         size, where, waiting = len(design.keep), _Where.of(design), None
@@ -233,7 +267,9 @@ class Tire:
         if waiting is not None:
             yield from _one_by_one(*waiting)
 
-    def forces(self, fits, design: Design) -> Iterator:
+    def forces(
+        self, fits: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]], design: Design
+    ) -> Iterator:
         """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
         variances over the slip."""
         points = np.array([z for z, _ in fits])
@@ -241,17 +277,20 @@ class Tire:
         some = (states.state(_present(a)) for _, a in fits)
         return self._run(_forces_of, points, some, design)
 
-    def moments(self, z, design: Design, n: int, amplitudes=()):
+    def moments(
+        self, z: np.ndarray, design: Design, n: int, amplitudes: np.ndarray | tuple[Any, ...] = ()
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Mean and variance for one fit, of the first n rows, by channel."""
         both, names = self.forces([(z, amplitudes)], design), sorted(design.observed)
-        return tuple({c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both))
+        mean, spread = ({c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both))
+        return mean, spread
 
-    def brush(self, z, design: Design):
+    def brush(self, z: np.ndarray, design: Design) -> tuple[jax.Array, jax.Array]:
         """(c_p a^2 (n,), mu) of the brush of its slope and peak."""
         return _brush_of(self.model, self.layout, self.mode, z, _Where.of(design))
 
     @np.errstate(invalid="ignore")  # the engine refuses an effect without a slope
-    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
+    def linearised(self, z: np.ndarray, amplitudes: np.ndarray, design: Design, n: int) -> Linear:
         """The first n rows linearised in everything."""
         present, points = _present(amplitudes), np.asarray(z)[None]
         states, scale = self.states(design), design.prior_scale
@@ -266,7 +305,7 @@ class Tire:
         for (atom, size), (far, _) in zip(changes.sizes.items(), ends, strict=True):
             columns[atom] = (far - mean) / size
 
-        def flat(values):
+        def flat(values: np.ndarray) -> np.ndarray:
             """Of the first n rows, whitened, from (..., C, n)."""
             values = (values * weight)[..., :n]
             return np.ascontiguousarray(values.reshape(*values.shape[:-2], -1).T)
@@ -274,7 +313,9 @@ class Tire:
         by_z, fields = np.swapaxes(by_z, 0, 1), np.swapaxes(fields, 0, 1)
         return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
 
-    def slopes(self, points, sets, design: Design) -> Iterator:
+    def slopes(
+        self, points: np.ndarray, sets: Sequence[tuple[Any, ...]], design: Design
+    ) -> Iterator:
         """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z, amplitudes, ...),
         and slopes (p + k, C, n) by z and amplitudes in prior scales."""
         p, scale, by_amplitude = self.layout.size, design.prior_scale, []
@@ -298,23 +339,23 @@ class Tire:
             yield mean, columns
 
 
-def _present(amplitudes) -> list[tuple[int, float]]:
+def _present(amplitudes: np.ndarray | tuple[Any, ...]) -> list[tuple[int, float]]:
     """Atoms with an amplitude, from amplitudes of all (K,) in their own units."""
     return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
 
 
-def _one_by_one(found, count: int) -> Iterator:
+def _one_by_one(found: tuple[jax.Array, jax.Array, jax.Array], count: int) -> Iterator:
     """Results of a program for each of the first ``count`` fits."""
     parts = [np.asarray(part) for part in found]
     yield from (tuple(part[k] for part in parts) for k in range(count))
 
 
-def _along(by_field, slopes, size: float) -> np.ndarray:
+def _along(by_field: np.ndarray, slopes: Mapping[int, np.ndarray], size: float) -> Values | float:
     """Slopes of the forces (C, n) for these changes of the fields of the state."""
     return sum(by_field[:, field] * (size * slope) for field, slope in slopes.items())
 
 
-def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
+def with_force(prepared: Prepared, tire: Tire, design: Design, z: np.ndarray) -> Design:
     """The force of the base model over its peak, for effects that depend on it."""
     channel, fz = prepared.channels[0], prepared.inputs.fz
     mean = tire.moments(z, design, prepared.n)[0][channel]
@@ -334,7 +375,7 @@ def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
     return design._replace(rows=rows)
 
 
-def _pull(prepared, tire: Tire, design: Design, z) -> dict[str, np.ndarray]:
+def _pull(prepared: Prepared, tire: Tire, design: Design, z: np.ndarray) -> dict[str, np.ndarray]:
     """Forces of the base model at the past of every row: (n, k) by channel."""
     past = prepared.covariates.past
     if "sweeps" not in prepared.has:
@@ -344,7 +385,7 @@ def _pull(prepared, tire: Tire, design: Design, z) -> dict[str, np.ndarray]:
     columns = []
     for k in range(past.shape[1]):
         slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
-        earlier = (pad_rows(part[:, k], size) for part in prepared.before)
+        earlier = (pad_rows(np.asarray(part)[:, k], size) for part in prepared.before)
         # The past of a simulator beyond its tire is not known.
         then = design._replace(
             slip=slip,

@@ -15,6 +15,7 @@ from tirefit.diagnosis.rows.slips import AHEAD, slip_law, slip_rate
 from tirefit.fitting.problem import check_slip_noise
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
+from tirefit.params import Values
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that cause the forces -> forces that may be diagnosed."""
@@ -100,7 +101,7 @@ class Prepared:
 
 
 def _mode(data: TireData) -> str:
-    def drives(slip, force):
+    def drives(slip: str, force: str) -> bool:
         return slip in data and force in data and np.std(data.usable(slip)) > 1e-6
 
     along, across = drives("sigma_x", "fx"), drives("alpha", "fy")
@@ -118,7 +119,9 @@ def _mode(data: TireData) -> str:
     return "x" if along else "y"
 
 
-def prepare(data: TireData, rig: Rig, model, shown: float | None = None) -> Prepared:
+def prepare(
+    data: TireData, rig: Rig, model: tuple[str, ...], shown: float | None = None
+) -> Prepared:
     """The used rows, for the forces of a model. ``shown`` is the noise of the slip by the
     forces, used if it is not stated; None for the scatter about sweeps. Raises DataError."""
     check_data(data, (), rig)
@@ -214,7 +217,9 @@ def thinned(prepared: Prepared, most: int) -> Prepared:
     )
 
 
-def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float | None):
+def _slip_std(
+    data: TireData, mode: str, rig: Rig, scatter: float, shown: float | None
+) -> tuple[np.ndarray, str]:
     """(noise of the slip (n,), its source): stated, else the one ``shown`` by the forces,
     else the ``scatter`` about smooth sweeps."""
     name = "alpha" if mode == "y" else "sigma_x"
@@ -273,10 +278,12 @@ def blocks_of_settings(prepared: Prepared) -> np.ndarray:
     return np.array(sorted(blocks)).reshape(-1, 2)
 
 
-def coincides(begin, end, blocks: np.ndarray) -> np.ndarray | np.bool:
+def coincides(
+    begin: Values | float, end: Values | float, blocks: np.ndarray
+) -> np.ndarray | np.bool:
     """Whether stretches (...,) coincide with any of the blocks (k, 2)."""
-    begin, end = np.asarray(begin)[..., None], np.asarray(end)[..., None]
-    both = np.minimum(end, blocks[:, 1]) - np.maximum(begin, blocks[:, 0])
-    either = np.maximum(end, blocks[:, 1]) - np.minimum(begin, blocks[:, 0])
-    of_runs = np.isinf(blocks[:, 1]) & (np.abs(begin - blocks[:, 0]) <= _NEAR)
+    first, last = np.asarray(begin)[..., None], np.asarray(end)[..., None]
+    both = np.minimum(last, blocks[:, 1]) - np.maximum(first, blocks[:, 0])
+    either = np.maximum(last, blocks[:, 1]) - np.minimum(first, blocks[:, 0])
+    of_runs = np.isinf(blocks[:, 1]) & (np.abs(first - blocks[:, 0]) <= _NEAR)
     return np.any((both > _SAME * either) | (of_runs & (end > 0.5)), axis=-1)

@@ -13,6 +13,7 @@ from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_from_speeds
 from tirefit.diagnosis.engine import UNSEEN
 from tirefit.door import read_toml
+from tirefit.params import Values
 from tirefit.results import DataError, UsageError
 from tirefit.settings import Section, parse_settings
 
@@ -93,7 +94,7 @@ class Rig:
     run_order: str | None = None
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raises UsageError for a value not above zero, or two of one force."""
         for kind in ("noise", "vehicle"):
             for name, value in getattr(self, kind).items():
@@ -149,7 +150,7 @@ class Rig:
             if column in data
         )
 
-    def force_noise(self, channel: str, fz: np.ndarray) -> np.ndarray | None:
+    def force_noise(self, channel: str, fz: Values | float) -> Values | float | None:
         """Return the stated standard deviation (n,) of a force or moment, None without.
 
         Args:
@@ -158,7 +159,7 @@ class Rig:
         """
         for name in (channel, *(["force"] if channel != "mz" else [])):
             if name in self.noise:
-                return np.full(len(fz), self.noise[name])
+                return np.full(np.shape(fz), self.noise[name])
             if f"{name}_relative" in self.noise:
                 return self.noise[f"{name}_relative"] * fz
         return None

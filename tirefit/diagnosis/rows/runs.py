@@ -2,7 +2,7 @@
 stiffness; and the parts of a file that are left out in turn."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
@@ -11,7 +11,7 @@ from tirefit.data.levels import levels
 from tirefit.diagnosis.effects.measurement import RELATIVE, RUN_OFFSETS
 from tirefit.diagnosis.effects.record import PER_MILLE
 from tirefit.diagnosis.engine import NONZERO, UNSEEN
-from tirefit.diagnosis.engine.fit import Folds, without
+from tirefit.diagnosis.engine.fit import Fit, Folds, without
 from tirefit.diagnosis.rows.discrepancy import PLACE
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slips import shown_runs
@@ -45,7 +45,7 @@ class RunOffsets(NamedTuple):
     values: Mapping[str, tuple[float, float]]
 
 
-def shrunk(values, covariance) -> Shrunk:
+def shrunk(values: np.ndarray, covariance: np.ndarray) -> Shrunk:
     """A normal law of the runs' true values, by restricted maximum likelihood.
 
     Values ~ N(common, covariance + spread^2 I); see DerSimonian and Laird 1986 for the
@@ -82,7 +82,9 @@ def shrunk(values, covariance) -> Shrunk:
     )
 
 
-def _estimates(base, kind: str, hypothesis=None):
+def _estimates(
+    base: Any, kind: str, hypothesis: Fit | None = None
+) -> tuple[list[int], np.ndarray, np.ndarray] | None:
     """First-order offset of each run in addition to a hypothesis (None: the base fit).
 
     Returns:
@@ -128,7 +130,7 @@ def _estimates(base, kind: str, hypothesis=None):
     return codes, own, max(level.inflation for level in base.noise.values()) * inverse
 
 
-def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
+def offsets_of_runs(base: Any, hypothesis: Fit) -> dict[str, RunOffsets]:
     """Differences of the runs in addition to a hypothesis, by kind; empty for one run."""
     offsets = {}
     for kind, offset in RUN_OFFSETS.items():
@@ -141,7 +143,7 @@ def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
     return offsets
 
 
-def _pattern(base, kind: str) -> np.ndarray:
+def _pattern(base: Any, kind: str) -> np.ndarray:
     """Offsets of the runs minus their mean, scaled to unit rms over the rows: (n,)."""
     pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
     if seen is None or (law := shrunk(*seen[1:])).spread == 0:
@@ -153,7 +155,7 @@ def _pattern(base, kind: str) -> np.ndarray:
     return pattern / size if size > 0 else pattern
 
 
-def with_runs(base):
+def with_runs(base: Any) -> Any:
     """The base with the patterns of the offsets of its runs, if there are several."""
     if "runs" not in base.rows.has:
         return base

@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
+from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
@@ -32,6 +33,7 @@ from tirefit.diagnosis.rows.prepared import (
     order_of,
     slip_of,
 )
+from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
 from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
@@ -66,7 +68,7 @@ class Base:
         """Parameters z that define the gap: those of the simulator, else of the fit."""
         return self.z if self.simulator is None else self.simulator.z
 
-    def off_bounds(self, z) -> np.ndarray:
+    def off_bounds(self, z: np.ndarray) -> np.ndarray:
         """Parameters z, with the first guess for those at a bound, where the slope is
         zero and a refit could not leave the bound."""
         on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
@@ -91,7 +93,7 @@ class Base:
         along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
         return along, 1 - 1 / np.sqrt(1 + size**2)
 
-    def sure(self, values) -> np.ndarray:
+    def sure(self, values: np.ndarray) -> np.ndarray:
         """Whitened values (m, ...), also whitened for the slip uncertainty."""
         along, unknown = self._doubtful
         return values - (along * unknown) @ (along.T @ values)
@@ -122,7 +124,7 @@ class Base:
         found = block_diag(*blocks)
         return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
 
-    def _forces_of(self, slips) -> np.ndarray:
+    def _forces_of(self, slips: np.ndarray) -> np.ndarray:
         """Whitened forces (m, k) of small changes of the slips (n, k)."""
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
         return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
@@ -141,7 +143,7 @@ class Base:
         """The same fit on another design, of other rows if given."""
         return replace(self, design=design, rows=rows or self.rows)
 
-    def linearised(self, z, amplitudes) -> Linear:
+    def linearised(self, z: np.ndarray, amplitudes: np.ndarray) -> Linear:
         """The used rows, linearised in everything."""
         key = np.asarray(z).tobytes(), amplitudes.tobytes()
         if key not in self.linear:
@@ -260,7 +262,9 @@ class Base:
         amplitudes = self.amplitudes(fit.atoms, fit.amplitude)
         return self.sure(self.linearised(fit.z, amplitudes).columns)
 
-    def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
+    def amplitudes(
+        self, atoms: Sequence[int] = (), sizes: np.ndarray | tuple[Any, ...] = ()
+    ) -> np.ndarray:
         """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
         prior scales; the others are zero."""
         full, index = np.zeros(len(self.atoms)), list(atoms)
@@ -268,20 +272,24 @@ class Base:
         full[index] = np.asarray(sizes)[: len(index)] * scale
         return full
 
-    def residual(self, z, amplitudes) -> np.ndarray:
+    def residual(self, z: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
         """Whitened residual of the used rows, zero for outliers: (m,)."""
         n, scale, keep = self.rows.n, self.design.scale, self.design.keep
         each = self.forces(z, amplitudes).items()
         parts = [keep[:n] * (self.rows.observed[c] - f) / scale[c][:n] for c, f in each]
         return np.concatenate(parts)
 
-    def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
+    def forces(self, z: np.ndarray, amplitudes: np.ndarray) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
         return self.tire.moments(z, self.design, self.rows.n, amplitudes)[0]
 
 
 def fit_base(
-    prepared: Prepared, name: str | None, effects, rig, given: Given | None = None
+    prepared: Prepared,
+    name: str | None,
+    effects: tuple[Effect, ...],
+    rig: Rig,
+    given: Given | None = None,
 ) -> Base:
     """Fit the base model, judge the noise, and fit again under it.
 
@@ -320,7 +328,9 @@ def fit_base(
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
-def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | None:
+def shown_slip_noise(
+    prepared: Prepared, name: str, effects: tuple[Effect, ...], rig: Rig
+) -> float | None:
     """Noise of the slip [-], estimated from the measured forces and the model ``name``; or None.
 
     It is None if the noise is stated, if the forces do not show it, if most of the scatter of
@@ -334,7 +344,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float | Non
     tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
     channel, design = prepared.channels[0], fits.design_of(prepared, effects, rig)
 
-    def force(off: float):
+    def force(off: float) -> np.ndarray:
         moved = replace(prepared, slip=prepared.slip + off)
         return tire.moments(z, fits.measured_slips(design, moved), prepared.n)[0][channel]
 
@@ -367,7 +377,7 @@ def _under(noise: Mapping[str, NoiseLevel], fit: Base) -> Base:
     return replace(fit, design=design, z=z, noise=noise, testable=())
 
 
-def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
+def with_noise_judged(base: Base, rig: Rig, z: np.ndarray, amplitudes: np.ndarray) -> Base:
     """The base refitted with the noise of the remainder of a fit (z, amplitudes).
     Outliers are excluded, which requires a fit without a gross gap."""
     return _under(_noise(replace(base, z=z), rig, amplitudes, outliers=True), base)
@@ -382,7 +392,7 @@ def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     return base.on(with_force(prepared, tire, design, base.z), prepared)
 
 
-def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
+def _slip_fraction(prepared: Prepared, tire: Tire, z: np.ndarray, design: Design) -> np.ndarray:
     """Slip (n,) over that of full sliding, 3 mu F_z / (2 c) for the brush with slope and
     peak of the base."""
     stiffness, mu = tire.brush(z, design)
@@ -392,11 +402,13 @@ def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
     return side * size / (1.5 * float(mu) * prepared.inputs.fz / stiffness)
 
 
-def _noise(fit: Base, rig, amplitudes=(), outliers=False) -> dict[str, NoiseLevel]:
+def _noise(
+    fit: Base, rig: Rig, amplitudes: np.ndarray | tuple[Any, ...] = (), outliers: bool = False
+) -> dict[str, NoiseLevel]:
     """Noise of each channel, estimated from the remainder of a fit."""
     rows, fz = fit.rows, fit.rows.inputs.fz
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
-    typical, most = fz / np.mean(fz), rows.n // 6
+    typical, most = np.asarray(fz) / np.mean(fz), rows.n // 6
     basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
     groups, levels = neighbours(rows), {}
     of_friction = np.minimum(np.abs(fit.slip_fraction), 1.0)  # of a brush, within 0.2

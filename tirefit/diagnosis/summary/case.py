@@ -27,6 +27,7 @@ from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error
 from tirefit.diagnosis.engine.search import Search, Weighed
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base, on_rows
 
 
@@ -184,7 +185,9 @@ class Case(Concluded):
         return max(float(np.mean(left**2)) * rows_each, 1.0)
 
 
-def averaged(values, variances, chances, center=None) -> tuple[np.ndarray, np.ndarray]:
+def averaged(
+    values: np.ndarray, variances: np.ndarray, chances: np.ndarray, center: float | None = None
+) -> tuple[Any, Any]:
     """Mean and standard deviation (...) of a mixture of normal estimates.
 
     Args:
@@ -255,7 +258,9 @@ def beside(base: Base, fit: Fit) -> np.ndarray:
     return base.plain_discrepancy.additive - base.columns_at(fit) @ taken
 
 
-def all_rows(case: Case, whole: Prepared, rig, rows):
+def all_rows(
+    case: Case, whole: Prepared, rig: Rig, rows: dict[str, dict[str, np.ndarray]]
+) -> dict[str, dict[str, np.ndarray]]:
     """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}; between
     thinned rows the located gap is interpolated in their order."""
     data, kept, every = whole.data, case.base.rows.kept, np.arange(whole.n)

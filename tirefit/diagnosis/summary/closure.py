@@ -16,6 +16,7 @@ from tirefit.diagnosis.engine.fit import Fit, Key
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, Step, jackknife_error
 from tirefit.diagnosis.rows.fits import missed_share, refit
 from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base, on_rows
 from tirefit.diagnosis.summary.case import Case, Concluded, beside
 from tirefit.diagnosis.summary.result import (
@@ -79,18 +80,20 @@ def _off(base: Base, fit: Fit, count: int, generator: np.random.Generator) -> np
     return own + discrepancy + rms * generator.standard_normal(discrepancy.shape)
 
 
-def _closed(gap, left) -> np.ndarray:
+def _closed(gap: np.ndarray, left: np.ndarray) -> np.ndarray:
     """1 - root of (remaining energy / energy of the gap), at least -1."""
     ratio = np.asarray(left) / np.maximum(gap, NONZERO)
     return np.maximum(1 - np.sqrt(ratio), WORST)
 
 
-def _is_resolvable(gap, variance, inflation) -> bool:
+def _is_resolvable(gap: float, variance: np.ndarray, inflation: float) -> bool:
     effective = max(len(variance) / inflation, 1.0)
     return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
 
 
-def _shrinkage(rms, closed, fewer, resolvable: bool) -> Shrinkage:
+def _shrinkage(
+    rms: float, closed: np.ndarray, fewer: Sequence[float], resolvable: bool
+) -> Shrinkage:
     """From the rms [N] of the gap, its closure in draws (d,), and the median closure
     with each run left out (R,)."""
     middle, (low, high) = float(np.median(closed)), np.quantile(closed, INTERVAL)
@@ -105,7 +108,14 @@ def _shrinkage(rms, closed, fewer, resolvable: bool) -> Shrinkage:
     )
 
 
-def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage:
+def closure_on_rows(
+    truth: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    variance: np.ndarray,
+    run: np.ndarray,
+    inflation: float,
+) -> Shrinkage:
     """Closure on the fitted rows: median and interval of its draws. The gap is resolvable if at
     most one draw in twenty is below 3 sqrt(2 / n_effective) of the energy of the noise.
 
@@ -127,7 +137,14 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage
     )
 
 
-def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shrinkage:
+def closure_elsewhere(
+    before: np.ndarray,
+    after: np.ndarray,
+    variance: np.ndarray,
+    run: np.ndarray,
+    inflation: float,
+    generator: np.random.Generator,
+) -> Shrinkage:
     """Closure on rows that neither fit used. The remaining energy, that of the residuals
     minus that of the noise, has a normal error; its root is >= 0, with a flat prior.
 
@@ -144,7 +161,7 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shr
     of_noise = np.sqrt(2 * np.mean(variance**2) * inflation / len(variance))
     error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
 
-    def closed(gains, value):
+    def closed(gains: np.ndarray, value: float) -> np.ndarray:
         root = np.sqrt(np.maximum(value, 0.0) + _FAR * error) * evenly
         below = np.cumsum(softmax(-0.5 * ((root**2 - value) / error) ** 2))
         lefts = np.interp(evenly, below, root) ** 2
@@ -159,7 +176,9 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shr
     )
 
 
-def block_means(terms, run, inflation, generator) -> np.ndarray:
+def block_means(
+    terms: np.ndarray, run: np.ndarray, inflation: float, generator: np.random.Generator
+) -> np.ndarray:
     """Means of terms (n, k) over rows resampled in blocks: (draws, k)."""
     length = int(max(2 * inflation, len(terms) // _BLOCKS))
     blocks = []
@@ -172,7 +191,7 @@ def block_means(terms, run, inflation, generator) -> np.ndarray:
     return drawn @ sums / (drawn @ sizes)[:, None]
 
 
-def without_each(terms, run) -> np.ndarray:
+def without_each(terms: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Means of terms (n, k) with each run left out: (R, k); empty for a single run."""
     codes = np.unique(run)
     if len(codes) < 2:
@@ -180,7 +199,12 @@ def without_each(terms, run) -> np.ndarray:
     return np.array([terms[run != code].mean(axis=0) for code in codes])
 
 
-def of_so_few_runs(value, low, high, one_less):
+def of_so_few_runs(
+    value: np.ndarray | float,
+    low: np.ndarray | float,
+    high: np.ndarray | float,
+    one_less: np.ndarray,
+) -> tuple[np.ndarray | float, np.ndarray | float]:
     """A 90 % interval (low, high) of a value widened to the jackknife's over the runs,
     by Student's t; ``one_less`` (R, ...) are the values with each run left out."""
     count = len(one_less)
@@ -207,7 +231,9 @@ def of_the_ladder(ladder: Ladder) -> HeldOut | None:
     )
 
 
-def held_out(case: Case, holdout: Sequence, rig, generator) -> tuple[HeldOut | None, Ladder]:
+def held_out(
+    case: Case, holdout: Sequence, rig: Rig, generator: np.random.Generator
+) -> tuple[HeldOut | None, Ladder]:
     """Closure by the effects that help on data left out, and the ladder with the closure of
     each step there.
 
@@ -303,7 +329,7 @@ def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
     return values
 
 
-def budgets_of(case: Case, generator) -> dict[str, tuple[Part, ...]]:
+def budgets_of(case: Case, generator: np.random.Generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
     effect, unexplained, noise; their shares add to one."""
     base, found = case.base, {}
@@ -323,7 +349,13 @@ def budgets_of(case: Case, generator) -> dict[str, tuple[Part, ...]]:
     return found
 
 
-def budget(parts: Mapping[str, np.ndarray], rest, run, inflation, generator) -> tuple[Part, ...]:
+def budget(
+    parts: Mapping[str, np.ndarray],
+    rest: tuple[np.ndarray, np.ndarray, np.ndarray],
+    run: np.ndarray,
+    inflation: float,
+    generator: np.random.Generator,
+) -> tuple[Part, ...]:
     """Parts of the energy of a channel with 90 % intervals; their shares add to one.
 
     Args:
@@ -333,7 +365,7 @@ def budget(parts: Mapping[str, np.ndarray], rest, run, inflation, generator) -> 
     """
     terms = np.stack([*parts.values(), *rest], axis=1)
 
-    def shares(means):
+    def shares(means: np.ndarray) -> np.ndarray:
         energies = _energies(means)
         return energies[..., :-1] / energies[..., -1:]
 
@@ -348,7 +380,7 @@ def budget(parts: Mapping[str, np.ndarray], rest, run, inflation, generator) -> 
     return tuple(map(Part, *columns, map(tuple, ends)))
 
 
-def _energies(means):
+def _energies(means: np.ndarray) -> np.ndarray:
     """Convert means (..., parts + 3) of the parts, the remainder, the noise and the whole
     to non-negative ones that add up to the whole, with the remainder beyond the noise and
     the remaining noise. A part that increases the error counts zero; the others share the

@@ -1,17 +1,20 @@
 """Build the document of a diagnosis and its rows."""
 
 import importlib.metadata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
 from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import jackknife_error, sizes_by_group
 from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.case import Case, Concluded, all_rows, rows_of
@@ -32,6 +35,7 @@ from tirefit.diagnosis.summary.result import (
     Gap,
     Left,
     NoiseSummary,
+    Settings,
     Shrinkage,
     VerdictSummary,
 )
@@ -58,7 +62,14 @@ _DIRECTIONS = 40
 
 
 def document_of(
-    case: Case, whole: Prepared, settings, library, holdout, generator, model, seed
+    case: Case,
+    whole: Prepared,
+    settings: Settings,
+    library: tuple[Effect, ...],
+    holdout: Sequence[Any],
+    generator: np.random.Generator,
+    model: str,
+    seed: int,
 ) -> Diagnosis:
     """The document of the verdict on the rows of ``case``, for all rows of ``whole``.
 
@@ -67,7 +78,7 @@ def document_of(
         library: effects that were looked for.
         holdout: tables that the search did not use.
     """
-    data, base, rig = whole.data, case.base, settings.rig
+    data, base, rig = whole.data, case.base, settings.rig or Rig()
     prepared = base.rows
     rows, main = rows_of(case, base.measured), prepared.channels[0]
     # Random numbers are drawn in this order: true forces, held-out data, budget.
@@ -125,7 +136,9 @@ def document_of(
     )
 
 
-def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
+def _gaps(
+    case: Case, rows: Mapping[str, Mapping[str, np.ndarray]], truth: Mapping[str, np.ndarray]
+) -> dict[str, Shrinkage]:
     """Closure of the gap of each channel on the rows of the search.
 
     Args:
@@ -248,7 +261,9 @@ def _chances(case: Concluded) -> dict:
     return shared | ({verdict.key: verdict.probability} if named else {})
 
 
-def _candidate(case: Concluded, key, probability: float, closure: Shrinkage) -> Candidate:
+def _candidate(
+    case: Concluded, key: tuple[str, ...], probability: float, closure: Shrinkage
+) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     found, parameters = hypothesis.amplitude, {}
     spread = hypothesis.errors * np.sqrt(case.widening)
@@ -279,7 +294,7 @@ def _candidate(case: Concluded, key, probability: float, closure: Shrinkage) -> 
     )
 
 
-def _closure_by(case: Case, hypothesis: Fit, before, truth) -> Shrinkage:
+def _closure_by(case: Case, hypothesis: Fit, before: np.ndarray, truth: np.ndarray) -> Shrinkage:
     """Closure of the gap of the first channel by a set of effects.
 
     Args:
@@ -305,6 +320,6 @@ def resolution(scale: np.ndarray, columns: int) -> float:
     return float(np.median(scale) * np.sqrt(energy))
 
 
-def _base_parameters(base: Base, z) -> dict[str, float]:
+def _base_parameters(base: Base, z: np.ndarray) -> dict[str, float]:
     values = base.tire.layout.natural(z)
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}

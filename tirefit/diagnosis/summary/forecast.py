@@ -2,7 +2,7 @@
 rows can show, and which further measurement would distinguish two effects."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -10,8 +10,9 @@ import numpy as np
 from scipy.special import logit, ndtr
 
 from tirefit.diagnosis.engine import FLAT, UNSEEN
-from tirefit.diagnosis.engine.decide import UNKNOWN
+from tirefit.diagnosis.engine.decide import UNKNOWN, Verdict
 from tirefit.diagnosis.engine.fit import Fit, without
+from tirefit.diagnosis.engine.search import Search, Weighed
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.result import Forecast, NextMeasurement
@@ -36,7 +37,7 @@ _SAME_AGAIN = "the same again"
 _MOMENT = "the aligning moment M_z on lateral runs"
 
 
-def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float:
+def separability(columns: np.ndarray, a: int, b: int, size_a: float, size_b: float) -> float:
     """Forecast probability of distinguishing effect a from b by the larger abs(z).
 
     Args:
@@ -44,7 +45,7 @@ def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float
         size_a, size_b: amplitudes in units of the columns.
     """
     one, two = columns[:, a] * size_a, columns[:, b] * size_b
-    energy = (one @ one, two @ two)
+    energy = float(one @ one), float(two @ two)
     if min(energy) < FLAT:
         return 0.5
     correlation = one @ two / np.sqrt(energy[0] * energy[1])
@@ -53,14 +54,18 @@ def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float
     return float(ndtr(np.sqrt(min(energy) * apart / 2)))
 
 
-def scores_of_nothing(directions, draws: int, generator) -> np.ndarray:
+def scores_of_nothing(
+    directions: np.ndarray, draws: int, generator: np.random.Generator
+) -> np.ndarray:
     """Scores of unit directions in white noise: (K, draws)."""
     values, vectors = np.linalg.eigh(directions.T @ directions)
     root = vectors * np.sqrt(np.maximum(values, 0))
     return root @ generator.standard_normal((directions.shape[1], draws))
 
 
-def recognition(directions, names: Sequence[str], truth: int, size: float, noise):
+def recognition(
+    directions: np.ndarray, names: Sequence[str], truth: int, size: float, noise: np.ndarray
+) -> tuple[float, float, str | None]:
     """Probabilities that the largest score exceeds that of noise, and that it is also that
     of the true effect; the effect that is found most often instead, None if hardly any.
     Scores of unit directions of correlation R are z ~ N(size R[:, truth], R).
@@ -81,7 +86,7 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
     return len(found) / draws, right / draws, other if often > LEVEL * draws else None
 
 
-def confusion(search) -> list[Forecast]:
+def confusion(search: Search) -> list[Forecast]:
     """For each testable effect of usual size, whether it is detected or confused."""
     base, left = search.subject, search.projected
     length = np.linalg.norm(left, axis=0)
@@ -141,7 +146,7 @@ _Block = tuple[np.ndarray, np.ndarray]
 """Whitened slopes of one measurement by base parameters (m, p) and amplitudes (m, K)."""
 
 
-def _block(base: Base, z) -> _Block:
+def _block(base: Base, z: np.ndarray) -> _Block:
     _, jacobian, columns, _ = base.linearised(z, base.amplitudes())
     return np.asarray(jacobian), np.asarray(columns)
 
@@ -165,7 +170,7 @@ def _with_moment(base: Base, z) -> _Block:
     return np.column_stack([jacobian, length]), columns
 
 
-def _told_apart(blocks: Sequence[_Block], one, two) -> float:
+def _told_apart(blocks: Sequence[_Block], one: tuple[int, float], two: tuple[int, float]) -> float:
     """Forecast probability of distinguishing two effects by all these measurements.
 
     Args:
@@ -214,7 +219,7 @@ def size_apart(blocks: Sequence[_Block], fit: Fit, place: int) -> float:
     return _STANDS_OFF / float(np.hypot(relative, _VARIES))
 
 
-def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
+def _sizes(search: Search, weighed: Weighed) -> dict[str, tuple[int, float]]:
     """Atom and amplitude in prior scales of each testable effect: the usual amplitude, or
     that of the single refit if it is larger (a refit near zero is not a limit)."""
     center = search.subject.priors.center
@@ -228,7 +233,9 @@ def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
     return sizes
 
 
-def _pairs(search, weighed, verdict, known) -> list[tuple[str, str]]:
+def _pairs(
+    search: Search, weighed: Weighed, verdict: Verdict, known: Mapping[str, tuple[int, float]]
+) -> list[tuple[str, str]]:
     """Pairs of known effects that the data may confuse: the named ones with other possible
     ones and with those they resemble, then the most probable single effects."""
     alike = {atom.effect.id: atom.effect.looks_like for atom in search.subject.atoms}
@@ -241,7 +248,7 @@ def _pairs(search, weighed, verdict, known) -> list[tuple[str, str]]:
     return list(dict.fromkeys(distinct))[:_FEW]
 
 
-def manoeuvres(search, weighed, verdict) -> tuple[NextMeasurement, ...]:
+def manoeuvres(search: Search, weighed: Weighed, verdict: Verdict) -> tuple[NextMeasurement, ...]:
     """The measurement by which each pair of confused effects is told apart, as their records
     name it, and the probability of distinguishing them without it, the smallest first."""
     sizes, found = _sizes(search, weighed), []
@@ -255,7 +262,7 @@ def manoeuvres(search, weighed, verdict) -> tuple[NextMeasurement, ...]:
 
 
 def next_measurements(
-    base: Base, search, weighed, verdict, most: int = _FEW
+    base: Base, search: Search, weighed: Weighed, verdict: Verdict, most: int = _FEW
 ) -> tuple[tuple[NextMeasurement, ...], str | None]:
     """Further measurements, of as many rows as the file has, that would distinguish
     confused effects, the largest gain first; and the reason if there are none."""
@@ -279,12 +286,12 @@ def next_measurements(
         for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:
             after = _told_apart([here, added(name)], one, two)
             considered.append(NextMeasurement(name, pair, now, after))
-    for effect, one in verdict.each.items():
-        if effect in verdict.key and _OPEN[0] <= one.probability <= _OPEN[1]:
-            fit, now = weighed.best_of[verdict.key], max(one.probability, 1 - one.probability)
+    for effect, claim in verdict.each.items():
+        if effect in verdict.key and _OPEN[0] <= claim.probability <= _OPEN[1]:
+            fit, now = weighed.best_of[verdict.key], max(claim.probability, 1 - claim.probability)
             for name in (name for name in changes if name != _SAME_AGAIN):
                 distance = size_apart([here, added(name)], fit, fit.effects.index(effect))
-                after = decided(one.probability, distance)
+                after = decided(claim.probability, distance)
                 considered.append(NextMeasurement(name, (effect, UNKNOWN), now, after))
     useful = [step for step in considered if step.p_after > step.p_now + _WORTHWHILE]
     if useful:

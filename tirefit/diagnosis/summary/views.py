@@ -2,6 +2,7 @@
 contents of the figures as arrays: the residual in cells of the data, both fits over the
 slip, and the shape of the remainder."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -88,7 +89,7 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         channels=base.rows.channels,
         assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
         set_aside=data.first_masked(),
-        motion=said_of_motion(base, rig),
+        motion=said_of_motion(base.rows, rig, base.forces(base.as_given, base.amplitudes())),
     )
 
 
@@ -108,7 +109,7 @@ def covariates_of(base: Base) -> dict[str, np.ndarray]:
     return found | {name: rows.column(name) for name in others if name in rows.has}
 
 
-def _chance(base: Base, residual, rows) -> float:
+def _chance(base: Base, residual: np.ndarray, rows: np.ndarray) -> float:
     """p-value of the whitened misfit of ``rows``: chi-squared of the sums over
     neighbours in slip. The residual has the rows' inflation in it already."""
     ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
@@ -116,7 +117,7 @@ def _chance(base: Base, residual, rows) -> float:
     return float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
 
 
-def binned(values, count: int) -> tuple[np.ndarray, np.ndarray]:
+def binned(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Bin (n,) of each value, edges (k + 1,) of at most ``count`` equally full bins."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, max(count, 1) + 1)))
     if len(edges) == 1:  # a single value would give a bin without width
@@ -124,7 +125,7 @@ def binned(values, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.digitize(values, edges[1:-1]), edges
 
 
-def regions(base: Base, residual, gap) -> list[Region]:
+def regions(base: Base, residual: np.ndarray, gap: np.ndarray) -> list[Region]:
     """Settings, or quarters of swept covariates, with their shares of the energy of the
     located ``gap`` (n,) [N] and the corrected p-values of the whitened ``residual``
     (n,), inflation included; the largest significant share first. P-values are by Benjamini
@@ -213,7 +214,7 @@ class Comparison(NamedTuple):
     after: np.ndarray
 
 
-def shown_rows(base, parts) -> ShownRows:
+def shown_rows(base: Base, parts: Mapping[str, np.ndarray]) -> ShownRows:
     """The rows of a base fit; ``parts`` are ``base``, ``extended`` and ``gap`` (n,) of
     the first channel."""
     rows, varying = base.rows, covariates_of(base)
@@ -232,14 +233,14 @@ def shown_rows(base, parts) -> ShownRows:
     )
 
 
-def _means(codes, *columns) -> list[np.ndarray]:
+def _means(codes: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
     """Mean of each column in every bin that has rows."""
     count = np.bincount(codes)
     there = count > 0
     return [np.bincount(codes, c)[there] / count[there] for c in columns]
 
 
-def _levels(values) -> tuple[np.ndarray, np.ndarray]:
+def _levels(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Level (n,) of each value, and the levels (m, 2), from and to."""
     settings = levels(values)
     if settings.few():
@@ -289,7 +290,13 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     return ResidualMap(rows.channel, covariate, ends, edges, *(x.reshape(shape) for x in shown))
 
 
-def _load_curve(load, slip, force, base, extended) -> LoadCurve:
+def _load_curve(
+    load: tuple[float, float],
+    slip: np.ndarray,
+    force: np.ndarray,
+    base: np.ndarray,
+    extended: np.ndarray,
+) -> LoadCurve:
     codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
     bins = [codes == k for k in np.unique(codes)]
     # The force rises with slip within a bin: spread only the part of the extension.
