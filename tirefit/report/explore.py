@@ -20,10 +20,9 @@ def _facts(found) -> list[str]:
     facts = [f"Signs {found.convention}: {CONVENTIONS[found.convention].description}"]
     for one in found.tires:
         ends = [f"{float(f'{x:.4g}'):g}" for x in dict.fromkeys(one.ranges.get("fz", ()))]
-        known = (
-            f"loads of the data {' to '.join(ends)} N" if ends else "loads of the data not known"
-        )
-        facts.append(f"{one.label}: {known}" + ", no standard errors" * (not one.weights))
+        known = f"{' to '.join(ends)} N" if ends else "not known"
+        facts.append(f"{one.label}: loads of the data {known}")
+        facts[-1] += ", no standard errors" * (not one.steps)
     return [*facts, f"tirefit {__version__}"]
 
 
@@ -54,7 +53,7 @@ def explore_page(found) -> str:
         plotly=jinja2.utils.markupsafe.Markup(offline.get_plotlyjs()),
         title=" against ".join(one.label for one in found.tires),
         facts=_facts(found),
-        bands=any(one.weights for one in found.tires),
+        bands=any(one.steps for one in found.tires),
     )
 
 

@@ -68,8 +68,8 @@ class Shown:
         program: JavaScript function of :data:`INPUTS` and of the parameters ``p``.
         theta: values of the parameters (n,); empty without standard errors.
         steps: (r, n) changes of ``theta`` along independent directions.
-        weights: (r,): a difference of two forces, each one step away, to a standard error.
-        half_width: of a 95 % interval in standard errors.
+        scale: the half width of a 95 % interval over the root of the sum of squares of the
+            differences between both sides of each step.
         ranges: input -> least and largest value in the data; empty if not known.
     """
 
@@ -80,8 +80,7 @@ class Shown:
     program: str
     theta: Sequence[float]
     steps: Sequence[Sequence[float]]
-    weights: Sequence[float]
-    half_width: float
+    scale: float
     ranges: Mapping[str, tuple[float, float]]
 
 
@@ -121,9 +120,7 @@ class Explored(Record):
 
 
 def explore(
-    source: TireLike | list[TireLike] | tuple[TireLike, ...],
-    data: DataLike | None = None,
-    **how: Any,
+    source: TireLike | Sequence[TireLike], data: DataLike | None = None, **how: Any
 ) -> Explored:
     """Return a page on which a reader moves sliders and sees the forces of tires.
 
@@ -142,9 +139,8 @@ def explore(
         DataError: a file that cannot be read; a folder without tires; over :data:`MOST` tires.
 
     Example:
-        >>> page = explore("brush")
-        >>> [path.name for path in page.save(folder / "tire.html")]
-        ['tire.html']
+        >>> explore(["brush", "brush-n"]).convention
+        'iso-w'
     """
     sources = list(source) if isinstance(source, list | tuple) else [source]
     listed = [one for each in sources for one in _in_folder(each)]
@@ -199,15 +195,13 @@ def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[P
     outputs = tuple(one for one in _FORCES if one in tire.modelled)
     tire = replace(tire, asked=outputs)
     values, half_width = dict[str, float](), half_width_95(False, 0)
-    steps, weights = np.zeros((0, 0)), np.zeros(0)
+    steps = np.zeros((0, 0))
     if given.fit is not None:
-        values, steps, weights = _directions(given, tire)
+        values, steps = _directions(given, tire)
         noise, statistics = given.content["noise"], given.content.get("fit", {})
-        estimated = any(
-            noise[force].get("source") == "estimated" for force in given.content["forces"]
-        )
         if "dof" in statistics:
-            half_width = half_width_95(estimated, statistics["dof"])
+            sources = {noise[force].get("source") for force in given.content["forces"]}
+            half_width = half_width_95("estimated" in sources, statistics["dof"])
 
     def forces(*arguments):
         own = dict(zip(values, arguments[len(INPUTS) :], strict=True))
@@ -229,14 +223,12 @@ def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[P
     origin = [tire.origin, *tire.notes]
     if outcomes := given.content.get("outcomes"):
         origin.append(f"verdict of the fit: {', '.join(outcomes).replace('_', ' ')}")
-    return program, Shown(
-        label, tuple(origin), outputs, tire.fitted, text, [*values.values()],
-        steps.tolist(), weights.tolist(), half_width, ranges,
-    )  # fmt: skip
+    shown = (label, tuple(origin), outputs, tire.fitted, text, [*values.values()], steps.tolist())
+    return program, Shown(*shown, half_width / (2 * _STEP), ranges)
 
 
-def _directions(given: GivenTire, tire: Tire) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
-    """Fitted values, steps along independent directions (r, n), and their weights (r,)."""
+def _directions(given: GivenTire, tire: Tire) -> tuple[dict[str, float], np.ndarray]:
+    """Fitted values (n,) by name, and steps along independent directions (r, n)."""
     assert given.fit is not None
     layout, z, covariance = given.fit
     slopes = jax.jacfwd(layout.natural)(jnp.asarray(z))
@@ -249,10 +241,7 @@ def _directions(given: GivenTire, tire: Tire) -> tuple[dict[str, float], np.ndar
                 rows.append(np.asarray(slope))
     square, along = np.linalg.eigh(covariance)
     std = np.sqrt(np.maximum(square, 0.0))
-    keep = std > 0
-    step = _STEP * np.minimum(std[keep], 1.0)
-    steps = (np.array(rows).reshape(-1, len(z)) @ along[:, keep] * step).T
-    return values, steps, std[keep] / (2 * step)
+    return values, _STEP * (np.array(rows).reshape(-1, len(z)) @ along * std).T[std > 0]
 
 
 def _ends(values: np.ndarray) -> tuple[float, float]:

@@ -29,12 +29,12 @@ function force(tire, name, change, p = tire.theta) {
 // Values (n,) that a function of the parameters gives, and half widths of their 95 % intervals.
 function spread(tire, values) {
   const centre = values(tire.theta), square = centre.map(() => 0);
-  tire.steps.forEach((step, k) => {
+  tire.steps.forEach(step => {
     const up = values(tire.theta.map((x, i) => x + step[i]));
     values(tire.theta.map((x, i) => x - step[i]))
-      .forEach((x, i) => { square[i] += ((up[i] - x) * tire.weights[k]) ** 2; });
+      .forEach((x, i) => { square[i] += (up[i] - x) ** 2; });
   });
-  return {centre, half: square.map(x => tire.half_width * Math.sqrt(x)), known: tire.steps.length > 0};
+  return {centre, half: square.map(x => tire.scale * Math.sqrt(x)), known: tire.steps.length > 0};
 }
 
 // Slips of a curve, closer near zero, where it bends.
@@ -243,14 +243,7 @@ function slider(name) {
 }
 
 function build() {
-  const reset = document.createElement("button");
-  reset.textContent = "reset";
-  reset.addEventListener("click", () => {
-    for (const name of names) setting[name] = E.inputs[name][2];
-    document.getElementById("sliders").replaceChildren(...names.map(slider), reset);
-    draw();
-  });
-  document.getElementById("sliders").replaceChildren(...names.map(slider), reset);
+  document.getElementById("sliders").replaceChildren(...names.map(slider));
   for (const [id, [title]] of Object.entries(PANELS)) {
     const has = f => E.tires.some(t => t.outputs.includes(f));
     if (id in FORCES ? !has(id) : id === "ellipse" && !(has("fx") && has("fy"))) continue;
