@@ -17,6 +17,7 @@ from tirefit.cli.options import (
     takes_data_options,
 )
 from tirefit.cli.output import check_results
+from tirefit.data.write import output_problems
 from tirefit.results import UsageError
 
 _TIRES = "fits, .tir files, names of models, or folders of them; several over each other"
@@ -37,8 +38,7 @@ def explore(
     that describe the file (--column, --unit, ...) are those of DATA.csv.
     """
     with errors_to_exit():
-        if out.suffix != ".html":
-            raise UsageError(f"{out} is not a page", "give a name that ends in .html")
+        UsageError.raise_for(output_problems(out, ".html"))
         check_results([out])
         how = read_options(options, read_config(options.config))
         start_jax()
