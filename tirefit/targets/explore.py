@@ -134,6 +134,9 @@ def explore(
         data: measured rows to show, as for :func:`tirefit.predict`.
         how: arguments of :func:`tirefit.read` for ``data``.
 
+    Returns:
+        The content of the page; ``save("tire.html")`` writes it, which needs Plotly.
+
     Raises:
         UsageError: an unknown model; a fit with values by run; a model that cannot be written.
         DataError: a file that cannot be read; a folder without tires; over :data:`MOST` tires.
@@ -273,8 +276,10 @@ def _slider(
     name: str, tires: Sequence[Tire], given: Sequence[GivenTire], convention: str
 ) -> tuple[float, float, float]:
     """Least, largest and first value of an input, in the signs of a convention."""
-    ends = [one.measured[name] for one in tires if name in one.measured]
     first, usual = 0.0, _USUAL.get(name, (0.0, 0.0))
+    # A .tir file may state that every slip is valid.
+    known = [one for one in tires if not (one.tir and name in INPUTS[:2])]
+    ends = [one.measured[name] for one in known if name in one.measured]
     if name == "fz":
         first, usual = tires[0].load, (0.5 * tires[0].load, 1.5 * tires[0].load)
     elif name == "v":
@@ -287,8 +292,6 @@ def _slider(
     low, high = min(e[0] for e in ends or [usual]), max(e[1] for e in ends or [usual])
     if name in _POSSIBLE:  # zero is always there
         low, high = min(low, 0.0), max(high, 0.0)
-        if all(one.tir for one in tires):  # a file may state that every slip is valid
-            low, high = max(low, usual[0]), min(high, usual[1])
         if high == low:
             low, high = usual
     margin = _MARGIN * ((high - low) or abs(high))
