@@ -128,7 +128,7 @@ def test_chromium_draws_what_the_fit_predicts(text, shown, fit, table, tmp_path)
     middle = (alpha[1:] + alpha[:-1]) / 2
     off = np.interp(middle, alpha, curve["y"]) - predicted("fy", middle)
     assert np.max(np.abs(off)) < 0.01 * np.max(np.abs(curve["y"]))
-    # The bands by automatic differentiation; here by differences, with another step.
+    # The bands as in the figure of a fit, which differences the compiled model.
     inputs = TireInputs(*(np.full(len(alpha), x) for x in (0.0, 0.0, load, speed, 0.0, 0.0, 0.0)))
     inputs = inputs._replace(alpha=alpha)
     band = force_band(fit, "fy", inputs, np.zeros(len(alpha), int), np.ones(len(alpha)))
