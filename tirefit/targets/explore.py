@@ -201,10 +201,10 @@ def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[P
     steps = np.zeros((0, 0))
     if given.fit is not None:
         values, steps = _directions(given, tire)
-        noise, statistics = given.content["noise"], given.content.get("fit", {})
-        if "dof" in statistics:
+        noise, dof = given.content["noise"], _number(given, "fit", "dof")
+        if dof is not None:
             sources = {noise[force].get("source") for force in given.content["forces"]}
-            half_width = half_width_95("estimated" in sources, statistics["dof"])
+            half_width = half_width_95("estimated" in sources, dof)
 
     def forces(*arguments):
         own = dict(zip(values, arguments[len(INPUTS) :], strict=True))
@@ -245,6 +245,13 @@ def _directions(given: GivenTire, tire: Tire) -> tuple[dict[str, float], np.ndar
     square, along = np.linalg.eigh(covariance)
     std = np.sqrt(np.maximum(square, 0.0))
     return values, _STEP * (np.array(rows).reshape(-1, len(z)) @ along * std).T[std > 0]
+
+
+def _number(given: GivenTire, part: str, name: str) -> float | None:
+    """A finite number of a part of ``fit.json`` that is not checked when it is read."""
+    stated = given.content.get(part)
+    value = stated.get(name) if isinstance(stated, Mapping) else None
+    return value if isinstance(value, float) and np.isfinite(value) else None
 
 
 def _ends(values: np.ndarray) -> tuple[float, float]:
@@ -288,7 +295,8 @@ def _slider(
         models = [one.model for one in tires if isinstance(one.model, MFTire)]
         first = models[0].nominal.INFLPRES if models else 0.0
         usual = (0.75 * first, 1.25 * first)
-    first = float(given[0].content.get("reference", {}).get(name, first))
+    reference = _number(given[0], "reference", name)
+    first = first if reference is None else reference
     low, high = min(e[0] for e in ends or [usual]), max(e[1] for e in ends or [usual])
     if name in _POSSIBLE:  # zero is always there
         low, high = min(low, 0.0), max(high, 0.0)
