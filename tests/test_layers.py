@@ -48,6 +48,7 @@ OWNERS = {
     "matplotlib": "report/",
     "corner": "report/",
     "jinja2": "report/",
+    "plotly": "report/",
     "diffrax": "sim/",
     "typer": "cli/",
 }

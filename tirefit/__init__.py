@@ -108,6 +108,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "online.methods": ["METHODS"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
+        "targets.explore": ["explore"],
         "targets.export": ["export"],
         "report.many_files": ["write_fits_page"],
         "report.fit_report": ["compare"],

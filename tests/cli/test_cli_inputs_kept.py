@@ -119,6 +119,12 @@ CASES = {
         "o/t.tir",
         "SOURCE",
     ),
+    "a tire that is explored": (["explore", "o/t.html", "--out", "o/t.html"], "o/t.html", "TIRES"),
+    "rows beside a tire": (
+        ["explore", "brush", "--data", "o/t.html", "--out", "o/t.html"],
+        "o/t.html",
+        "--data",
+    ),
     "a .tir beside a tire of Chrono": (
         ["export", "o/t.tir", "--to", "chrono", "--out", "o/t.json", "--force"],
         "o/t.tir",
@@ -230,6 +236,7 @@ OF_OTHERS = {
     "a replay": (["replay", LOG, *CAR, *TIRES, "--out", "o"], "o/replay.png"),
     "estimates": (["estimate", LOG, "--out", "o"], "o/estimates.csv"),
     "a simulated stop": (["brake", "--out", "o"], "o/stops.csv"),
+    "a page with sliders": (["explore", "brush", "--out", "o/p.html"], "o/p.html"),
     "derived rows": (["derive", LOG, *CAR, "--out", "o/p.csv"], "o/p.csv"),
     "predicted forces": (["predict", "brush", "circles.csv", "--out", "o/p.csv"], "o/p.csv"),
     "a simulated log": (["simulate", "drive", "--duration", "2", "--out", "o/p.csv"], "o/p.csv"),

@@ -166,6 +166,11 @@ def _templates() -> jinja2.Environment:
     )
 
 
+def template(name: str) -> jinja2.Template:
+    """A template of the reports by its file name."""
+    return _templates().get_template(name)
+
+
 def page(
     title: str,
     sections: Sequence[Section],
@@ -179,7 +184,7 @@ def page(
         verdict: of :func:`verdict_of`.
         record: the whole result as JSON.
     """
-    return _templates().get_template("page.html").render(vars())
+    return template("page.html").render(vars())
 
 
 def fragment(
@@ -189,7 +194,7 @@ def fragment(
     subtitle: str = "",
 ) -> str:
     """The same as a part of a document, for notebooks."""
-    return _templates().get_template("fragment.html").render(vars())
+    return template("fragment.html").render(vars())
 
 
 def verdict_of(sentence: str, lines: Sequence[str], is_good: bool) -> dict[str, Any]:

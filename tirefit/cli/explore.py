@@ -1,0 +1,52 @@
+"""``tirefit explore``: a page with sliders of one tire, or of several over each other."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.options import (
+    DataOptions,
+    complain,
+    errors_to_exit,
+    path_option,
+    read_config,
+    read_options,
+    say,
+    start_jax,
+    takes_data_options,
+)
+from tirefit.cli.output import check_results
+from tirefit.data.write import output_problems
+from tirefit.results import UsageError
+
+_TIRES = "fits, .tir files, names of models, or folders of them; several over each other"
+
+
+@takes_data_options
+def explore(
+    tires: Annotated[list[str], typer.Argument(metavar="FIT.json|FILE.tir|FOLDER...", help=_TIRES)],
+    options: DataOptions,
+    data: Annotated[
+        Path | None, path_option("DATA.csv", "measured rows to show beside the curves")
+    ] = None,
+    out: Annotated[Path, path_option("FILE.html", "page to write")] = Path("explore.html"),
+) -> None:
+    """Write a page with sliders: forces, friction ellipse, stiffness and peak of tires.
+
+    The page needs no other file and no network, and evaluates the model itself. Options
+    that describe the file (--column, --unit, ...) are those of DATA.csv.
+    """
+    with errors_to_exit():
+        UsageError.raise_for(output_problems(out, ".html"))
+        check_results([out])
+        how = read_options(options, read_config(options.config))
+        start_jax()
+        from tirefit.targets.explore import explore
+
+        found = explore(tires, data, **how)
+        for text in found.warnings:
+            complain(f"warning: {text}")
+        found.save(out)
+        say(found.summary())
+        say(f"wrote {out}: open it in a browser")
