@@ -27,7 +27,6 @@ from tirefit.fitting.mf.solve import (
     row_values,
 )
 from tirefit.fitting.noise import autocorrelation_time, design_effect, noise_law
-from tirefit.models import TireInputs
 
 _ENOUGH = 2048
 """Number of cells, evenly taken, by which the best of several starts is chosen."""
@@ -87,16 +86,16 @@ class Search:
         cells = group.cells
         predicted = row_values(self.problem, self.u, group.force, cells.inputs)
         squares = (predicted - cells.observed) ** 2
-        return float(np.sqrt(np.average(squares, weights=cells.rows)))
+        return float(np.sqrt(np.average(squares, weights=cells.count)))
 
     def rows_per_one(self, force: str) -> float:
         """Number of rows of a force per independent row."""
         ones, rows = 0.0, 0
         for group in self.groups[force]:
-            fz, observed = np.asarray(group.cells.inputs.fz), group.cells.observed
+            fz, observed = group.cells.column("fz"), group.cells.observed
             share = group.row_variance(fz, observed) / group.variance(observed)
             ones += float(np.sum(share)) / group.each
-            rows += int(np.sum(group.cells.rows))
+            rows += int(np.sum(group.cells.count))
         return max(rows / ones, 1.0)
 
     def stages_at_end(self) -> list[Stage]:
@@ -131,19 +130,19 @@ def search(
     return work
 
 
-def without(work: Search, keeps: Mapping[str, Sequence[np.ndarray]]) -> Search:
-    """Fit some of the cells, from the end of a search; the noise of rows is kept.
+def without(work: Search, gone: Mapping[str, Sequence[int]]) -> Search:
+    """Fit the cells without some settings, from the end of a search; the noise of rows is kept.
 
     Args:
-        keeps: by force, which cells of each group are kept, (m,) bool.
+        gone: by force, the settings that are left out.
     """
     covariance = np.diag(work.problem.free.astype(float))
     left = Search(work.problem, {}, work.u.copy(), covariance, near=True)
-    for force, kept in keeps.items():
-        pairs = zip(work.groups[force], kept, strict=True)
-        groups = [group.part(keep) for group, keep in pairs if np.any(keep)]
-        for k, group in enumerate(groups, 1):
-            _one_stage(left, group, None, is_last=k == len(groups))
+    for force, whole in work.groups.items():
+        parts = [group.part(~np.isin(group.cells.setting, gone[force])) for group in whole]
+        groups = [group for group in parts if len(group.cells.count)]
+        for group in groups:
+            _one_stage(left, group, None, is_last=group is groups[-1])
     return left
 
 
@@ -183,8 +182,8 @@ def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool
             name=group.title,
             force=group.force,
             pure=group.pure,
-            rows=int(np.sum(group.cells.rows)),
-            cells=len(group.cells.rows),
+            rows=int(np.sum(group.cells.count)),
+            cells=len(group.cells.count),
             moved=int(np.count_nonzero(moved.free)),
             chi2=end.cost - float(end.z @ end.z),
             steps=end.steps,
@@ -210,13 +209,11 @@ def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
 
 def _blocks(group: Group, most: int | None = None) -> list[Block]:
     """The cells of a group as blocks, at most ``most`` of them, evenly taken."""
-    cells = group.cells
-    chosen = np.arange(len(cells.rows))
-    if most is not None and len(chosen) > most:
-        chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(int)]
-    inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
-    std = np.sqrt(group.each * group.variance(cells.observed))[chosen]
-    return list(blocks_of(group.force, inputs, cells.observed[chosen], std))
+    count = len(group.cells.count)
+    chosen = np.linspace(0, count - 1, min(most or count, count)).astype(int)
+    std = np.sqrt(group.each * group.variance(group.cells.observed))[chosen]
+    some = group.cells.part(chosen)
+    return list(blocks_of(group.force, some.inputs, some.observed, std))
 
 
 def problem_of(work: Search, groups: Sequence[Group], names, most=None) -> Problem:
@@ -230,11 +227,11 @@ def problem_of(work: Search, groups: Sequence[Group], names, most=None) -> Probl
 def _with_noise(work: Search, group: Group, predicted: np.ndarray, rows) -> Group:
     """The group with its noise and misfit estimated from the residuals."""
     cells = group.cells
-    if rows is not None and group.given is None:
+    if rows is not None and cells.estimated:
         some = rows.part(rows.chosen([group.pure]))
         of_rows = row_values(work.problem, work.u, group.force, some.inputs)
-        group = replace(group, white=cells.white_law(some, of_rows))
-    fz, known = np.asarray(cells.inputs.fz), group.known(predicted)
+        group = replace(group, white=group.white_law(some, of_rows))
+    fz, known = cells.column("fz"), group.known(predicted)
     return replace(group, misfit=noise_law(predicted - cells.observed, fz, predicted, known))
 
 
