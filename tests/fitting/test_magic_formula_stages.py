@@ -184,11 +184,13 @@ def test_cells_are_means_of_the_rows_of_one_setting():
     observed = 1e4 * np.asarray(inputs.alpha) + 50 * generator.standard_normal(n)
     true = np.full(n, True)
     setting = generator.integers(0, 2, n)
-    rows = ForceRows("fy", inputs, observed, 0 * observed, True, 0 * true, true, setting, 1 * true)
+    std = np.full(n, 7.0)
+    rows = ForceRows("fy", inputs, observed, std, True, 0 * true, true, setting, 1 * true)
     cells, code = cells_of(rows)
     assert len(cells.count) < n / 10 and cells.count.sum() == n
     assert np.sum(cells.count * cells.observed) == pytest.approx(np.sum(observed))
     assert np.array_equal(cells.setting[code], setting)
+    np.testing.assert_allclose(cells.std, 7.0 / np.sqrt(cells.count))
     law = Group(True, cells, code).white_law(rows, 1e4 * np.asarray(inputs.alpha))
     assert law.std(4e3, 0.0) == pytest.approx(50.0, rel=0.05)
 

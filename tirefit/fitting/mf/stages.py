@@ -137,7 +137,7 @@ def without(work: Search, gone: Mapping[str, Sequence[int]]) -> Search:
         gone: by force, the settings that are left out.
     """
     covariance = np.diag(work.problem.free.astype(float))
-    left = Search(work.problem, {}, work.u.copy(), covariance, near=True)
+    left = Search(work.problem, {}, work.u.copy(), covariance)
     for force, whole in work.groups.items():
         parts = [group.part(~np.isin(group.cells.setting, gone[force])) for group in whole]
         groups = [group for group in parts if len(group.cells.count)]
