@@ -54,7 +54,7 @@ def problems(rows: int):
     pure = problem_of(work, groups["fy"][:1], lateral)
     # SciPy has no limits of the curvature factors, so that ours has none here either.
     yield "F_y", pure.with_blocks([one for one in pure.blocks if not one.is_limit]), starts
-    done = search(empty, parts, groups)
+    done = search(empty, groups)
     each = [problem_of(done, done.groups[force], done.moved) for force in parts]
     blocks = [one for problem in each for one in problem.blocks if not one.is_limit]
     both = each[0].with_blocks(blocks)

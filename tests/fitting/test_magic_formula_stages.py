@@ -191,7 +191,7 @@ def test_cells_are_means_of_the_rows_of_one_setting():
     assert np.sum(cells.count * cells.observed) == pytest.approx(np.sum(observed))
     assert np.array_equal(cells.setting[code], setting)
     np.testing.assert_allclose(cells.std, 7.0 / np.sqrt(cells.count))
-    law = Group(True, cells, code).white_law(rows, 1e4 * np.asarray(inputs.alpha))
+    law = Group(True, rows, cells, code).white_law(rows, 1e4 * np.asarray(inputs.alpha))
     assert law.std(4e3, 0.0) == pytest.approx(50.0, rel=0.05)
 
 
@@ -286,7 +286,7 @@ def test_the_covariance_holds_the_coefficients_that_are_not_identified():
     rows = {"fy": ForceRows("fy", inputs, fy, std, False, 0 * one, true, setting, one)}
     tire, _ = nominal_of("mf61", rows, parse_config({"parameters": GIVEN}))
     problem, _ = problem_from(tire, FitConfig())
-    work = search(problem, rows, groups_of(rows, False))
+    work = search(problem, groups_of(rows, False))
     names = [n for n in work.moved if n in own_coefficients("6.1", "fy")]
     at = np.flatnonzero(np.isin(problem.names, names))
     last = problem_of(work, work.groups["fy"], names)

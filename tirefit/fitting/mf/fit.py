@@ -140,7 +140,7 @@ def fit_magic_formula(
         progress(now / max(steps, now + 1), note)
 
     def fitted_to(rows: Mapping[str, ForceRows]) -> Search:
-        return search(problem, rows, groups_of(rows, "combined" in parts), start, say)
+        return search(problem, groups_of(rows, "combined" in parts), start, say)
 
     warmth = None
     if config.friction_temperature:

@@ -216,6 +216,7 @@ class Group:
     """Cells of one force in pure or in combined slip, with their noise."""
 
     pure: bool
+    rows: ForceRows | None  # n of them; None in a part
     cells: ForceRows  # m of them
     code: np.ndarray  # (n,) cell of each row
     white: NoiseLaw = NoiseLaw(0.0, 0.0)  # of one row
@@ -238,7 +239,7 @@ class Group:
         return np.bincount(self.code, values, len(self.cells.count)) / self.cells.count
 
     def white_law(self, rows: ForceRows, predicted: np.ndarray) -> NoiseLaw:
-        """Noise law of one row, from the scatter within the cells.
+        """Noise law of one row, from the scatter of ``rows`` within the cells.
 
         Args:
             predicted: (n,) force of the formula at each row.
@@ -281,8 +282,8 @@ class Group:
         return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.count
 
     def part(self, chosen: np.ndarray) -> "Group":
-        """The group of the ``chosen`` cells, (m,) bool; their rows have no code."""
-        return replace(self, cells=self.cells.part(chosen), code=np.zeros(0, int))
+        """The group of the ``chosen`` cells, (m,) bool, without their rows."""
+        return replace(self, rows=None, cells=self.cells.part(chosen), code=np.zeros(0, int))
 
 
 def groups_of(rows: Mapping[str, ForceRows], both: bool) -> dict[str, list[Group]]:
@@ -292,5 +293,6 @@ def groups_of(rows: Mapping[str, ForceRows], both: bool) -> dict[str, list[Group
         for pure in (True, False):
             chosen = of_force.chosen([pure])
             if np.any(chosen) and (pure or both):
-                groups.setdefault(force, []).append(Group(pure, *cells_of(of_force.part(chosen))))
+                own = of_force.part(chosen)
+                groups.setdefault(force, []).append(Group(pure, own, *cells_of(own)))
     return groups

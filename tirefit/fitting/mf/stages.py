@@ -15,7 +15,7 @@ import numpy as np
 
 from tirefit.fitting.least_squares import Solution
 from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
-from tirefit.fitting.mf.rows import ForceRows, Group
+from tirefit.fitting.mf.rows import Group
 from tirefit.fitting.mf.solve import (
     Block,
     Problem,
@@ -107,7 +107,6 @@ class Search:
 
 def search(
     problem: Problem,
-    rows: Mapping[str, ForceRows],
     groups: Mapping[str, list[Group]],
     first: np.ndarray | None = None,
     progress: Progress = lambda text: None,
@@ -116,8 +115,7 @@ def search(
 
     Args:
         problem: without rows; ``free`` marks the coefficients that are not fixed.
-        rows: of every force in the data.
-        groups: their cells.
+        groups: of every force in the data.
         first: u (p,) of a tire that may be similar, as an additional start.
     """
     start = np.zeros(len(problem.names)) if first is None else first
@@ -126,7 +124,7 @@ def search(
     for force in (force for force in PARTS if force in groups):
         for group in groups[force]:
             progress(group.title)
-            _one_stage(work, group, rows[force], is_last=group is groups[force][-1])
+            _one_stage(work, group, is_last=group is groups[force][-1])
     return work
 
 
@@ -142,19 +140,19 @@ def without(work: Search, gone: Mapping[str, Sequence[int]]) -> Search:
         parts = [group.part(~np.isin(group.cells.setting, gone[force])) for group in whole]
         groups = [group for group in parts if len(group.cells.count)]
         for group in groups:
-            _one_stage(left, group, None, is_last=group is groups[-1])
+            _one_stage(left, group, is_last=group is groups[-1])
     return left
 
 
-def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool) -> None:
-    """Fit a new group of a force together with the groups of that force before it.
+def _one_stage(work: Search, group: Group, is_last: bool) -> None:
+    """Fit a new group of a force together with the groups of that force before it; without
+    its rows, from the end of an earlier search and with the noise of rows found there.
 
     Args:
-        rows: of the force, for starts and noise; None in a continued search.
         is_last: whether it is the last group of the force.
     """
     groups = work.groups.setdefault(group.force, [])
-    starts = _starts(work, group) if rows is not None else []
+    starts = _starts(work, group) if group.rows else []
     groups.append(group)
     names = _to_move(work, group.force, is_last)
     if starts:
@@ -165,7 +163,7 @@ def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool
         work.u = minimise(problem_of(work, groups, names), work.u, _TRIES, _ROUGHLY).z
         predicted = row_values(work.problem, work.u, group.force, group.cells.inputs)
         before = groups[-1].variance(predicted)
-        groups[-1] = group = _with_noise(work, group, predicted, rows)
+        groups[-1] = group = _with_noise(work, group, predicted)
         if np.max(np.abs(np.sqrt(group.variance(predicted) / before) - 1)) < _SETTLED:
             break
     groups[-1] = group = replace(group, each=_cells_per_one(work, group, names))
@@ -224,13 +222,12 @@ def problem_of(work: Search, groups: Sequence[Group], names, most=None) -> Probl
     return work.problem.with_free(names).with_blocks([*blocks, *limit])
 
 
-def _with_noise(work: Search, group: Group, predicted: np.ndarray, rows) -> Group:
+def _with_noise(work: Search, group: Group, predicted: np.ndarray) -> Group:
     """The group with its noise and misfit estimated from the residuals."""
-    cells = group.cells
-    if rows is not None and cells.estimated:
-        some = rows.part(rows.chosen([group.pure]))
-        of_rows = row_values(work.problem, work.u, group.force, some.inputs)
-        group = replace(group, white=group.white_law(some, of_rows))
+    cells, rows = group.cells, group.rows
+    if rows and cells.estimated:
+        of_rows = row_values(work.problem, work.u, group.force, rows.inputs)
+        group = replace(group, white=group.white_law(rows, of_rows))
     fz, known = cells.column("fz"), group.known(predicted)
     return replace(group, misfit=noise_law(predicted - cells.observed, fz, predicted, known))
 
