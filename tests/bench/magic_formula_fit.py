@@ -7,6 +7,7 @@ their slopes by differences, as an engineer's script does, or takes ours.
 import resource
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def problems(rows: int):
     """(name, problem, starts): pure F_y from the first values of its stage; all
     coefficients of F_x and F_y from near the end of the stages."""
     from tirefit.fitting.config import FitConfig
-    from tirefit.fitting.mf.bins import settings_of
+    from tirefit.fitting.mf.bins import rig_settings
     from tirefit.fitting.mf.fit import nominal_of, problem_from
     from tirefit.fitting.mf.parts import coefficients_of
     from tirefit.fitting.mf.rows import groups_of, rows_of_forces
@@ -42,7 +43,8 @@ def problems(rows: int):
     parts = rows_of_forces(rig_test(rows), ("fx", "fy"), config)
     tire, _ = nominal_of("mf61", parts, config)
     empty, _ = problem_from(tire, config)
-    groups = groups_of(parts, {force: settings_of(of).code for force, of in parts.items()}, True)
+    parts = {force: replace(of, setting=rig_settings(of)[1]) for force, of in parts.items()}
+    groups = groups_of(parts, True)
     lateral, starts = [n for n, part in coefficients_of("6.1").items() if part == "fy"], []
     for values in first_values(groups["fy"][0]):
         named = [name in values for name in empty.names]
@@ -52,7 +54,7 @@ def problems(rows: int):
     pure = problem_of(work, groups["fy"][:1], lateral)
     # SciPy has no limits of the curvature factors, so that ours has none here either.
     yield "F_y", pure.with_blocks([one for one in pure.blocks if not one.is_limit]), starts
-    done = search(empty, parts, groups)
+    done = search(empty, groups)
     each = [problem_of(done, done.groups[force], done.moved) for force in parts]
     blocks = [one for problem in each for one in problem.blocks if not one.is_limit]
     both = each[0].with_blocks(blocks)

@@ -71,6 +71,7 @@ def test_a_fit_writes_a_tir_that_predicts(run, unrendered, sweeps, monkeypatch):
     ("options", "said"),
     [
         (("--model", "brush", "--part", "fx"), "--part without --model"),
+        (("--like", "other.tir"), "--like without --model mf52, mf61, mf62"),
         (("--model", "mf61", "--part", "fz"), "combined"),
         (("--model", "mf61", "--solver", "jaxopt"), "--solver with --model mf61"),
         (("--model", "mf61", "--jobs", "2"), "--jobs with --model mf61"),

@@ -114,12 +114,3 @@ def test_a_tire_of_another_version_lends_common_coefficients():
     assert fit.coefficients["PCX1"].value == read_tir(MF61).numbers["PCX1"]
     assert any("not borrowed, as MF 5.2 lacks them: " in note for note in fit.notes)
     assert any("PKY6" in note for note in fit.notes)
-
-
-def test_other_models_refuse_to_borrow(tmp_path):
-    from typer.testing import CliRunner
-
-    from tirefit.cli.commands import app
-
-    said = CliRunner().invoke(app, ["fit", "a.csv", "--like", str(tmp_path / "other.tir")])
-    assert said.exit_code == 2 and "--like without --model mf52, mf61, mf62" in said.stderr

@@ -15,7 +15,7 @@ from tirefit.fitting.mf.fit import fit_magic_formula, nominal_of, problem_from
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import beyond_of
 from tirefit.fitting.mf.parts import own_coefficients
-from tirefit.fitting.mf.rows import ForceRows, cells_of, groups_of
+from tirefit.fitting.mf.rows import ForceRows, Group, cells_of, groups_of
 from tirefit.fitting.mf.solve import curvature_at
 from tirefit.fitting.mf.stages import problem_of, search
 from tirefit.fitting.noise import NoiseLaw, beyond_loads, design_effect
@@ -76,20 +76,17 @@ def rig_test(seed=0, combined=True, friction=0.12, loads=LOADS):
 def fit_of(*channels, combined=True):
     table = rig_test()
     pure = (np.abs(table["alpha"]) < 1e-9) | (np.abs(table["sigma_x"]) < 1e-9)
-    kept = pure | combined
     absent = {"fx", "fy", "mz"} - set(channels)
-    table = {k: v[kept] for k, v in table.items() if k not in absent}
+    table = {k: v[pure | combined] for k, v in table.items() if k not in absent}
     return fit_magic_formula(
         read_frame(table), "mf61", config={"parameters": GIVEN}, leave_out="none"
     )
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("combined", [False, True])
-def test_a_moment_moves_no_coefficient_of_a_force(combined):
+def test_a_moment_moves_no_coefficient_of_a_force():
     """A channel that the formula describes badly: M_z of another stiffness."""
-    whole = fit_of("fx", "fy", "mz", combined=combined)
-    without = fit_of("fx", "fy", combined=combined)
+    whole, without = fit_of("fx", "fy", "mz"), fit_of("fx", "fy")
     for force in ("fx", "fy"):
         for name in own_coefficients("6.1", force):
             one, other = whole.coefficients[name], without.coefficients[name]
@@ -186,28 +183,23 @@ def test_cells_are_means_of_the_rows_of_one_setting():
     )
     observed = 1e4 * np.asarray(inputs.alpha) + 50 * generator.standard_normal(n)
     true = np.full(n, True)
-    rows = ForceRows("fy", inputs, observed, 0 * observed, True, 0 * true, true)
     setting = generator.integers(0, 2, n)
-    cells = cells_of(rows, setting)
-    assert len(cells.rows) < n / 10 and cells.rows.sum() == n
-    assert np.sum(cells.rows * cells.observed) == pytest.approx(np.sum(observed))
-    assert set(cells.setting) == {0, 1}
-    law = cells.white_law(rows, 1e4 * np.asarray(inputs.alpha))
+    std = np.full(n, 7.0)
+    rows = ForceRows("fy", inputs, observed, std, True, 0 * true, true, setting, 1 * true)
+    cells, code = cells_of(rows)
+    assert len(cells.count) < n / 10 and cells.count.sum() == n
+    assert np.sum(cells.count * cells.observed) == pytest.approx(np.sum(observed))
+    assert np.array_equal(cells.setting[code], setting)
+    np.testing.assert_allclose(cells.std, 7.0 / np.sqrt(cells.count))
+    law = Group(True, rows, cells, code).white_law(rows, 1e4 * np.asarray(inputs.alpha))
     assert law.std(4e3, 0.0) == pytest.approx(50.0, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("left", "channels"),
-    [(LOADS[3], ("fx", "fy")), pytest.param(LOADS[2], ("fx", "fy", "mz"), marks=pytest.mark.long)],
-)
-def test_bands_contain_rows_of_a_load_that_was_left_out(left, channels):
-    """Within the loads, and at 1.3 times the largest fitted load."""
+def test_bands_contain_rows_of_a_load_that_was_left_out():
+    """Within the loads; ``test_rig_loads.py`` has those beyond."""
     table = rig_test(combined=False, loads=(*LOADS[:3], 4900.0, LOADS[3]))
-    near = np.abs(table["fz"] / left - 1) < 0.05
-    if left == LOADS[3]:
-        near |= np.abs(table["fz"] / 4900.0 - 1) < 0.05
-    unused = {"fx", "fy", "mz"} - set(channels)
-    kept = {name: column[~near] for name, column in table.items() if name not in unused}
+    near = np.abs(table["fz"] / LOADS[2] - 1) < 0.05
+    kept = {name: column[~near] for name, column in table.items() if name != "mz"}
     fit = fit_magic_formula(
         read_frame(kept), "mf61", config={"parameters": GIVEN}, leave_out="load"
     )
@@ -215,9 +207,11 @@ def test_bands_contain_rows_of_a_load_that_was_left_out(left, channels):
     given = predict(fit, {k: v for k, v in gone.items() if k not in ("fx", "fy", "mz")})
     for force in ("fx", "fy"):
         within = np.abs(given[force] - gone[force]) < 1.96 * given[f"{force}_std"]
-        # Beyond the loads the formula may err by more than that of this tire does.
-        assert 0.9 <= np.mean(within) <= (1.0 if left == LOADS[3] else 0.995), force
-    assert {part.force for part in fit.left_out} == set(channels)
+        assert 0.9 <= np.mean(within) <= 0.995, force
+    loads = [f"F_z = {load:.0f} N" for load in (LOADS[0], LOADS[1], 4900.0, LOADS[3])]
+    assert [(one.force, one.label) for one in fit.left_out] == [
+        (force, load) for force in ("fx", "fy") for load in loads
+    ]
 
 
 def test_bands_beyond_the_loads_know_that_no_formula_follows_the_load(tmp_path):
@@ -288,10 +282,11 @@ def test_the_covariance_holds_the_coefficients_that_are_not_identified():
     fy = np.asarray(forces(mf_tire("6.1", TIRE), inputs).fy)
     fy = fy + 0.02 * fz * np.random.default_rng(0).standard_normal(len(fz))
     true = np.full(len(fz), True)
-    rows = {"fy": ForceRows("fy", inputs, fy, 0.02 * fz, False, np.zeros(len(fz), int), true)}
+    std, setting, one = 0.02 * fz, np.repeat([0, 1, 2], 61), np.ones(len(fz), int)
+    rows = {"fy": ForceRows("fy", inputs, fy, std, False, 0 * one, true, setting, one)}
     tire, _ = nominal_of("mf61", rows, parse_config({"parameters": GIVEN}))
     problem, _ = problem_from(tire, FitConfig())
-    work = search(problem, rows, groups_of(rows, {"fy": np.repeat([0, 1, 2], 61)}, False))
+    work = search(problem, groups_of(rows, False))
     names = [n for n in work.moved if n in own_coefficients("6.1", "fy")]
     at = np.flatnonzero(np.isin(problem.names, names))
     last = problem_of(work, work.groups["fy"], names)

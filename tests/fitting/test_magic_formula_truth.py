@@ -37,12 +37,9 @@ def priors_without(family):
     return module.priors_without(family)
 
 
-def fit_of(path, monkeypatch, seed=0, rows=None, **size):
-    """The fit of a test of this tire; ``rows`` (a function of columns) chooses some."""
+def fit_of(path, monkeypatch, seed=0, **size):
+    """The fit of a test of this tire."""
     table = measured(path, seed, **size)
-    if rows is not None:
-        chosen = rows(table)
-        table = {name: column[chosen] for name, column in table.items()}
     priors = priors_without(family_of(path))
     monkeypatch.setattr(fit_module, "published_priors", lambda: priors)
     numbers = read_tir(path).numbers
@@ -165,21 +162,3 @@ def test_every_published_tire_is_recovered(path, monkeypatch):
     # True forces along a curve are wrong together: what holds is their mean.
     for force, shares in true_within.items():
         assert (0.75 if force == "mz" else 0.88) < np.mean(shares), force
-
-
-@pytest.mark.statistics
-@pytest.mark.parametrize("path", [TIRES[0], MF61], ids=lambda path: path.stem[-24:])
-def test_loads_that_were_left_out_are_predicted(path, monkeypatch):
-    """Each load of the test, including the largest, from the fit of the others."""
-    whole = measured(path)
-    most = np.max(whole["fz"])
-    for left in np.unique(whole["fz"])[1:]:
-        fit = fit_of(path, monkeypatch, rows=lambda table, f=left: table["fz"] != f)
-        at = {k: v[whole["fz"] == left] for k, v in whole.items() if k != "run"}
-        given = predict(fit, at)
-        for force in FORCES:
-            size = left * (arm_of(path) if force == "mz" else 1.0)
-            error = (given[force] - at[force]) / size
-            assert np.sqrt(np.mean(error**2)) < 1.3 * NOISE, (force, left)
-            within = np.abs(given[force] - at[force]) < 1.96 * given[f"{force}_std"]
-            assert 0.90 < np.mean(within) < (1.001 if left == most else 0.99), (force, left)

@@ -12,7 +12,6 @@ from tirefit.data.tir import read_tir
 from tirefit.data.tir_keys import PRESSURE_TERMS
 from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.parts import parts_named
 from tirefit.fitting.mf.result import save_magic_formula, tir_of
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
@@ -101,10 +100,6 @@ def test_the_files_reproduce_the_moments(tmp_path):
         assert np.sqrt(np.mean(error**2)) < 0.2 * noise
         own = np.sqrt(np.maximum(stored[f"{force}_std"] ** 2 - noise**2, 0.0))
         assert np.max(own) < noise
-
-
-def test_one_moment_needs_the_forces_it_depends_on():
-    assert parts_named("my") == ("fx", "fy", "combined", "my")
 
 
 @pytest.mark.long

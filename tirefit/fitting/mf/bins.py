@@ -1,5 +1,6 @@
 """Find the settings of a rig test in its rows, and bin the rows by setting and slip."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -68,23 +69,13 @@ class SlipBins(NamedTuple):
     rows: np.ndarray  # number in the bin
 
 
-class RigSettings(NamedTuple):
-    """The k settings of the rows of a force."""
-
-    labels: tuple[str, ...]  # (k,)
-    fz: np.ndarray  # (k,) median of the level of load [N]
-    code: np.ndarray  # (n,) setting of each row
-
-
-def settings_of(rows: ForceRows) -> RigSettings:
-    """The settings of :func:`rig_settings`. A condition that all settings share is omitted
-    from the labels, except the load and the slip that is held."""
-    found, code = rig_settings(rows)
-    several = {k for k in Setting._fields if len({getattr(s, k) for s in found}) > 1}
+def labels_of(settings: Sequence[Setting]) -> list[str]:
+    """The label of each setting. A condition that all settings share is omitted, except the
+    load and the slip that is held."""
+    several = {k for k in Setting._fields if len({getattr(s, k) for s in settings}) > 1}
     several |= {"fz", "held"}
     names = [k for k in ("fz", "gamma", "pressure", "held", "run") if k in several]
-    labels = tuple(", ".join(one.text(name) for name in names) for one in found)
-    return RigSettings(labels, np.array([one.fz for one in found]), code)
+    return [", ".join(one.text(name) for name in names) for one in settings]
 
 
 def _slips(rows: ForceRows) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ from tirefit.data.table import TireData
 from tirefit.data.tir import TirFile, read_tir
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
-from tirefit.fitting.mf.bins import binned, settings_of
+from tirefit.fitting.mf.bins import binned, rig_settings
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, cross_validated
 from tirefit.fitting.mf.parts import (
@@ -128,8 +128,9 @@ def fit_magic_formula(
     borrowed, borrowing = borrowed_from(other, tire, rows, config) if other else ({}, [])
     notes += [*assumed, *borrowing, *_unused_slip_noise(whole, config)]
     problem, priors = problem_from(tire, config, borrowed)
-    settings = {force: settings_of(of_force) for force, of_force in rows.items()}
-    codes = {force: own.code for force, own in settings.items()}
+    found = {force: rig_settings(of_force) for force, of_force in rows.items()}
+    settings = {force: own for force, (own, _) in found.items()}
+    rows = {force: replace(of, setting=found[force][1]) for force, of in rows.items()}
     start = _start(problem, first) if first else None
     # As many stages as kinds of rows, and about as many parts left out.
     steps, done = 2 * sum(len(set(of.pure)) for of in rows.values()), count()
@@ -139,8 +140,7 @@ def fit_magic_formula(
         progress(now / max(steps, now + 1), note)
 
     def fitted_to(rows: Mapping[str, ForceRows]) -> Search:
-        groups = groups_of(rows, codes, "combined" in parts)
-        return search(problem, rows, groups, start, say)
+        return search(problem, groups_of(rows, "combined" in parts), start, say)
 
     warmth = None
     if config.friction_temperature:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tirefit.fitting.inference import half_width_95
-from tirefit.fitting.mf.bins import RigSettings
+from tirefit.fitting.mf.bins import Setting, labels_of
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
@@ -95,7 +95,7 @@ class _Sample(NamedTuple):
 def cross_validated(
     work: Search,
     rows: Mapping[str, ForceRows],
-    settings: Mapping[str, RigSettings],
+    settings: Mapping[str, Sequence[Setting]],
     which: str,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[tuple[LeftOut, ...], dict[str, Band]]:
@@ -112,14 +112,10 @@ def cross_validated(
     samples: dict[str, list[tuple[str, _Sample, _Sample]]] = {f: [] for f in rows}
     for label, gone in _parts(settings, which).items():
         progress(f"left out: {label}")
-        keeps = {
-            force: [~np.isin(group.cells.setting, gone[force]) for group in groups]
-            for force, groups in work.groups.items()
-        }
-        fitted = without(work, keeps)
+        fitted = without(work, gone)
         for force in fitted.groups:
             chosen = _chosen(work, rows[force])
-            own = chosen & np.isin(settings[force].code, gone[force])
+            own = chosen & np.isin(rows[force].setting, gone[force])
             if np.any(own):
                 part = _sample(fitted, rows[force], own, chosen & ~own)
                 part = part._replace(shift=_shift(fitted, work, force))
@@ -143,19 +139,22 @@ def _chosen(work: Search, rows: ForceRows) -> np.ndarray:
     return rows.chosen([group.pure for group in work.groups[rows.force]])
 
 
-def _parts(settings: Mapping[str, RigSettings], which: str) -> dict[str, dict[str, list[int]]]:
+def _parts(
+    settings: Mapping[str, Sequence[Setting]], which: str
+) -> dict[str, dict[str, list[int]]]:
     """Label of each part -> by force, the settings that are left out together."""
     if which == "none":
         return {}
-    labels = {force: list(own.labels) for force, own in settings.items()}
-    chosen = list(dict.fromkeys(label for own in labels.values() for label in own))
-    if which != "bin":
-        fz = np.unique(np.concatenate([own.fz for own in settings.values()]))
+    if which == "bin":
+        labels = {force: labels_of(own) for force, own in settings.items()}
+        chosen = list(dict.fromkeys(label for own in labels.values() for label in own))
+    else:
+        fz = np.unique([one.fz for own in settings.values() for one in own])
         loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
         if len(loads) < _FEWEST_LOADS:
             return {}
         name_of = {one: f"F_z = {np.median(load):.0f} N" for load in loads for one in load}
-        labels = {force: [name_of[one] for one in own.fz] for force, own in settings.items()}
+        labels = {force: [name_of[one.fz] for one in own] for force, own in settings.items()}
         chosen = list(dict.fromkeys(name_of.values()))
         if which == "three":
             chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]

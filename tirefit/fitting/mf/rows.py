@@ -9,7 +9,6 @@ misfit, which does not.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,7 +35,7 @@ _ASIDE = {
 
 @dataclass(frozen=True)
 class ForceRows:
-    """The rows of one force."""
+    """The rows of one force, or its cells: each the mean of some rows."""
 
     force: str
     inputs: TireInputs
@@ -45,6 +44,8 @@ class ForceRows:
     estimated: bool
     run: np.ndarray  # (n,) number of the run
     pure: np.ndarray  # (n,) rows of pure slip; none if too few to be fitted alone
+    setting: np.ndarray  # (n,) number of the setting of the rig, zero before it is known
+    count: np.ndarray  # (n,) rows of each cell; of rows, one
 
     def column(self, name: str) -> np.ndarray:
         """One of the inputs, (n,)."""
@@ -57,14 +58,8 @@ class ForceRows:
     def part(self, chosen: np.ndarray) -> "ForceRows":
         """The chosen rows, by bool (n,) or by number."""
         inputs = TireInputs(*(np.asarray(column)[chosen] for column in self.inputs))
-        return replace(
-            self,
-            inputs=inputs,
-            observed=self.observed[chosen],
-            std=self.std[chosen],
-            run=self.run[chosen],
-            pure=self.pure[chosen],
-        )
+        names = ("observed", "std", "run", "pure", "setting", "count")
+        return replace(self, inputs=inputs, **{k: getattr(self, k)[chosen] for k in names})
 
 
 def joined(tables: Sequence[TireData]) -> TireData:
@@ -155,6 +150,8 @@ def rows_of_forces(
             estimated,
             data.run[there],
             pure & (np.count_nonzero(pure) >= _FEWEST),
+            np.zeros(count, int),
+            np.ones(count, int),
         )
     if not rows:
         raise DataError(
@@ -183,54 +180,26 @@ _AT_FIRST = 0.05
 """Noise relative to the root mean square of the force, before the first residuals."""
 
 
-class Cells(NamedTuple):
-    """m cells of the n rows of one force, in the order of their setting and slips."""
-
-    inputs: TireInputs  # (m,) means
-    observed: np.ndarray  # (m,) means
-    rows: np.ndarray  # (m,) number in the cell
-    code: np.ndarray  # (n,) cell of each row
-    setting: np.ndarray  # (m,) of the rig
-
-    def mean(self, values: np.ndarray) -> np.ndarray:
-        """Mean of the values (n,) over the rows of each cell: (m,)."""
-        return np.bincount(self.code, values, len(self.rows)) / self.rows
-
-    def white_law(self, rows: ForceRows, predicted: np.ndarray) -> NoiseLaw:
-        """Noise law of one row, from the scatter within the cells.
-
-        Args:
-            predicted: (n,) force of the formula at each row.
-        """
-        residual = rows.observed - predicted
-        free = (1 - 1 / self.rows)[self.code]
-        shared = free > 0
-        if not np.any(shared):
-            return NoiseLaw(0.0, 0.0, 0.0)
-        scatter = (residual - self.mean(residual)[self.code])[shared]
-        scatter = scatter / np.sqrt(free[shared])
-        return noise_law(scatter, rows.column("fz")[shared], predicted[shared])
-
-
-def cells_of(rows: ForceRows, setting: np.ndarray) -> Cells:
-    """The cells of the rows of one force.
-
-    Args:
-        rows: n rows.
-        setting: (n,) number of the setting of the rig at each row.
-    """
+def cells_of(rows: ForceRows) -> tuple[ForceRows, np.ndarray]:
+    """The m cells of n rows, in the order of their setting and slips, and the cell of each
+    row (n,). The ``std`` of a cell is that of its mean."""
     columns = {k: np.asarray(part) for k, part in rows.inputs._asdict().items()}
     # Of all forces and moments, only M_y depends on speed.
     names = [*_WIDTH, *(name for name in _SHARE if name != "v" or rows.force == "my")]
-    places = [setting, *(_place(columns, name) for name in names)]
-    if len(setting) < _SINGLE:
-        places.append(np.arange(len(setting)))
-    found, code = np.unique(np.stack(places), axis=1, return_inverse=True)
+    places = [rows.setting, *(_place(columns, name) for name in names)]
+    if len(rows.setting) < _SINGLE:
+        places.append(np.arange(len(rows.setting)))
+    _, first, code = np.unique(np.stack(places), axis=1, return_index=True, return_inverse=True)
     code = code.ravel()
     count = np.bincount(code)
-    means = {name: np.bincount(code, part) / count for name, part in columns.items()}
-    observed = np.bincount(code, rows.observed) / count
-    return Cells(TireInputs(**means), observed, count, code, found[0])
+    cells = replace(
+        rows.part(first),
+        inputs=TireInputs(**{k: np.bincount(code, part) / count for k, part in columns.items()}),
+        observed=np.bincount(code, rows.observed) / count,
+        std=np.sqrt(np.bincount(code, rows.std**2)) / count,
+        count=count,
+    )
+    return cells, code
 
 
 def _place(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
@@ -246,19 +215,43 @@ def _place(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
 class Group:
     """Cells of one force in pure or in combined slip, with their noise."""
 
-    force: str
     pure: bool
-    cells: Cells
-    given: np.ndarray | None  # (m,) variance of each mean where noise is given
+    rows: ForceRows | None  # n of them; None in a part
+    cells: ForceRows  # m of them
+    code: np.ndarray  # (n,) cell of each row
     white: NoiseLaw = NoiseLaw(0.0, 0.0)  # of one row
     misfit: NoiseLaw | None = None  # of a cell's mean less the formula
     each: float = 1.0  # cells per independent cell, as neighbours have similar misfit
+
+    @property
+    def force(self) -> str:
+        """The force of its cells."""
+        return self.cells.force
 
     @property
     def title(self) -> str:
         """The name of its stage."""
         slip = "pure" if self.pure else "combined"
         return self.force + ("" if self.force in MOMENTS else f" in {slip} slip")
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Mean of the values (n,) over the rows of each cell: (m,)."""
+        return np.bincount(self.code, values, len(self.cells.count)) / self.cells.count
+
+    def white_law(self, rows: ForceRows, predicted: np.ndarray) -> NoiseLaw:
+        """Noise law of one row, from the scatter of ``rows`` within the cells.
+
+        Args:
+            predicted: (n,) force of the formula at each row.
+        """
+        residual = rows.observed - predicted
+        free = (1 - 1 / self.cells.count)[self.code]
+        shared = free > 0
+        if not np.any(shared):
+            return NoiseLaw(0.0, 0.0, 0.0)
+        scatter = (residual - self.mean(residual)[self.code])[shared]
+        scatter = scatter / np.sqrt(free[shared])
+        return noise_law(scatter, rows.column("fz")[shared], predicted[shared])
 
     def variance(self, predicted: np.ndarray) -> np.ndarray:
         """Variance (m,) of each cell's mean about the formula.
@@ -271,52 +264,35 @@ class Group:
         mean_square = float(np.mean(self.cells.observed**2)) or 1.0
         if self.misfit is None:
             return known + _AT_FIRST**2 * mean_square
-        misfit = self.misfit.variance(np.asarray(self.cells.inputs.fz), predicted)
+        misfit = self.misfit.variance(self.cells.column("fz"), predicted)
         return known + np.maximum(misfit, 1e-12 * mean_square)
 
     def row_variance(self, fz: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         """Variance (n,) of single rows about the formula: noise and misfit."""
         misfit = self.misfit or NoiseLaw(0.0, 0.0)
         single = self.white.variance(fz, predicted)
-        if self.given is not None:
-            single = np.median(self.given * self.cells.rows)
+        if not self.cells.estimated:
+            single = np.median(self.cells.std**2 * self.cells.count)
         return single + misfit.variance(fz, predicted)
 
     def known(self, predicted: np.ndarray) -> np.ndarray:
         """Variance (m,) of each cell's mean from measurement noise alone."""
-        if self.given is not None:
-            return self.given
-        return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.rows
+        if not self.cells.estimated:
+            return self.cells.std**2
+        return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.count
 
     def part(self, chosen: np.ndarray) -> "Group":
-        """The group of the ``chosen`` cells, (m,) bool; their rows have no code."""
-        cells, given = self.cells, self.given
-        inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
-        observed, rows = cells.observed[chosen], cells.rows[chosen]
-        some = Cells(inputs, observed, rows, np.zeros(0, int), cells.setting[chosen])
-        given = None if given is None else given[chosen]
-        return replace(self, cells=some, given=given)
+        """The group of the ``chosen`` cells, (m,) bool, without their rows."""
+        return replace(self, rows=None, cells=self.cells.part(chosen), code=np.zeros(0, int))
 
 
-def groups_of(
-    rows: Mapping[str, ForceRows], settings: Mapping[str, np.ndarray], both: bool
-) -> dict[str, list[Group]]:
-    """The groups of each force: pure slip, then combined slip if ``both``.
-
-    Args:
-        settings: by force, the setting of the rig (n,) of each row.
-        both: whether to include the rows of combined slip.
-    """
+def groups_of(rows: Mapping[str, ForceRows], both: bool) -> dict[str, list[Group]]:
+    """The groups of each force: pure slip, then combined slip if ``both``."""
     groups: dict[str, list[Group]] = {}
     for force, of_force in rows.items():
         for pure in (True, False):
             chosen = of_force.chosen([pure])
             if np.any(chosen) and (pure or both):
-                some = of_force.part(chosen)
-                cells = cells_of(some, settings[force][chosen])
-                given = None
-                if not some.estimated:
-                    given = cells.mean(some.std**2) / cells.rows
-                group = Group(force, pure, cells, given)
-                groups.setdefault(force, []).append(group)
+                own = of_force.part(chosen)
+                groups.setdefault(force, []).append(Group(pure, own, *cells_of(own)))
     return groups

@@ -15,7 +15,7 @@ import numpy as np
 
 from tirefit.fitting.least_squares import Solution
 from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
-from tirefit.fitting.mf.rows import ForceRows, Group
+from tirefit.fitting.mf.rows import Group
 from tirefit.fitting.mf.solve import (
     Block,
     Problem,
@@ -27,7 +27,6 @@ from tirefit.fitting.mf.solve import (
     row_values,
 )
 from tirefit.fitting.noise import autocorrelation_time, design_effect, noise_law
-from tirefit.models import TireInputs
 
 _ENOUGH = 2048
 """Number of cells, evenly taken, by which the best of several starts is chosen."""
@@ -87,16 +86,16 @@ class Search:
         cells = group.cells
         predicted = row_values(self.problem, self.u, group.force, cells.inputs)
         squares = (predicted - cells.observed) ** 2
-        return float(np.sqrt(np.average(squares, weights=cells.rows)))
+        return float(np.sqrt(np.average(squares, weights=cells.count)))
 
     def rows_per_one(self, force: str) -> float:
         """Number of rows of a force per independent row."""
         ones, rows = 0.0, 0
         for group in self.groups[force]:
-            fz, observed = np.asarray(group.cells.inputs.fz), group.cells.observed
+            fz, observed = group.cells.column("fz"), group.cells.observed
             share = group.row_variance(fz, observed) / group.variance(observed)
             ones += float(np.sum(share)) / group.each
-            rows += int(np.sum(group.cells.rows))
+            rows += int(np.sum(group.cells.count))
         return max(rows / ones, 1.0)
 
     def stages_at_end(self) -> list[Stage]:
@@ -108,7 +107,6 @@ class Search:
 
 def search(
     problem: Problem,
-    rows: Mapping[str, ForceRows],
     groups: Mapping[str, list[Group]],
     first: np.ndarray | None = None,
     progress: Progress = lambda text: None,
@@ -117,8 +115,7 @@ def search(
 
     Args:
         problem: without rows; ``free`` marks the coefficients that are not fixed.
-        rows: of every force in the data.
-        groups: their cells.
+        groups: of every force in the data.
         first: u (p,) of a tire that may be similar, as an additional start.
     """
     start = np.zeros(len(problem.names)) if first is None else first
@@ -127,35 +124,35 @@ def search(
     for force in (force for force in PARTS if force in groups):
         for group in groups[force]:
             progress(group.title)
-            _one_stage(work, group, rows[force], is_last=group is groups[force][-1])
+            _one_stage(work, group, is_last=group is groups[force][-1])
     return work
 
 
-def without(work: Search, keeps: Mapping[str, Sequence[np.ndarray]]) -> Search:
-    """Fit some of the cells, from the end of a search; the noise of rows is kept.
+def without(work: Search, gone: Mapping[str, Sequence[int]]) -> Search:
+    """Fit the cells without some settings, from the end of a search; the noise of rows is kept.
 
     Args:
-        keeps: by force, which cells of each group are kept, (m,) bool.
+        gone: by force, the settings that are left out.
     """
     covariance = np.diag(work.problem.free.astype(float))
-    left = Search(work.problem, {}, work.u.copy(), covariance, near=True)
-    for force, kept in keeps.items():
-        pairs = zip(work.groups[force], kept, strict=True)
-        groups = [group.part(keep) for group, keep in pairs if np.any(keep)]
-        for k, group in enumerate(groups, 1):
-            _one_stage(left, group, None, is_last=k == len(groups))
+    left = Search(work.problem, {}, work.u.copy(), covariance)
+    for force, whole in work.groups.items():
+        parts = [group.part(~np.isin(group.cells.setting, gone[force])) for group in whole]
+        groups = [group for group in parts if len(group.cells.count)]
+        for group in groups:
+            _one_stage(left, group, is_last=group is groups[-1])
     return left
 
 
-def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool) -> None:
-    """Fit a new group of a force together with the groups of that force before it.
+def _one_stage(work: Search, group: Group, is_last: bool) -> None:
+    """Fit a new group of a force together with the groups of that force before it; without
+    its rows, from the end of an earlier search and with the noise of rows found there.
 
     Args:
-        rows: of the force, for starts and noise; None in a continued search.
         is_last: whether it is the last group of the force.
     """
     groups = work.groups.setdefault(group.force, [])
-    starts = _starts(work, group) if rows is not None else []
+    starts = _starts(work, group) if group.rows else []
     groups.append(group)
     names = _to_move(work, group.force, is_last)
     if starts:
@@ -166,7 +163,7 @@ def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool
         work.u = minimise(problem_of(work, groups, names), work.u, _TRIES, _ROUGHLY).z
         predicted = row_values(work.problem, work.u, group.force, group.cells.inputs)
         before = groups[-1].variance(predicted)
-        groups[-1] = group = _with_noise(work, group, predicted, rows)
+        groups[-1] = group = _with_noise(work, group, predicted)
         if np.max(np.abs(np.sqrt(group.variance(predicted) / before) - 1)) < _SETTLED:
             break
     groups[-1] = group = replace(group, each=_cells_per_one(work, group, names))
@@ -183,8 +180,8 @@ def _one_stage(work: Search, group: Group, rows: ForceRows | None, is_last: bool
             name=group.title,
             force=group.force,
             pure=group.pure,
-            rows=int(np.sum(group.cells.rows)),
-            cells=len(group.cells.rows),
+            rows=int(np.sum(group.cells.count)),
+            cells=len(group.cells.count),
             moved=int(np.count_nonzero(moved.free)),
             chi2=end.cost - float(end.z @ end.z),
             steps=end.steps,
@@ -210,13 +207,11 @@ def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
 
 def _blocks(group: Group, most: int | None = None) -> list[Block]:
     """The cells of a group as blocks, at most ``most`` of them, evenly taken."""
-    cells = group.cells
-    chosen = np.arange(len(cells.rows))
-    if most is not None and len(chosen) > most:
-        chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(int)]
-    inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
-    std = np.sqrt(group.each * group.variance(cells.observed))[chosen]
-    return list(blocks_of(group.force, inputs, cells.observed[chosen], std))
+    count = len(group.cells.count)
+    chosen = np.linspace(0, count - 1, min(most or count, count)).astype(int)
+    std = np.sqrt(group.each * group.variance(group.cells.observed))[chosen]
+    some = group.cells.part(chosen)
+    return list(blocks_of(group.force, some.inputs, some.observed, std))
 
 
 def problem_of(work: Search, groups: Sequence[Group], names, most=None) -> Problem:
@@ -227,14 +222,13 @@ def problem_of(work: Search, groups: Sequence[Group], names, most=None) -> Probl
     return work.problem.with_free(names).with_blocks([*blocks, *limit])
 
 
-def _with_noise(work: Search, group: Group, predicted: np.ndarray, rows) -> Group:
+def _with_noise(work: Search, group: Group, predicted: np.ndarray) -> Group:
     """The group with its noise and misfit estimated from the residuals."""
-    cells = group.cells
-    if rows is not None and group.given is None:
-        some = rows.part(rows.chosen([group.pure]))
-        of_rows = row_values(work.problem, work.u, group.force, some.inputs)
-        group = replace(group, white=cells.white_law(some, of_rows))
-    fz, known = np.asarray(cells.inputs.fz), group.known(predicted)
+    cells, rows = group.cells, group.rows
+    if rows and cells.estimated:
+        of_rows = row_values(work.problem, work.u, group.force, rows.inputs)
+        group = replace(group, white=group.white_law(rows, of_rows))
+    fz, known = cells.column("fz"), group.known(predicted)
     return replace(group, misfit=noise_law(predicted - cells.observed, fz, predicted, known))
 
 

@@ -114,7 +114,7 @@ def _step(work: Search, rows: Rows, warmth) -> tuple[float, float, np.ndarray]:
         own = warmth[force][rows[force].chosen([group.pure])]
         std = np.sqrt(group.each * group.variance(group.cells.observed))
         slope = _expanded(work, force, group.cells.inputs)[0]
-        slope = group.cells.mean(own) * slope / std
+        slope = group.mean(own) * slope / std
         names = [n for n in work.moved - work.held if of_part[n] == force]
         problem = problem_of(work, [group], names)
         residual, gradient = row_gradients(problem, work.u)
