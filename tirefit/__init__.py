@@ -116,6 +116,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "sim.simulate": ["simulate"],
         "vehicle.diagnose": ["diagnose_vehicle"],
         "vehicle.replay": ["replay"],
+        "vehicle.simulated": ["compare_with_simulator"],
         "vehicle.trajectory": ["fit_trajectory"],
     },
 )

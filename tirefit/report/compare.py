@@ -17,6 +17,9 @@ from tirefit.results import UsageError
 _NAMED = 6
 """Largest number of parameters that do not differ and are named."""
 
+_JUDGING = "diagnosis", "description"
+"""Kinds of sources that name effects."""
+
 _ROUNDING = 1e-16
 """Smallest probability that is printed as a number."""
 
@@ -84,7 +87,7 @@ def _named(found: Comparison) -> dict[str, list[str]]:
 
 
 def _effects_said(found: Comparison) -> list[str]:
-    judging = [one.name for one in found.sources if one.kind == "diagnosis"]
+    judging = [one.name for one in found.sources if one.kind in _JUDGING]
     said = []
     for effect, where in _named(found).items():
         sizes = [x for x in found.effects if x.name.startswith(f"{effect}: ") and x.p is not None]
@@ -124,7 +127,7 @@ def _cell(one: Apart, name: str) -> str:
 
 def _effects_table(found: Comparison) -> Rows:
     """Standing of each effect that helps somewhere, by source."""
-    of = [one for one in found.sources if one.kind == "diagnosis"]
+    of = [one for one in found.sources if one.kind in _JUDGING]
     rows = [("effect", *(one.name for one in of))]
     for effect in _named(found):
         rows.append((effect, *(one.standing.get(effect, "not found") for one in of)))
