@@ -29,7 +29,9 @@ def answer(found: Comparison) -> list[str]:
     said = _numbers_said(found)
     for one in found.forces:
         said += [_force_said(one, name, x) for name, x in one.curves.items() if x.slip is not None]
-    return said + _effects_said(found) or ["the sources have nothing in common to compare"]
+    said += _effects_said(found)
+    said.sort(key=lambda text: " not differ" in text)  # what differs is told first
+    return said or ["the sources have nothing in common to compare"]
 
 
 def _by(value: float, std: float, unit: str, errors: float) -> str:
@@ -53,11 +55,13 @@ def _numbers_said(found: Comparison) -> list[str]:
 
 
 def _difference(one: Apart) -> str:
-    """Value of the source that is farthest, less that of the others, or of the other one."""
+    """The difference of the source that is farthest; of two sources, with both values."""
     assert one.difference is not None and one.std is not None and one.errors is not None
-    others = [k for k, x in one.values.items() if k != one.far and x.std is not None]
-    less = others[0] if len(others) == 1 else "the mean of the others"
-    return f"{one.far} less {less} {_by(one.difference, one.std, one.unit, one.errors)}"
+    size = _by(one.difference, one.std, one.unit, one.errors)
+    known = [name for name, x in one.values.items() if x.std is not None]
+    if len(known) > 2:
+        return f"{one.far} less the mean of the others {size}"
+    return f"{', '.join(f'{_cell(one, name)} in {name}' for name in known)}: difference {size}"
 
 
 def _force_said(one: ForceDifference, name: str, at: ForceCurve) -> str:
@@ -94,7 +98,8 @@ def _effects_said(found: Comparison) -> list[str]:
         text = "in all" if len(where) == len(judging) > 1 else f"in {', '.join(where)} only"
         for one in sizes:
             same = f"its sizes agree ({one.errors:.1f} errors)"
-            text += f"; {f'its size differs: {_difference(one)}' if one.differs else same}"
+            of = one.name.removeprefix(f"{effect}: ").replace("amplitude", "its size")
+            text += f"; {f'{of} differs: {_difference(one)}' if one.differs else same}"
         said.append(f"{effect} is named {text}")
     if len(judging) > 1 and not said:
         said = ["no diagnosis names an effect"]

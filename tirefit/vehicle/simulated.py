@@ -21,7 +21,7 @@ from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.diagnosis.summary.case import Concluded
-from tirefit.diagnosis.summary.compare import Comparison, Number, Source, compared
+from tirefit.diagnosis.summary.compare import Comparison, Number, Source, compared, standing_of
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
@@ -189,8 +189,5 @@ def _described(
             quantity, unit, of = _STATED[effect.id]
             key, (size, slope) = f"{effect.id}: {quantity}", of(vehicle, size)
         sizes[key] = Number(size, std * slope, unit)
-    standing = dict.fromkeys((one.effect for one in case.untestable), "untestable")
-    standing |= dict.fromkeys(case.verdict.also_possible, "possible")
-    standing |= dict.fromkeys(case.verdict.acts_like, "acts like one")
-    standing |= dict.fromkeys(case.verdict.effects, "named")
+    standing = standing_of(case.verdict, [one.effect for one in case.untestable])
     return Source(name, "description", file, "car", "", numbers, {}, sizes, standing)

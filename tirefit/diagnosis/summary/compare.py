@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, ValidationError
 from scipy.stats import chi2
 
 from tirefit import __version__
@@ -23,7 +22,6 @@ from tirefit.files import json_safe
 from tirefit.fitting.result import FitResult, information
 from tirefit.fitting.source import GivenTire, given_tire
 from tirefit.results import DataError, TirefitError, UsageError
-from tirefit.settings import faults_in
 
 SCHEMA = "tirefit.comparison/1"
 TRAJECTORY = "tirefit.trajectory/1"
@@ -301,105 +299,70 @@ def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:
 # --- reading --------------------------------------------------------------------------
 
 
-class _Estimate(BaseModel):
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    value: float
-    std: NonNegativeFloat | None = None
-    unit: str = ""
-    fixed: bool = False
-
-
-class _Change(BaseModel):
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    measured: float
-    std: NonNegativeFloat
+def _numbers(given: Mapping[str, Mapping[str, Any]], value: str = "value") -> dict[str, Number]:
+    """Numbers of a document, except those that are fixed, not known, or have several values."""
+    found = {}
+    for name, one in given.items():
+        if isinstance(one[value], float | int) and not one.get("fixed"):
+            std = None if one["std"] is None else abs(float(one["std"]))
+            found[name] = Number(float(one[value]), std, str(one.get("unit", "")))
+    return found
 
 
-class _Trajectory(BaseModel):
-    logs: list[str]
-    parameters: dict[str, _Estimate]
-
-
-class _Judged(BaseModel):
-    parameters: dict[str, _Change]
-    each: dict[str, dict[str, Any]]
-
-
-class _Untestable(BaseModel):
-    effect: str
-
-
-class _Diagnosis(AnyDocument):
-    """The parts of a diagnosis that are compared."""
-
-    untestable: list[_Untestable]
-
-
-def _numbers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Number]:
-    """Estimates of one value each; those that are fixed or not known are left out."""
-    kept = {
-        k: x
-        for k, x in given.items()
-        if not (x.get("fixed") or x["value"] is None or isinstance(x["value"], list))
+def standing_of(verdict: Any, untestable: Iterable[str]) -> dict[str, str]:
+    """The standing of each effect that a verdict mentions."""
+    return {
+        **dict.fromkeys(untestable, "untestable"),
+        **dict.fromkeys(verdict.also_possible, "possible"),
+        **dict.fromkeys(verdict.acts_like, "acts like one"),
+        **dict.fromkeys(verdict.effects, "named"),
     }
-    each = {k: _Estimate.model_validate(x) for k, x in kept.items()}
-    return {k: Number(x.value, x.std, x.unit) for k, x in each.items()}
 
 
 def _opened(source: Any) -> Source:
     """A source from a result or a file; raises DataError or UsageError."""
-    if not isinstance(source, str | PathLike):
-        return _of_content(source.to_dict(), source) if hasattr(source, "to_dict") else _of_tire(
-            given_tire(source), ""
-        )  # fmt: skip
-    path = fspath(source)
-    raw = content_of(path, RECORD, DataError, _REMEDY)
-    try:
-        content = json.loads(raw.decode("utf-8"))
-    except (ValueError, RecursionError):
-        content = None
-    if isinstance(content, dict) and content.get("schema") in (DIAGNOSIS, TRAJECTORY):
+    file = fspath(source) if isinstance(source, str | PathLike) else ""
+    if file:
+        raw = content_of(file, RECORD, DataError, _REMEDY)
         try:
-            return _of_content(content, path)
-        except (ValidationError, KeyError) as error:
-            raise DataError(f"damaged: {faults_in(error)}", "write it again", path) from None
-    given = given_tire(path)  # raises for other files
-    if not (given.tir or given.content):
-        raise DataError("neither a fit, a diagnosis nor a .tir file", _REMEDY, path)
-    return _of_tire(given, path)
+            content = json.loads(raw.decode("utf-8"))
+        except (ValueError, RecursionError):  # not JSON, or damaged: given_tire tells
+            content = None
+    else:
+        content = source.to_dict() if hasattr(source, "to_dict") else None
+    schema = content.get("schema") if isinstance(content, dict) else None
+    try:
+        if schema == TRAJECTORY:
+            numbers = _numbers(content["parameters"])
+            return Source("", "trajectory", file or content["logs"][0], "car", numbers=numbers)
+        if schema == DIAGNOSIS:
+            return _of_diagnosis(content, source, file)
+    except (LookupError, TypeError, AttributeError) as error:
+        raise DataError(f"damaged: {error!r:.200}", "write it again", file) from None
+    given = given_tire(file or source)  # raises for other files
+    if not (given.tir or given.content or not file):
+        raise DataError("neither a fit, a diagnosis nor a .tir file", _REMEDY, file)
+    return _of_tire(given, file, source)
 
 
-def _of_content(content: Mapping[str, Any], source: Any) -> Source:
-    file = source if isinstance(source, str) else ""
-    if content["schema"] == TRAJECTORY:
-        read = _Trajectory.model_validate(content)
-        numbers = _numbers(content["parameters"])
-        return Source("", "trajectory", file or ", ".join(read.logs), "car", numbers=numbers)
-    if content["schema"] == DIAGNOSIS:
-        return _of_diagnosis(content, source)
-    return _of_tire(given_tire(source), file, source)
-
-
-def _of_diagnosis(content: Mapping[str, Any], source: Any) -> Source:
-    read = read_checked(source, _Diagnosis, "NAME.json", "tirefit diagnose")
-    more, verdict = _Judged.model_validate(content["verdict"]), read.verdict
-    own = {k: Number(x.measured, x.std, "") for k, x in more.parameters.items()}
-    if read.simulator is None:  # without standard errors
+def _of_diagnosis(content: Mapping[str, Any], source: Any, file: str) -> Source:
+    read = read_checked(source, AnyDocument, "NAME.json", "tirefit diagnose")
+    own = _numbers(content["verdict"]["parameters"], "measured")
+    if read.simulator is None:  # fitted without standard errors
         own = {k: Number(x, None, "") for k, x in read.extended_parameters.items()}
-    standing = dict.fromkeys((one.effect for one in read.untestable), "untestable")
-    standing |= dict.fromkeys(verdict.also_possible, "possible")
-    standing |= dict.fromkeys(verdict.acts_like, "acts like one")
-    standing |= dict.fromkeys(verdict.effects, "named")
-    sizes = {k: Number(x.value, x.std, x.unit) for k, x in read.amplitudes.items()}
-    file = source if isinstance(source, str) else read.data.name
     return Source(
-        "", "diagnosis", file, read.model, read.data.sha256, own, {}, sizes, standing
-    )  # fmt: skip
+        "",
+        "diagnosis",
+        file or read.data.name,
+        read.model,
+        read.data.sha256,
+        own,
+        effects={k: Number(x.value, x.std, x.unit) for k, x in read.amplitudes.items()},
+        standing=standing_of(read.verdict, [one["effect"] for one in content["untestable"]]),
+    )
 
 
-def _of_tire(given: GivenTire, file: str, source: Any = None) -> Source:
+def _of_tire(given: GivenTire, file: str, source: Any) -> Source:
     if not given.content:
         return Source("", "tir" if given.tir else "tire", file, given.name, tire=given)
     content, rows = given.content, given.content["data"]
