@@ -154,8 +154,8 @@ def diagnose(
         if vehicle is not None:
             refuse_besides(_OF_SIMULATOR if sim_log else _OF_VEHICLE)
             if sim_log:
-                how = {"without": without or (), "figures": figures}
-                return compare_car(files, sim_log, vehicle, front, rear, out, **how)
+                tires = front, rear
+                return compare_car(files, sim_log, vehicle, tires, out, without or (), figures)
             return diagnose_car(
                 files,
                 vehicle,

@@ -64,10 +64,8 @@ def compare_car(
     logs: list[Path],
     sim_logs: list[Path],
     vehicle: Path,
-    front: str | None,
-    rear: str | None,
+    tires: tuple[str | None, str | None],
     out: Path,
-    *,
     without: Sequence[str],
     figures: bool,
 ) -> None:
@@ -79,10 +77,9 @@ def compare_car(
             start_jax()
             from tirefit.vehicle.simulated import compare_with_simulator
 
-            result = compare_with_simulator(
-                logs, sim_logs, vehicle, front or "brush", rear or "brush",
-                without=without, progress=progress,
-            )  # fmt: skip
+            start = [tire or "brush" for tire in tires]
+            how = {"without": without, "progress": progress}
+            result = compare_with_simulator(logs, sim_logs, vehicle, *start, **how)
         drawn, page = ({COMPARED[1]: ""}, COMPARED[2]) if figures else ({}, "")
         write_result(result, out, COMPARED, drawn, page)
 

@@ -81,7 +81,8 @@ def compare_with_simulator(
         sim_logs: the states that the simulator predicted for the inputs of each log, as logs
             with the same columns; columns that one lacks are taken from its log, row by row.
         vehicle: a vehicle or its ``vehicle.toml``, with a steering map; the start for both.
-        front: tire of the axle, the start for both; likewise ``rear``.
+        front: tire of the axle, the start for both.
+        rear: likewise.
         effects: to look for; all of the library by default.
         without: ids of effects that are not looked for.
         window: length [s] of the stretches that are predicted.
@@ -93,6 +94,14 @@ def compare_with_simulator(
     Raises:
         UsageError: as :func:`tirefit.diagnose_vehicle`.
         DataError: the same, or a simulated log that has neither a column nor the rows of its log.
+
+    Example:
+        >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
+        >>> from tirefit.vehicle.effects import CAR_EFFECTS
+        >>> few = [one for one in CAR_EFFECTS if one.id == "steering_delay"]
+        >>> found = compare_with_simulator([log], [log], car, effects=few)
+        >>> any(one.differs for one in (*found.numbers, *found.effects))
+        False
     """
     require_x64("a diagnosis")
     stated, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
