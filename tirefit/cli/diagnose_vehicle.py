@@ -78,8 +78,9 @@ def compare_car(
             from tirefit.vehicle.simulated import compare_with_simulator
 
             start = [tire or "brush" for tire in tires]
-            how = {"without": without, "progress": progress}
-            result = compare_with_simulator(logs, sim_logs, vehicle, *start, **how)
+            result = compare_with_simulator(
+                logs, sim_logs, vehicle, *start, without=without, progress=progress
+            )
         drawn, page = ({COMPARED[1]: ""}, COMPARED[2]) if figures else ({}, "")
         write_result(result, out, COMPARED, drawn, page)
 
