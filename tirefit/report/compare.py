@@ -257,7 +257,7 @@ def _number_panel(given: Sequence[Apart], names: Sequence[str], what: str) -> Pa
                 label = plain_text(name) if row == 0 else None
                 axes.errorbar(x, place, xerr=bar, fmt="o", ms=4, color=colors[name], label=label)
         axes.set_yticks(range(len(given)), [plain_text(one.name) for one in given])
-        axes.invert_yaxis()
+        axes.set_ylim(len(given) - 0.5, -0.4 - 0.35 * len(names))  # room for the legend
 
     label = "distance from the mean [errors of the difference]"
     panel = axes_panel(draw, f"{what} about their mean, ± 1 standard error", label, "")
