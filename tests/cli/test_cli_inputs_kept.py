@@ -91,6 +91,11 @@ CASES = {
         "o/vehicle_diagnosis.json",
         "--front",
     ),
+    "a fit that is compared": (
+        ["compare", "o/comparison.json", "b.json", "--out", "o"],
+        "o/comparison.json",
+        "FILES",
+    ),
     "a recording": (["prepare", "o/run.csv", "--out", "o"], "o/run.csv", "FILES"),
     "a segment table": (
         ["prepare", "run.csv", "o/run.segments.tsv", "--out", "o"],

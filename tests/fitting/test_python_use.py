@@ -107,4 +107,4 @@ def test_a_diagnosis_gives_a_data_frame():
 def test_fits_of_a_mapping_can_be_compared(fit, swept):
     fits = {"brush": fit, "elliptic": tirefit.fit(swept.columns, "elliptic")}
     table = tirefit.compare(fits.values())
-    assert {row[0] for row in table.rows[1:]} == {*fits} and table.rows[1][0] == "brush"
+    assert {one.model for one in table.models} == {*fits} and table.models[0].model == "brush"

@@ -50,6 +50,7 @@ LINES = {
         "export brush --diagnosis INPUT --to numpy --out tire.py",
     ),
     "explore": ("fit.json", "explore INPUT --data rig.csv --out page.html"),
+    "compare": ("fit.json", "compare INPUT INPUT --out o"),
     "diagnose": ("data.csv", "diagnose INPUT --out o WITHOUT"),
     "diagnose a fit": ("fit.json", "diagnose rig.csv --model INPUT --out o WITHOUT"),
     "diagnose a rig": ("rig.toml", "diagnose rig.csv --rig INPUT --out o WITHOUT"),

@@ -16,6 +16,7 @@ COMMANDS = {
     "explore": "Write a page with sliders: the forces of tires at any load, camber and slip.",
     "replay": "Predict measured drives of a car from its tires; report the error over time.",
     "diagnose": "Find the effects that explain the gap between a model or simulator and data.",
+    "compare": "Compare fits, .tir files or diagnoses: what differs beyond its error.",
     "estimate": "Estimate friction and stiffness at each row, from the rows up to it.",
     "brake": "Simulate braking with a controller: stopping distance, friction used, figures.",
     "prepare": "Cut the recording of a test rig into sweeps and bins, filter it, and write the"

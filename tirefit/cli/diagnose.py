@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperCommand
 
-from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car, refuse_tires
+from tirefit.cli.diagnose_vehicle import TireOption, compare_car, diagnose_car, refuse_tires
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
@@ -131,6 +131,14 @@ def diagnose(
     ] = None,
     front: TireOption = None,
     rear: TireOption = None,
+    sim_log: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="SIM.CSV",
+            help="--vehicle: states that your simulator predicted for the inputs of FILE (one for"
+            " each FILE): what it has wrong of the car",
+        ),
+    ] = None,
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
@@ -144,7 +152,10 @@ def diagnose(
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
         if vehicle is not None:
-            refuse_besides(_OF_VEHICLE)
+            refuse_besides(_OF_SIMULATOR if sim_log else _OF_VEHICLE)
+            if sim_log:
+                tires = front, rear
+                return compare_car(files, sim_log, vehicle, tires, out, without or (), figures)
             return diagnose_car(
                 files,
                 vehicle,
@@ -157,7 +168,7 @@ def diagnose(
                 full=full,
                 seed=seed,
             )
-        refuse_tires(front, rear)
+        refuse_tires(front, rear, sim_log)
         names = names_of(files, "rename one: their results would overwrite each other")
         parts = [part for name in names for part in _written(name, figures)]
         made = [out / one for part in parts for one in part]
@@ -189,6 +200,8 @@ def diagnose(
 
 _OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".split()
 """Arguments and options that ``--vehicle`` uses."""
+_OF_SIMULATOR = "files vehicle front rear out without figures sim_log".split()
+"""The same beside ``--sim-log``."""
 _PLAIN = "brush"  # the default base model
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}

@@ -12,6 +12,7 @@ from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import InputProblem, UsageError
 
 FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
+COMPARED = ("comparison.json", "comparison.png", "comparison.html")
 
 
 TireOption = Annotated[
@@ -22,10 +23,10 @@ TireOption = Annotated[
 ]
 
 
-def refuse_tires(front: str | None, rear: str | None) -> None:
-    """Raises UsageError if the tire of an axle is given without a vehicle."""
-    if front or rear:
-        reason = "--front or --rear without --vehicle"
+def refuse_tires(front: str | None, rear: str | None, sim_log: object) -> None:
+    """Raises UsageError if what belongs to a vehicle is given without one."""
+    if front or rear or sim_log:
+        reason = "--front, --rear or --sim-log without --vehicle"
         raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
 
 
@@ -57,6 +58,31 @@ def diagnose_car(
             )  # fmt: skip
         drawn, page = ({FILES[1]: ""}, FILES[2]) if figures else ({}, "")
         write_result(result, out, FILES, drawn, page, full=full)
+
+
+def compare_car(
+    logs: list[Path],
+    sim_logs: list[Path],
+    vehicle: Path,
+    tires: tuple[str | None, str | None],
+    out: Path,
+    without: Sequence[str],
+    figures: bool,
+) -> None:
+    """Compare the car with its simulator, print what differs and write the files."""
+    check_results([out / name for name in COMPARED], [*logs, *sim_logs])
+    with claimed(out):
+        with _told_where(out), progress_bar("diagnose", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.simulated import compare_with_simulator
+
+            start = [tire or "brush" for tire in tires]
+            result = compare_with_simulator(
+                logs, sim_logs, vehicle, *start, without=without, progress=progress
+            )
+        drawn, page = ({COMPARED[1]: ""}, COMPARED[2]) if figures else ({}, "")
+        write_result(result, out, COMPARED, drawn, page)
 
 
 @contextmanager

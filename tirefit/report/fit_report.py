@@ -1,10 +1,9 @@
 """The report of a fit: its sections, as text, as a page and as a fragment for notebooks."""
 
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-from tirefit.fitting.result import SCHEMA, FitResult, information
+from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.fit_tables import (
     FORCE_UNIT,
     chain_rows,
@@ -21,11 +20,9 @@ from tirefit.report.fit_tables import (
     rows_text,
     run_lines,
     run_rows,
-    value_text,
 )
 from tirefit.report.numbers import format_number
 from tirefit.report.page import (
-    Rows,
     Section,
     fragment,
     image_of,
@@ -35,7 +32,6 @@ from tirefit.report.page import (
     verdict_of,
     wrapped,
 )
-from tirefit.results import UsageError
 
 _FAR_ROWS = 8  # outliers that the full report lists one by one
 _MASKED = 5  # masked rows that are listed one by one
@@ -201,88 +197,3 @@ def fit_fragment(result: FitResult) -> str:
     sections = [Section("", table=parameter_rows(result), pictures=[image])]
     subtitle = f"fitted to {fit_files(result)}, {result.statistics.n} rows; {result.source}"
     return fragment(result.model, sections, _verdict(result), subtitle)
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Several models on the same data, lowest AICc first; prints as a table."""
-
-    rows: Rows  # cells, header first
-    notes: Sequence[str]  # remarks printed below the table
-
-    @property
-    def _section(self) -> Section:
-        return Section("", self.notes, self.rows, right=range(1, len(self.rows[0]) - 1))
-
-    def __str__(self) -> str:
-        return report_text([self._section])
-
-    def _repr_html_(self) -> str:
-        return fragment("", [self._section])
-
-
-def _comparable(results: Sequence[FitResult]) -> None:
-    if not results:
-        raise UsageError("nothing to compare: give a list of fits")
-    keys = {(r.data["file"], r.data["sha256"], r.statistics.n, r.forces) for r in results}
-    if len(keys) > 1:
-        raise UsageError(
-            "these fits are of different rows or forces, so AICc, BIC and RMSE do not"
-            " tell which model is better: fit all models to the same data"
-        )
-
-
-def compare(results: Iterable[FitResult]) -> Comparison:
-    """Compare models fitted to the same data, with the same effective number of rows.
-
-    Args:
-        results: fits of the same rows and forces.
-
-    Returns:
-        A table for ``print`` and for notebooks.
-
-    Raises:
-        UsageError: no fits, or fits of different data.
-
-    Example:
-        >>> data = read(samples / "circles.csv")
-        >>> table = compare([fit(data, model) for model in ("brush", "elliptic")])
-        >>> [row[0] for row in table.rows]
-        ['model', 'elliptic', 'brush']
-    """
-    results = list(results)
-    _comparable(results)
-    best = min(results, key=lambda r: r.statistics.rmse).statistics
-    rows = best.n * len(results[0].forces)
-    scored = []
-    for r in results:
-        s = r.statistics
-        scored.append(
-            (*information(s.minus_two_log_likelihood, rows, best.n_effective, s.unknowns), r)
-        )
-    scored.sort(key=lambda one: one[0])
-    least = min(bic for _, bic, _ in scored)
-    unit = FORCE_UNIT[results[0].forces[0]]
-    table = [("model", "k", f"RMSE [{unit}]", "AICc", "Δ AICc", "Δ BIC", "n_eff", "verdict")]
-    for aicc, bic, r in scored:
-        off = f"{aicc:.1f}", f"{aicc - scored[0][0]:.1f}", f"{bic - least:.1f}"
-        s = r.statistics
-        ends = f"{s.n_effective:.0f}", str(r.status)
-        table.append((r.model, str(len(r.labels)), format_number(s.rmse), *off, *ends))
-    notes = [_parameters(r) for _, _, r in scored]
-    effective = [r.statistics.n_effective for r in results]
-    if max(effective) > 1.1 * min(effective):
-        notes.append(
-            "AICc and BIC count the rows of every model as"
-            f" {best.n_effective:.0f}, the effective number of the closest fit"
-        )
-    return Comparison(tuple(table), tuple(notes))
-
-
-def _parameters(result: FitResult) -> str:
-    parts = []
-    for name, estimate in result.parameters.items():
-        if not estimate.fixed:
-            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
-            parts.append(f"{name} = {value_text(estimate)}{unit}")
-    return f"{result.model}: {', '.join(parts)}"

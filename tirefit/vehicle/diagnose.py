@@ -105,7 +105,7 @@ def diagnose_vehicle(
     """
     require_x64("a diagnosis")
     stated, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
-    _check(stated, effects, without)
+    check_effects(stated, effects, without)
     given = axle_tire(front), axle_tire(rear)
     tell = Steps(progress, _STEPS)
     tell("reading logs")
@@ -116,14 +116,7 @@ def diagnose_vehicle(
         for axle, tire in zip(("front", "rear"), given, strict=True)
     ]
     library = [e for e in effects if e.id not in without]
-    subject, lacks = subject_of(found, stated, tires, library)
-    if (count := len(subject.cut.log)) < LEAST_WINDOWS:
-        reason = f"{count} windows of {window:g} s; a diagnosis needs {LEAST_WINDOWS}"
-        raise DataError(reason, "give longer logs, or more of them")
-    tell("the car without effects")
-    search = _searched(replace(subject, tick=partial(tell, "sets of effects")))
-    tell("data left out")
-    case, others = Concluded.of(search, lacks), None
+    case, others = studied(found, stated, tires, library, window, tell), None
     if kept:
         noise = {"noise": case.base.noise, "inflation": case.base.inflation}
         others = kept, replace(subject_of(kept, stated, tires, library)[0], **noise)
@@ -131,6 +124,20 @@ def diagnose_vehicle(
     model = "car on {} (front) and {} (rear)".format(*(tire.name for tire in tires))
     notes = (*_notes(given, tires), *merged((k, log.missing) for k, log in found.items()))
     return document_of(case, found, others, name, model, notes, library, seed)
+
+
+def studied(
+    found: Mapping[str, CutLog], vehicle: Vehicle, tires, library, window: float, tell: "Steps"
+) -> Concluded:
+    """The verdict on the windows of cut logs, for a car on these tires."""
+    subject, lacks = subject_of(found, vehicle, tires, library)
+    if (count := len(subject.cut.log)) < LEAST_WINDOWS:
+        reason = f"{count} windows of {window:g} s; a diagnosis needs {LEAST_WINDOWS}"
+        raise DataError(reason, "give longer logs, or more of them")
+    tell("the car without effects")
+    search = _searched(replace(subject, tick=partial(tell, "sets of effects")))
+    tell("data left out")
+    return Concluded.of(search, lacks)
 
 
 class Steps:
@@ -169,7 +176,8 @@ def _notes(given, tires) -> tuple[str, ...]:
     return "speed and steering are those of the log; axle loads are static", *fitted
 
 
-def _check(vehicle: Vehicle, effects, without) -> None:
+def check_effects(vehicle: Vehicle, effects, without) -> None:
+    """Raise UsageError for a vehicle without a steering map, or ids that are none."""
     problems = steering_problems(vehicle, "a diagnosis of a vehicle")
     known = [effect.id for effect in effects]
     for name in sorted({*without} - {*known}):

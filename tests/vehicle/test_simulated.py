@@ -1,0 +1,117 @@
+"""What a simulator has wrong of a car: faults put into a simulator by hand, found from its output.
+Car and simulator are an independent program (fits/withheld_vehicle/drives.py)."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import tirefit
+from fits.withheld_vehicle.drives import STEP, Trial, drive, trial, written
+from tirefit.cli.commands import app
+from tirefit.models import Brush
+from tirefit.results import DataError
+from tirefit.vehicle import subject
+from tirefit.vehicle.effects import CAR_EFFECTS
+
+FEW = (
+    "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
+    "steering_offset", "relaxation_length",
+)  # fmt: skip
+LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
+NUMBER, SECONDS = 5, 24.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_windows():
+    """Programs of the windows of these logs: padding to 48 takes longer."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(subject, "_LEAST_WINDOWS", 24)
+        yield
+
+
+def one_of(effect="", size=0.0, friction=1.0):
+    car = trial(NUMBER, "none").car
+    tires = [(cpa2, friction * mu) for cpa2, mu in car["tires"]]
+    return Trial(NUMBER, effect, size, car | {"tires": tires}, seconds=SECONDS)
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory):
+    """Log, vehicle and tires of a car that its vehicle.toml describes."""
+    one = one_of()
+    log, vehicle = written(one, tmp_path_factory.mktemp("car"))
+    return log, vehicle, [Brush(cpa2=1.1 * c, mu=mu) for c, mu in one.car["tires"]]
+
+
+def simulated(one, folder):
+    """The states that a simulator with a fault predicts, without noise: no inputs."""
+    time, _, v_y, yaw_rate, _, _ = drive(one)
+    every = round(1 / one.rate / STEP)
+    columns = np.stack([time[::every], v_y[::every], yaw_rate[::every]], axis=1)
+    path = folder / "sim.csv"
+    np.savetxt(path, columns, "%.9g", ",", header="t,v_y,yaw_rate", comments="")
+    return path
+
+
+def found_of(car, folder, *fault, **more):
+    log, vehicle, tires = car
+    sim = simulated(one_of(*fault, **more), folder)
+    return tirefit.compare_with_simulator([log], [sim], vehicle, *tires, effects=LIBRARY)
+
+
+WHEELBASE = (lambda x: x["l_f"] + x["l_r"])(trial(NUMBER, "none").car)
+INERTIA = trial(NUMBER, "none").car["inertia"]
+# Fault of the simulator -> its size, the quantity, and the car less the simulator.
+FAULTS = {
+    "centre_of_gravity": (0.06, "l_f", 0.06 * WHEELBASE),
+    "yaw_inertia": (0.35, "yaw_inertia", INERTIA * (1 - np.exp(0.35))),
+    "steering_delay": (0.08, "steering.delay", -0.08),
+    "lateral_load_transfer": (0.5, "amplitude", -0.5),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("effect", FAULTS)
+def test_a_fault_put_into_a_simulator_is_found_with_its_size(effect, car, tmp_path):
+    size, quantity, truth = FAULTS[effect]
+    found = found_of(car, tmp_path, effect, size)
+    by_name = {one.name: one for one in found.effects}
+    one = by_name.pop(f"{effect}: {quantity}")
+    assert one.differs and one.far == "car"
+    assert abs(one.difference - truth) < 3 * one.std + 0.03 * abs(truth)
+    assert not any(other.differs for other in by_name.values())
+    simulator, _ = found.sources
+    assert simulator.standing[effect] == "named"
+    assert f"{effect} is named in simulator only; " in str(found)
+
+
+@pytest.mark.long
+def test_tires_of_too_much_friction_are_found(car, tmp_path):
+    found = found_of(car, tmp_path, friction=1.3)
+    numbers = {one.name: one for one in found.numbers}
+    for axle in ("front", "rear"):
+        one = numbers[f"{axle}.friction"]
+        assert one.differs and abs(one.difference + 0.3) < 3 * one.std + 0.01
+        assert not numbers[f"{axle}.stiffness"].differs
+    assert not any(one.differs for one in found.effects)
+
+
+@pytest.mark.long
+def test_a_simulator_without_a_fault_does_not_differ(car, tmp_path):
+    found = found_of(car, tmp_path)
+    assert not any(one.differs for one in (*found.numbers, *found.effects))
+
+
+def test_a_simulated_log_without_inputs_needs_the_rows_of_the_log(car, tmp_path):
+    log, vehicle, _ = car
+    path = simulated(one_of(), tmp_path)
+    path.write_text("".join(path.read_text().splitlines(True)[:-5]))
+    with pytest.raises(DataError, match=r"(?s)lacks v_x, a_y, steer.*row for each row of the log"):
+        tirefit.compare_with_simulator([log], [path], vehicle)
+    line = ["diagnose", str(log), "--vehicle", str(vehicle), "--sim-log", str(path)]
+    done = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "o")])
+    assert done.exit_code == 3 and "sim.csv" in done.output
+    for more in (["--holdout", str(log)], ["--full"]):
+        assert CliRunner().invoke(app, [*line, *more, "--out", str(tmp_path / "o")]).exit_code == 2
+    without = ["diagnose", str(log), "--sim-log", str(path), "--out", str(tmp_path / "o")]
+    assert "--vehicle" in CliRunner().invoke(app, without).output

@@ -1,0 +1,44 @@
+"""``tirefit compare``: fits, tires and diagnoses side by side."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.options import Folder, errors_to_exit, start_jax
+from tirefit.cli.output import check_results, claimed, write_result
+
+FIGURE, PAGE = "comparison.png", "comparison.html"
+FILES = ("comparison.json", FIGURE, PAGE)
+
+
+def compare(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="A B [C...]",
+            help="two or more of fit.json, trajectory.json, NAME.json or vehicle_diagnosis.json"
+            " of diagnose, FILE.tir",
+        ),
+    ],
+    *,
+    out: Folder,
+    html: Annotated[
+        bool, typer.Option("--html", help="write the report as one page, comparison.html")
+    ] = False,
+) -> None:
+    """Compare fits, .tir files or diagnoses: what differs beyond its error.
+
+    Parameters with the standard error of their difference, forces over the common range of
+    slip and load, and effects that some or all diagnoses name. Fits of the same rows are
+    ranked by AICc.
+    """
+    with errors_to_exit():
+        check_results([out / name for name in FILES])
+        start_jax()
+        from tirefit.diagnosis.summary.compare import compare as compared
+
+        with claimed(out):
+            result = compared(files)
+            figures = {FIGURE: ""} if result.drawable else {}
+            write_result(result, out, FILES, figures, PAGE if html else "")

@@ -1,0 +1,189 @@
+"""Forces of several tires over their common range of slip and load, with bands."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from tirefit.data.tir_keys import LIMITS
+from tirefit.fitting.mf.parts import SLIPS_OF
+from tirefit.fitting.source import GivenTire
+from tirefit.fitting.tir import TIR_SIGNS
+from tirefit.models import AbstractTire, TireInputs, forces, modelled
+from tirefit.models.relaxation import Relaxed
+from tirefit.slip import CONVENTIONS, sigma_from_kappa
+
+_SLIPS, _DRAWS = 61, 100
+"""Number of slips of a curve, and of draws of its parameters."""
+
+_USUAL_SPEED = 10.0
+"""Speed [m/s] where no source states one."""
+
+_ONE_LOAD = 1.2
+"""Ratio of the ends of the common loads up to which the middle stands for all; two ranges that
+are not farther apart are compared between them."""
+
+
+class ForceCurve(NamedTuple):
+    """Forces (loads, slips) of a source, their standard errors, and, unless it is the first
+    source, where it differs most from the first in errors (in force if none has errors)."""
+
+    force: np.ndarray
+    std: np.ndarray | None
+    slip: float | None = None
+    load: float | None = None
+    difference: float | None = None
+    error: float | None = None  # standard error of ``difference``
+    differs: bool = False
+    rms_share: float | None = None  # rms difference from the first over its largest force
+
+
+class ForceDifference(NamedTuple):
+    """A force at common slips (n,) and loads [N]; ``curves`` by source."""
+
+    force: str
+    slip: str
+    slips: np.ndarray
+    loads: tuple[float, ...]
+    speed: float
+    curves: Mapping[str, ForceCurve]
+
+    def untested(self) -> "ForceDifference":
+        """The same without claims: the errors are not independent."""
+        free = {k: x._replace(error=None, differs=False) for k, x in self.curves.items()}
+        return self._replace(curves=free)
+
+
+def differing_forces(
+    tires: Mapping[str, GivenTire], level: float
+) -> tuple[tuple[ForceDifference, ...], tuple[str, ...]]:
+    """Forces of the tires over the common range, and notes on what cannot be compared.
+
+    A force differs if it does so in errors beyond the band that holds all slips and loads
+    together (Scheffe) at ``level``, shared among the forces.
+    """
+    steady = {name: _steady(given) for name, given in tires.items()}
+    if notes := [f"{name}: no forces in steady state" for name, x in steady.items() if x is None]:
+        return (), tuple(notes)
+    if len(tires) < 2:
+        return (), ()
+    each = [_forces_of(given) for given in tires.values()]
+    names = [name for name in each[0] if all(name in other for other in each)]
+    limits = {name: _ranges(given) for name, given in tires.items()}
+    found, notes = [], []
+    for name in names:
+        slip = SLIPS_OF[name][0]
+        slips, loads = (_common(limits.values(), key) for key in (slip, "fz"))
+        if slips is None or loads is None or slips[0] >= slips[1]:
+            what = "slip" if loads is not None else "load"
+            notes.append(f"{name} is not compared: the sources have no common range of {what}")
+            continue
+        at = np.linspace(*slips, _SLIPS), _levels(loads), _speed(limits.values())
+        found.append(_force(name, slip, at, tires, steady, level / len(names)))
+    return tuple(found), tuple(notes)
+
+
+def _steady(given: GivenTire) -> AbstractTire | None:
+    """The tire, without relaxation; None if it has no force in steady state."""
+    tire = given.tire.tire if isinstance(given.tire, Relaxed) else given.tire
+    return None if tire.transient else tire
+
+
+def _forces_of(given: GivenTire) -> tuple[str, ...]:
+    fitted = given.content.get("forces") or modelled(given.tire)
+    return tuple(name for name in fitted if name in ("fx", "fy", "mz"))
+
+
+def _ranges(given: GivenTire) -> dict[str, tuple[float, float]]:
+    """Canonical range of each input that the source states."""
+    if given.content:
+        return {k: (low, high) for k, (low, high) in given.content["data"]["range"].items()}
+    found: dict[str, tuple[float, float]] = {}
+    numbers, signs = given.tir.numbers if given.tir else {}, CONVENTIONS[TIR_SIGNS]
+    for name, (least, most) in LIMITS.items():
+        if least in numbers and most in numbers:
+            sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
+            low, high = sorted((sign * numbers[least], sign * numbers[most]))
+            found[name] = low, high
+    if "kappa" in found:
+        low, high = np.clip(found.pop("kappa"), -0.99, 0.99)
+        found["sigma_x"] = float(sigma_from_kappa(low)), float(sigma_from_kappa(high))
+    return found
+
+
+def _common(limits, key: str) -> tuple[float, float] | None:
+    """The common range of an input, of the sources that state one; None if there is none."""
+    known = [one[key] for one in limits if key in one]
+    if not known:
+        return None
+    low, high = max(one[0] for one in known), min(one[1] for one in known)
+    if key == "fz" and high < low <= _ONE_LOAD * high:
+        low = high = float(np.sqrt(low * high))
+    return (low, high) if low <= high else None
+
+
+def _levels(loads: tuple[float, float]) -> tuple[float, ...]:
+    low, high = loads
+    middle = (low + high) / 2
+    return (middle,) if high <= _ONE_LOAD * max(low, 0.0) else (max(low, 0.1 * high), middle, high)
+
+
+def _speed(limits) -> float:
+    known = [np.mean(one["v"]) for one in limits if "v" in one]
+    return float(np.mean(known)) if known else _USUAL_SPEED
+
+
+def _force(name, slip, at, tires, steady, level: float) -> ForceDifference:
+    slips, loads, speed = at
+    curves, free = {}, {}
+    for k, (source, given) in enumerate(tires.items()):
+        force = _at(steady[source], name, slip, at)
+        std = None
+        if given.fit is not None:
+            generator = np.random.default_rng(k)
+            drawn = given.drawn(generator, _DRAWS)
+            drawn = [one.tire if isinstance(one, Relaxed) else one for one in drawn]
+            std = np.std([_at(one, name, slip, at) for one in drawn], axis=0)
+        free[source] = 0 if given.fit is None else given.fit[0].size
+        curves[source] = ForceCurve(force, std)
+    first, *others = curves
+    for source in others:
+        count = free[first] + free[source]
+        if given_same(tires[first], tires[source]):
+            count = max(free[first], free[source])
+        reach = np.sqrt(chi2.isf(level / len(others), max(count, 1)))
+        curves[source] = _differing(curves[first], curves[source], slips, loads, float(reach))
+    return ForceDifference(name, slip, slips, loads, speed, curves)
+
+
+def given_same(one: GivenTire, other: GivenTire) -> bool:
+    """Whether two fits have the same free parameters."""
+    return bool(one.fit and other.fit) and one.fit[0].labels == other.fit[0].labels  # type: ignore[index]
+
+
+def _at(tire, name: str, slip: str, at) -> np.ndarray:
+    """The force (loads, slips) of a tire."""
+    slips, loads, speed = at
+    fz = np.repeat(loads, len(slips))
+    inputs = TireInputs(**{slip: np.tile(slips, len(loads)), "fz": fz, "v": speed})
+    return np.asarray(getattr(forces(tire, inputs), name)).reshape(len(loads), len(slips))
+
+
+def _differing(first: ForceCurve, own: ForceCurve, slips, loads, reach: float) -> ForceCurve:
+    away = own.force - first.force
+    stds = [one.std for one in (first, own) if one.std is not None]
+    size, error = np.abs(away), None
+    if stds:
+        error = np.sqrt(np.sum(np.square(stds), axis=0))
+        # A difference below rounding is none, where a band has no width as at zero slip.
+        size = size / np.maximum(error, 1e-9 * np.max(np.abs(own.force)))
+    row, column = np.unravel_index(int(np.argmax(size)), size.shape)
+    return own._replace(
+        slip=float(slips[column]),
+        load=float(loads[row]),
+        difference=float(away[row, column]),
+        error=None if error is None else float(error[row, column]),
+        differs=error is not None and bool(size[row, column] > reach),
+        rms_share=float(np.sqrt(np.mean(away**2)) / np.max(np.abs(first.force))),
+    )

@@ -1,0 +1,202 @@
+"""What differs between a car and somebody's simulator of it: :func:`compare_with_simulator`.
+
+The log and the states that the simulator predicted for the same inputs are described by the
+same car, with the effects that the diagnosis of either names. The difference of the two
+descriptions is what the simulator has wrong.
+"""
+
+import csv
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tirefit.data.read import read_table
+from tirefit.data.remote import file_at
+from tirefit.data.vehicle import Vehicle
+from tirefit.diagnosis.effects import Effect
+from tirefit.diagnosis.engine.fit import Start
+from tirefit.diagnosis.engine.search import MOST_EFFECTS
+from tirefit.diagnosis.summary.case import Concluded
+from tirefit.diagnosis.summary.compare import Comparison, Number, Source, compared, standing_of
+from tirefit.fitting.mf.result import TireLike
+from tirefit.fitting.source import GivenTire, axle_tire
+from tirefit.precision import require_x64
+from tirefit.results import DataError
+from tirefit.vehicle.diagnose import WINDOW, Steps, check_effects, studied
+from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.model import PARAMETERS, TIRES
+from tirefit.vehicle.trajectory import started
+from tirefit.vehicle.windows import cut_in_windows, derived_rows, known_vehicle
+
+_NOISE = 0.1
+"""Noise added to the simulator's states, over that of the log: it widens the error of a difference
+by 0.5 %, and without any, the rounding of the file would count as an effect."""
+
+_STEPS = 80  # usual number of refits of both searches
+
+
+def _l_f(vehicle: Vehicle, size: float) -> tuple[float, float]:
+    wheelbase = vehicle.l_f + vehicle.l_r
+    return vehicle.l_f - size * wheelbase, wheelbase
+
+
+def _inertia(vehicle: Vehicle, size: float) -> tuple[float, float]:
+    value = vehicle.yaw_inertia * math.exp(size)
+    return value, value
+
+
+def _delay(vehicle: Vehicle, size: float) -> tuple[float, float]:
+    return (vehicle.steering.delay if vehicle.steering else 0.0) + size, 1.0
+
+
+_STATED: dict[str, tuple[str, str, Callable[[Vehicle, float], tuple[float, float]]]] = {
+    "centre_of_gravity": ("l_f", "m", _l_f),
+    "yaw_inertia": ("yaw_inertia", "kg m2", _inertia),
+    "steering_delay": ("steering.delay", "s", _delay),
+}
+"""Effect -> the quantity of ``vehicle.toml`` that it changes, its unit, and the function of the
+amplitude that gives its value and its slope."""
+
+
+def compare_with_simulator(
+    logs: Sequence[str | Path],
+    sim_logs: Sequence[str | Path],
+    vehicle: Vehicle | str | Path,
+    front: TireLike | GivenTire = "brush",
+    rear: TireLike | GivenTire = "brush",
+    *,
+    effects: Sequence[Effect] | None = None,
+    without: Sequence[str] = (),
+    window: float = WINDOW,
+    progress: Callable[[float, str], None] | None = None,
+) -> Comparison:
+    """Find what differs between a car and a simulator of it, from logs of both.
+
+    Args:
+        logs: vehicle logs, as for :func:`tirefit.diagnose_vehicle`.
+        sim_logs: the states that the simulator predicted for the inputs of each log, as logs
+            with the same columns; columns that one lacks are taken from its log, row by row.
+        vehicle: a vehicle or its ``vehicle.toml``, with a steering map; the start for both.
+        front: tire of the axle, the start for both.
+        rear: likewise.
+        effects: to look for; all of the library by default.
+        without: ids of effects that are not looked for.
+        window: length [s] of the stretches that are predicted.
+        progress: called with the share done and the present step.
+
+    Returns:
+        The descriptions of the simulator and of the car, side by side.
+
+    Raises:
+        UsageError: as :func:`tirefit.diagnose_vehicle`.
+        DataError: the same, or a simulated log that has neither a column nor the rows of its log.
+
+    Example:
+        >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
+        >>> from tirefit.vehicle.effects import CAR_EFFECTS
+        >>> few = [one for one in CAR_EFFECTS if one.id == "steering_delay"]
+        >>> found = compare_with_simulator([log], [log], car, effects=few)
+        >>> any(one.differs for one in (*found.numbers, *found.effects))
+        False
+    """
+    require_x64("a diagnosis")
+    stated, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
+    check_effects(stated, effects, without)
+    library = [one for one in effects if one.id not in without]
+    if len(logs) != len(sim_logs):
+        raise DataError(f"{len(sim_logs)} simulated logs of {len(logs)}", "give one for each log")
+    tell = Steps(progress, _STEPS)
+    tell("reading logs")
+    found = cut_in_windows(logs, stated, window)
+    with TemporaryDirectory() as folder:
+        pairs = zip(logs, sim_logs, strict=True)
+        whole = [_with_inputs(*pair, stated, Path(folder)) for pair in pairs]
+        simulated = cut_in_windows(whole, stated, window)
+    tires = [
+        started(axle_tire(tire), derived_rows(found, stated, axle))
+        for axle, tire in (("front", front), ("rear", rear))
+    ]
+    car = studied(found, stated, tires, library, window, tell)
+    simulator = studied(_noisy(simulated, car.base.noise), stated, tires, library, window, tell)
+    atoms = _atoms_of(car, simulator)
+    sources = [
+        _described(name, case, atoms, stated, ", ".join(map(str, files)))
+        for name, case, files in (("simulator", simulator, sim_logs), ("car", car, logs))
+    ]
+    note = "both are described by the same car with the effects that either needs; factors on the"
+    note += " tires are those on the tires at the start"
+    result = compared(sources)
+    return replace(result, notes=(*result.notes, note))
+
+
+def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Path) -> Path:
+    """The simulated log, with the columns that it lacks from the log."""
+    given = vehicle.columns.model_dump().values()
+    flat = [x for one in given if one for x in (one if isinstance(one, list) else [one])]
+    wanted = [*flat, *([vehicle.keep.active] if vehicle.keep.active else [])]
+    own = read_table(file_at(sim), [])
+    lacking = [name for name in wanted if name not in own.headers]
+    if not lacking:
+        return Path(sim)
+    other = read_table(file_at(log), wanted)
+    if len(own.lines) != len(other.lines):
+        reason = f"it lacks {', '.join(lacking)}, and has {len(own.lines)} rows; the log has"
+        remedy = "add the columns, or write a row for each row of the log"
+        raise DataError(f"{reason} {len(other.lines)}", remedy, str(sim))
+    taken = [name for name in lacking if name in other.headers]
+    cells = [*own.cells, *(other.cells[other.headers.index(name)] for name in taken)]
+    path = folder / f"{Path(sim).stem}.csv"
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow([*own.headers, *taken])
+        table.writerows(zip(*cells, strict=True))
+    return path
+
+
+def _noisy(found: Mapping, noise: np.ndarray) -> dict:
+    """Cut logs with a little noise on their channels."""
+    generator, noisy = np.random.default_rng(0), {}
+    for name, log in found.items():
+        data, rows = log.windows
+        added = _NOISE * noise * generator.standard_normal(data.logged.shape)
+        noisy[name] = log._replace(windows=(data._replace(logged=data.logged + added), rows))
+    return noisy
+
+
+def _atoms_of(*cases: Concluded) -> tuple[int, ...]:
+    """The effects that help in any case, each in the form of the first that has it."""
+    found: dict[str, int] = {}
+    for case in cases:
+        for atom, effect in zip(case.chosen.atoms, case.chosen.effects, strict=True):
+            found.setdefault(effect, atom)
+    return tuple(sorted([*found.values()][:MOST_EFFECTS]))
+
+
+def _described(
+    name: str, case: Concluded, atoms: tuple[int, ...], vehicle: Vehicle, file: str
+) -> Source:
+    """The description of logs: factors on the tires, and sizes of these effects."""
+    base, chosen = case.base, case.chosen
+    first = dict(zip(chosen.atoms, chosen.amplitude, strict=True))
+    start = Start(chosen.z, np.array([first.get(k, 0.0) for k in atoms]), chosen.state)
+    (fit,) = base.refit([start], [atoms])
+    factor, error = np.exp(fit.z), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    numbers = {
+        parameter: Number(float(factor[k]), float(factor[k] * error[k]), "-")
+        for k, parameter in enumerate(PARAMETERS)
+    }
+    sizes = {}
+    for k, atom in enumerate(fit.atoms):
+        effect, scale = base.atoms[atom].effect, float(base.priors.scale[atom])
+        size, std = float(fit.amplitude[k]) * scale, float(error[TIRES + k]) * scale
+        key, unit, slope = f"{effect.id}: {effect.parameter}", effect.unit, 1.0
+        if effect.id in _STATED:
+            quantity, unit, of = _STATED[effect.id]
+            key, (size, slope) = f"{effect.id}: {quantity}", of(vehicle, size)
+        sizes[key] = Number(size, std * slope, unit)
+    standing = standing_of(case.verdict, [one.effect for one in case.untestable])
+    return Source(name, "description", file, "car", "", numbers, {}, sizes, standing)
