@@ -183,7 +183,7 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
     except RecursionError:
         raise refused("not JSON that tirefit wrote: it is nested too deeply") from None
     except ValueError as error:
-        is_json = raw.lstrip().startswith((b"{", b"[", b"//", b"/*"))
+        is_json = raw.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[", b"//", b"/*", b"#"))
         what = "JSON with comments or a fault" if is_json else "not JSON"
         raise refused(f"{what}, which tirefit did not write: {str(error)[:200]}") from None
     if not isinstance(content, dict) or content.get("schema") != schema:

@@ -45,7 +45,10 @@ _UNREADABLE = {
 }
 """Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
 _OF_TIRE = 2**17  # characters in which a file of a tire shows its kind
-_JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
+_GAP = rb"(?:\s++|//[^\r\n]*+|#[^\r\n]*+|/\*(?s:.*?)\*/)*+"  # in JSON, some with comments
+_JSON = re.compile(
+    rb"(\xef\xbb\xbf)?+%b(\{%b[\"}]|\[%b([{\]]|\[%b[\[{\]\"\d-]))" % ((_GAP,) * 4)
+)  # [[name]] begins a table of TOML
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
 
