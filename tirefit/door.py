@@ -24,6 +24,9 @@ SETTINGS, TIRE, RECORD, CHAIN, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 
 COLUMNS = 20_000
 """Most columns of a table; recordings of whole cars have some thousands."""
 
+JSON_GAP = rb"(?:\xef\xbb\xbf)?+(?:\s++|//[^\r\n]*+|#[^\r\n]*+|/\*(?s:.*?)\*/)*+"
+"""Space and comments before a part of a JSON text; JSON that tirefit wrote has no comments."""
+
 _DEEPEST = 16  # most levels of nested tables and lists; valid files have up to 6
 
 _LARGEST, _SMALLEST = 1e20, 1e-20
@@ -183,7 +186,7 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
     except RecursionError:
         raise refused("not JSON that tirefit wrote: it is nested too deeply") from None
     except ValueError as error:
-        is_json = raw.lstrip().startswith((b"{", b"[", b"//", b"/*"))
+        is_json = re.match(JSON_GAP + rb"[{\[]", raw) is not None
         what = "JSON with comments or a fault" if is_json else "not JSON"
         raise refused(f"{what}, which tirefit did not write: {str(error)[:200]}") from None
     if not isinstance(content, dict) or content.get("schema") != schema:

@@ -31,6 +31,11 @@ _ABANDONED = 86_400.0
 write one."""
 
 
+def listed(given: Any) -> list[Any]:
+    """A single name or path as a list of one; else all of them."""
+    return [given] if isinstance(given, str | os.PathLike) else list(given)
+
+
 def json_text(content: Any) -> str:
     """``content`` as a JSON document; see :func:`json_safe`."""
     return json.dumps(json_safe(content), indent=1, allow_nan=False) + "\n"

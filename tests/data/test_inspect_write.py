@@ -260,6 +260,13 @@ def test_the_heading_of_a_bag_is_of_the_message_that_has_the_place():
     assert f'x = "{place}.position.x"' in vehicle_log([*headers, *other], "bag").remedy
 
 
+@pytest.mark.parametrize("header", ["LateralAcc", "GPS LatAcc", "G Force Lat", "Lat_Acc [g]"])
+def test_the_lateral_acceleration_of_data_loggers_is_recognised(header):
+    """Of AiM, its GPS, MoTeC and Racelogic."""
+    remedy = vehicle_log(["Time", "GPS Speed", "YawRate", header], "log.csv").remedy
+    assert f'a_y = "{header}"' in remedy
+
+
 def test_rig_data_without_a_force_are_no_vehicle_log(tmp_path):
     path = tmp_path / "rig.csv"
     path.write_text("t,alpha,x,y,yaw\n0,1,2,3,4\n1,1,2,3,4\n")

@@ -3,10 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tirefit.data.merged import merged
 from tirefit.data.read import read_frame
 from tirefit.data.table import join
+from tirefit.results import DataError
+
+
+def test_no_data_at_all_are_refused():
+    with pytest.raises(DataError, match="no data given"):
+        join([])
 
 
 def test_a_note_names_few_files_or_covers_all():

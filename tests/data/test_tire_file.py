@@ -28,6 +28,7 @@ OTHERS = {
     "fiala.tir": (FORMAT.format("Fiala"), "model Fiala", 6),
     "mc.tir": (FORMAT.format("PAC_MC"), "model PAC_MC (motorcycle)", 6),
     "521.tir": (FORMAT.format("5.2.1"), "model 5.2.1", 6),
+    "ua.tir": (FORMAT.format("UATIRE"), "model UATIRE", 6),
     "tmeasy.tir": (FORMAT.format("TMEASY"), "model TMeasy", 6),
     "ftire.tir": (HEAD + "[FTIRE_DATA]\n$ geometry\ntire_section_width = 205\n", "FTire", 6),
     "tyres.ini": (ASSETTO, "tyres.ini of Assetto Corsa", 3),
@@ -60,12 +61,14 @@ def test_the_json_of_a_pac02_tire_points_to_its_tir(tmp_path):
         given_tire(path)
 
 
-@pytest.mark.parametrize("above", ["", "// mine\n", "/* mine */ "])
+@pytest.mark.parametrize("above", ["", "// mine\n", "/* mine */ ", "# mine\n"])
 def test_json_with_comments_is_not_called_no_json(tmp_path, above):
     path = tmp_path / "fit.json"
     path.write_text(above + '{\n  // mine\n  "schema": "tirefit.fit/1"\n}\n')
     with pytest.raises(DataError, match="JSON with comments or a fault, which tirefit did not"):
         given_tire(path)
+    with pytest.raises(DataError, match="this is (JSON|the JSON of a fit), which"):
+        read(path)
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,16 @@ def judged(std, given=40.0, seed=1):
     order = [np.argsort(SLIP)]
     level = None if given is None else np.full(ROWS, given)
     return judge_noise(
-        residual, SPREAD, LOAD, FORCE, level, basis, waves, order, np.arange(float(ROWS)), zero
+        residual,
+        SPREAD,
+        LOAD,
+        FORCE,
+        level,
+        basis,
+        lambda _: waves,
+        order,
+        np.arange(float(ROWS)),
+        zero,
     )
 
 
@@ -79,7 +88,7 @@ def alike(residual, given, slip=SLIP, groups=None):
     waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
     level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
     return judge_noise(
-        residual, zero, LOAD, LOAD, level, basis, waves,
+        residual, zero, LOAD, LOAD, level, basis, lambda _: waves,
         [np.argsort(slip)] if groups is None else groups,
         np.arange(float(ROWS)), zero.astype(int),
     )  # fmt: skip

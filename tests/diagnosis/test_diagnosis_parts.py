@@ -427,7 +427,7 @@ def test_the_noise_is_estimated_despite_a_gap():
     order = (np.arange(1500.0), zero.astype(int))
 
     def judged(residual, given, force=zero + 1.0):
-        return judge_noise(residual, zero, fz, force, given, basis, waves, groups, *order)
+        return judge_noise(residual, zero, fz, force, given, basis, lambda _: waves, groups, *order)
 
     found = judged(residual, None)
     np.testing.assert_allclose(found.std, level, rtol=0.1)

@@ -149,13 +149,17 @@ def test_steps_of_the_slip_leave_the_noise_of_the_force(seed, effects):
     assert rms[-1] <= rms[0]
 
 
+LONG = ((0.5, ROWS), (1.0, ROWS), (2.0, ROWS), (3.0, ROWS), (0.5, 2000))
+
+
 @pytest.mark.parametrize(
-    "period", [2.0, 8.0, *(pytest.param(p, marks=pytest.mark.long) for p in (0.5, 1.0, 3.0))]
+    ("period", "rows"),
+    [(0.3, ROWS), (8.0, ROWS), *(pytest.param(*one, marks=pytest.mark.long) for one in LONG)],
 )
-def test_a_ripple_of_the_friction_is_a_gap_and_no_noise(period):
+def test_a_ripple_of_the_friction_is_a_gap_and_no_noise(period, rows):
     """Its rms is 230 N, in forces whose sign the slip changes every 2.4 s. In records of 600
     rows whose noise has a standard error of 3 % the rest of the ripple adds up to 5 N."""
-    found = diagnose(read_frame(driven(1, 0.02, period=period)), effects=FEW)
+    found = diagnose(read_frame(driven(1, 0.02, rows=rows, period=period)), effects=FEW)
     assert found.verdict.status == "unknown"
     assert found.gap.resolvable
     assert found.noise.forces["fy"] == pytest.approx(40, rel=0.2)

@@ -46,7 +46,7 @@ from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
 from tirefit.door import replaced_inputs
-from tirefit.files import write_texts
+from tirefit.files import listed, write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
@@ -243,6 +243,7 @@ def derive_files(
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml, units)
     metadata = out.parent / f"{out.stem}.derive.json"
+    paths = listed(paths)
     _check_names(paths, vehicle_toml, (out, metadata))
     logs: list[DerivedLog] = []
     problems: list[InputProblem] = []

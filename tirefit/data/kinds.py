@@ -24,7 +24,7 @@ from tirefit.data.text import (
     table_of_vbo,
 )
 from tirefit.data.tire_file import describes_tir, other_tire
-from tirefit.door import COLUMNS
+from tirefit.door import COLUMNS, JSON_GAP
 from tirefit.results import DataError, InputProblem
 
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
@@ -45,7 +45,9 @@ _UNREADABLE = {
 }
 """Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
 _OF_TIRE = 2**17  # characters in which a file of a tire shows its kind
-_JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
+_JSON = re.compile(
+    rb"%b(\{%b[\"}]|\[%b([{\]]|\[%b[\[{\]\"\d-]))" % ((JSON_GAP,) * 4)
+)  # [[name]] begins a table of TOML
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
 

@@ -198,6 +198,8 @@ def join(tables: Sequence[TireData]) -> TireData:
 
     A file that holds several runs keeps them, named ``file:run``.
     """
+    if not tables:
+        raise DataError("no data given", "give at least one file or table")
     names: dict[str, str] = {}
     for table in tables:
         twin = names.setdefault(table.source.sha256, table.file)

@@ -19,7 +19,6 @@ _HEAD = 2**18
 
 _FORMATS = {
     "FIALA": "Fiala",
-    "UA": "University of Arizona",
     "521": "5.2.1",
     "PAC89": "Pacejka '89",
     "PAC94": "Pacejka '94",
@@ -85,8 +84,11 @@ def describes_tir(text: str) -> bool:
 
 def other_tire(text: str, file: str) -> list[InputProblem]:
     """The problem that a text describes a tire of a model that is not read; else empty."""
-    found = _FORMAT.search(text)
-    model = _FORMATS.get(re.sub("[^A-Z0-9]", "", found[1].upper())) if found else None
+    model = None
+    if found := _FORMAT.search(text):
+        name = re.sub("[^A-Z0-9]", "", found[1].upper())
+        other = not name.startswith(("MF", "PAC")) and not _COEFFICIENT.search(text)
+        model = _FORMATS.get(name, found[1].strip() if other else None)
     if found and model:
         reason = f"a tire of the model {model} (PROPERTY_FILE_FORMAT = {found[1].strip()!r})"
     elif found := _FTIRE.search(text):

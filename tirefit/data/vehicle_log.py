@@ -18,7 +18,7 @@ _ENDS = {
     " vehiclespeed velocity longitudinalspeed",
     "v_y": "vy speedy vely velocityy vlat latvel lineary lateralvel lateralvelocity lateralspeed",
     "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz angularvelocityz",
-    "a_y": "ay accy accely latacc lateralacceleration gforcelat accellateral",
+    "a_y": "ay accy accely latacc lateralacc lateralacceleration gforcelat accellateral",
     "steering": "steering steer delta steeringangle steeredangle steerangle steeringwheel"
     " steeringwheelangle swa roadwheelangle",
 }

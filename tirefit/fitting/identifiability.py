@@ -15,6 +15,7 @@ import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
+from tirefit.files import listed
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH, linearise
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
@@ -169,7 +170,7 @@ def identifiability(
     gates = tuple(
         _gate(some[force], data.n, curves[force], force, name, scatter[force])
         for force in forces
-        for name in models or MODELS_ASKED
+        for name in listed(models or MODELS_ASKED)
     )
     return Identifiability(
         gates,

@@ -19,6 +19,7 @@ from tirefit.diagnosis.effects import Effect, atoms_of
 from tirefit.diagnosis.engine.search import Effort, Search, searched
 from tirefit.diagnosis.summary.case import Concluded
 from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.files import listed
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
@@ -105,6 +106,7 @@ def diagnose_vehicle(
     """
     require_x64("a diagnosis")
     stated, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
+    without = listed(without)
     check_effects(stated, effects, without)
     given = axle_tire(front), axle_tire(rear)
     tell = Steps(progress, _STEPS)

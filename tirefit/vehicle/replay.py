@@ -27,6 +27,7 @@ from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
+from tirefit.files import listed
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.models import AbstractTire
@@ -194,6 +195,7 @@ def replay(
         ((38,), ['floor', 'linear tire', 'no slip', 'tire'])
     """
     require_x64("a replay")
+    logs = listed(logs)
     tell = Steps(progress, len(logs) + 5)
     tell("reading logs")
     vehicle = known_vehicle(vehicle)

@@ -22,6 +22,7 @@ from tirefit.data.table import TireData
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
+from tirefit.files import listed
 from tirefit.fitting import least_squares as law
 from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
 from tirefit.fitting.source import GivenTire
@@ -219,7 +220,7 @@ def cut_in_windows(
 ) -> dict[str, CutLog[tuple[Data, np.ndarray]]]:
     """:func:`cut_logs` by :func:`windows_of` of a length [s]."""
     return cut_logs(
-        logs,
+        listed(logs),
         vehicle,
         lambda track, motion: windows_of(track, motion, vehicle, window),
         f"{window:g} s long",

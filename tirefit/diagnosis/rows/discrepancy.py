@@ -144,7 +144,8 @@ def _clock(values: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 WAVES, ROWS_OF_A_WAVE = 96, 5
-"""Largest number of waves in a record, and smallest number of rows of a wave."""
+"""Largest number of waves of one kind that are compared at once, and smallest number of rows
+of a wave."""
 
 _BUMPS = (4, 8)  # smallest and largest number of functions of the slip for each sign
 _LEVELS = 4  # largest number of settings of a covariate with a coefficient each
@@ -226,32 +227,39 @@ def smooth_basis(
     return _by_side(slip_fraction, factors, scale, most)
 
 
-def wave_basis(prepared: Prepared, scale: Values, friction: np.ndarray) -> np.ndarray:
+def wave_basis(
+    prepared: Prepared, scale: Values, friction: np.ndarray, remainder: np.ndarray
+) -> np.ndarray:
     """Sine and cosine of slip, of time, and of the friction over time, side by side:
-    (n, 2 x waves)."""
-    slip = prepared.slip
-    span = max(np.ptp(slip), FLAT)
-    most = int(np.clip(prepared.n // ROWS_OF_A_WAVE, 2 * _BUMPS[0], WAVES))
-    most_over_slip = min(most // 2, WAVES // 4)
-    waves = [turns((slip - slip.min()) / span, np.arange(1.0, most_over_slip + 1))]
+    (n, 2 x waves). Of each kind these are the ones that a ``remainder`` (n,) contains most of.
+    """
+    slip, most = prepared.slip, max(prepared.n // ROWS_OF_A_WAVE, 2 * _BUMPS[0])
+    over_slip = np.arange(1.0, min(most // 2, WAVES // 4) + 1)
+    kinds = [((slip - slip.min()) / max(np.ptp(slip), FLAT), over_slip, scale)]
     if "time" in prepared.has:
         # With half waves: between two whole numbers of waves a third of the energy is lost.
-        counts = np.arange(1, most + 0.1, 0.5)
-        over_time = turns(prepared.covariates.time, counts)
-        waves += [over_time, over_time * (friction / scale)[:, None]]
-    columns = np.concatenate(waves, axis=1) * scale[:, None]
+        over_time = np.arange(1, most + 0.1, 0.5)
+        kinds += [(prepared.covariates.time, over_time, weight) for weight in (scale, friction)]
+    waves = []
+    for share, counts, weight in kinds:
+        if len(counts) > WAVES:
+            counts = _strongest(share, remainder * weight, counts)
+        turns = 1j * np.exp(-2j * np.pi * share[:, None] * counts)  # sin + i cos
+        waves.append(turns.view(float) * weight[:, None])
+    columns = np.concatenate(waves, axis=1)
     size = np.sqrt(np.einsum("nk,nk->k", columns, columns))
     return columns / np.maximum(size, ROUNDING)
 
 
-def turns(share: Values, counts: np.ndarray) -> np.ndarray:
-    """Sine and cosine, in turn, of evenly spaced numbers of turns (k,): (n, 2 k)."""
-    # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
-    step = counts[1] - counts[0] if len(counts) > 1 else 0.0
-    parts = np.empty((len(share), len(counts)), complex)
-    parts[:, :1] = 1j * np.exp(-2j * np.pi * counts[:1] * share[:, None])
-    parts[:, 1:] = np.exp(-2j * np.pi * step * share)[:, None]
-    return np.cumprod(parts, axis=1).view(float)
+def _strongest(share: np.ndarray, values: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """The :data:`WAVES` of the counts, 1 and more in half steps, with the largest sums of the
+    values (n,) times the wave, in their order."""
+    # Within steps of which the shortest wave, of five rows, has ten.
+    steps = 2 * len(share)
+    places = np.rint((share - share.min()) * steps).astype(int)
+    placed = np.bincount(places, values, 2 * steps)
+    power = np.abs(np.fft.rfft(placed))[2 : len(counts) + 2]
+    return counts[np.sort(np.argsort(-power)[:WAVES])]
 
 
 def _in_pairs(gram: np.ndarray, score: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:

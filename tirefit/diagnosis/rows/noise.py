@@ -186,7 +186,8 @@ def judge_noise(
         fz, force: (n,) load, and force of the fit.
         given: (n,) stated standard deviation, or None.
         basis: (n, m) smooth functions that represent any gap (unit columns, in N).
-        waves: (n, 2 x waves), of which the significant ones are removed too.
+        waves: remainder (n,) -> (n, 2 x waves) [N], those to compare; the significant ones
+            are removed too.
         groups: index arrays of rows whose neighbours differ only by noise.
         time, run: order of the rows (time may be None).
         refine: exclude rows by the smooth remainder of a fit without a gross gap.
@@ -196,7 +197,7 @@ def judge_noise(
     std = np.sqrt(base**2 + spread) if stated else base
     white, in_time = residual / std, in_order(time, run)
     keep = ~_stray(residual, groups)
-    smooth = _smooth(white, basis / std[:, None], waves / std[:, None], keep, in_time)
+    smooth = _smooth(white, basis / std[:, None], waves, std, keep, in_time)
     rest, floor = smooth.remainder(white) * std, _FINEST * np.mean(fz)
 
     def level() -> np.ndarray:
@@ -323,18 +324,19 @@ def _between(white, groups, keep, apart: float = 0.0, in_time=()) -> float:
     return _huber(second) * (1 + 2 * float(error))
 
 
-def _smooth(white, basis, waves, keep, in_time) -> "_Smooth":
+def _smooth(white, basis, waves, std, keep, in_time) -> "_Smooth":
     """Smooth functions and the few significant waves.
 
     A wave counts beyond what the correlation of the remainder without it explains.
     """
-    smooth, kept = _Smooth(basis, keep), waves * keep[:, None]
-    least = np.log(waves.shape[1] // 2) + 6.0  # log odds of 400 to 1
+    smooth = _Smooth(basis, keep)
+    least = np.log(len(white)) + 6.0  # log odds of 400 to 1: about one wave in each row
     for _ in range(_FEW):
         rest = np.where(keep, smooth.remainder(white), 0.0)
-        chi2 = waves_within(kept, smooth.basis * keep[:, None], rest)
+        shapes = waves(rest / std) / std[:, None]
+        chi2 = waves_within(shapes * keep[:, None], smooth.basis * keep[:, None], rest)
         best = 2 * int(np.argmax(chi2))
-        near = waves[:, max(best - 2, 0) : best + 4]  # one between two of them is three
+        near = shapes[:, max(best - 2, 0) : best + 4]  # one between two of them is three
         columns = np.concatenate([smooth.basis, near], axis=1)
         more = _Smooth(columns, keep)
         left = np.where(keep, more.remainder(white), 0.0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -417,7 +417,7 @@ def _noise(
         if f"{c}_std" in rows.data:
             given = rows.column(f"{c}_std")
         common = spread[c] * rows.common
-        waves = wave_basis(rows, typical, of_friction * mean[c])
+        waves = partial(wave_basis, rows, typical, of_friction * mean[c])
         level = judge_noise(
             rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
             waves, groups, rows.time, rows.run, outliers,
