@@ -49,12 +49,12 @@ def smallest_scatter(shape: str, fy_std: float, alpha_std: float):
     together = (of_slip * share) @ of_force.T
     there = np.nonzero(together > 1e-9 * together.max())
     root = np.sqrt(together[there])
-    scores = []
+    columns = []
     for d in ((1e-4 * CPA2, 0.0), (0.0, 1e-4 * MU)):
         rise = force_of(slip, CPA2 + d[0], MU + d[1]) - force_of(slip, CPA2 - d[0], MU - d[1])
         slopes = of_force * pull * rise / (2 * sum(d))
-        scores.append(((of_slip * share) @ slopes.T)[there] / root)
-    scores = np.stack(scores, axis=1)
+        columns.append(((of_slip * share) @ slopes.T)[there] / root)
+    scores = np.stack(columns, axis=1)
     if shape == "steps":
         # Two masses beside each set point: their sum is its share, their difference its place.
         apart = 4e-7 * fy_std
