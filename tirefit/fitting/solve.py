@@ -126,7 +126,7 @@ def with_densities(
     for slip, std in rows.slip_std.items():
         # A padding row repeats the first row, so it has nodes as well.
         slips, width = np.asarray(getattr(rows.inputs, slip)), np.asarray(std)
-        knots[slip] = slip_knots(slips[measured], width[measured])
+        knots[slip] = slip_knots(slips[measured], width[measured], steep)
         at = slips_of_nodes(slips, width, knots[slip] if steep else None)
         marked = np.ones(()) if steep else None
         nodes[slip] = SlipNodes(*jax.device_put((at, np.ones(at.shape), marked)))
