@@ -153,7 +153,7 @@ def _gains(pairs, track, motion, vehicle: Vehicle) -> Iterator[Deviation]:
         return
     if faults:
         solved = [gain for gain in off if gain not in left] or off
-        evidence = _evidence(*max(solved, key=lambda gain: _clearness(*gain, faults)))
+        evidence = _evidence(*max(solved, key=lambda gain: _clearness(gain[0], gain[1], faults)))
         total = _drift(motion, vehicle, -1)
         means = [_fault_words(one, track, vehicle, total) for one in (*faults, *alternatives)]
         word = " and " if len(faults) > 1 else ", or "

@@ -7,7 +7,7 @@ c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
 :mod:`tirefit.data.agreement`, values before and after a row are its instruments, and
 standard errors use the effective number of rows. The fit is repeated with signals below a
 fifth of the filter's cutoff, as noise of a pose that is differentiated twice may hide the
-force; the fit of the smaller standard error counts. A wrong yaw inertia, a delay and
+force (:func:`_point`). A wrong yaw inertia, a delay and
 another place of the accelerometer act alike: the message names them.
 """
 
@@ -223,19 +223,19 @@ class _Lines(NamedTuple):
 
 
 def _point(motion: Motion, vehicle: Vehicle, kept) -> _Point:
-    """The point by the signals that determine it better."""
+    """The point by the filtered signals, or by the slower ones if these determine it better or
+    contradict it."""
     each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
-    best = min(each, key=lambda one: (not one.known, one.std), default=_Point())
-    if each and each[0].known and each[0].std < _BETTER * best.std:
-        best = each[0]
     known = [one for one in each if one.known]
+    best = known[-1] if known else _Point()
+    if len(known) > 1:
+        std = math.hypot(known[0].std, best.std)
+        if abs(known[0].at - best.at) > SURE * std:
+            best = best._replace(misfit=math.inf)
+        elif known[0].std < _BETTER * best.std:
+            best = known[0]
     effect = max((one.effect for one in known), default=0.0)
-    if len(known) > 1 and abs(known[0].at - known[1].at) > SURE * math.hypot(
-        *(k.std for k in known)
-    ):
-        best = best._replace(misfit=math.inf)
-    slope = min((one.slope for one in each), default=0.0)
-    return best._replace(effect=effect, slope=slope)
+    return best._replace(effect=effect, slope=min((one.slope for one in each), default=0.0))
 
 
 def _lines(motion: Motion, vehicle: Vehicle, kept):
@@ -257,7 +257,8 @@ def _lines(motion: Motion, vehicle: Vehicle, kept):
         every = surrounded(motion.part, kept & known, known, 2 * step + 1)
         every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
         if len(every) >= FEWEST:
-            yield _Lines(*np.nan_to_num(signals.T), every, step)
+            slip, force, slip_x, force_x = np.nan_to_num(signals.T)
+            yield _Lines(slip, force, slip_x, force_x, every, step)
 
 
 def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:

@@ -11,7 +11,6 @@ Sensors are assumed to be at the tracked point, which causes smaller errors than
 unit. The equation of the steering is valid up to a factor of a few, as cars understeer.
 """
 
-import math
 from collections import Counter
 
 import numpy as np
@@ -110,7 +109,9 @@ def _pair(of: dict[str, np.ndarray], usable, channel: str, words: str, terms) ->
         for name in names:
             powers.subtract(_POWERS.get(name, {name: 1}))
         sign = -1 if product.startswith("-") else 1
-        summands.append(Term(sign * math.prod(of[name] for name in names), dict(powers), text))
+        summands.append(
+            Term(sign * np.prod([of[name] for name in names], axis=0), dict(powers), text)
+        )
     if own not in of or not summands:
         return None
     words = words or " + ".join(term.words for term in summands)
