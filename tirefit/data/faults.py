@@ -135,10 +135,10 @@ def _cost(gain: Gain, faults: Sequence[Fault]) -> float:
 # --- the search -----------------------------------------------------------------
 
 
-def _possible(gains: Sequence[Gain], track: Track) -> Iterator[Fault]:
+def _possible(pairs: Sequence[Agreement], track: Track) -> Iterator[Fault]:
     """All faults of units and signs that the channels of the pairs may have."""
     read = {c.quantity: c for c in track.channels}
-    named = sorted({name for a, _ in gains for term in a.pair.terms for name in term.powers})
+    named = sorted({name for a in pairs for term in a.pair.terms for name in term.powers})
     shared = [pair for pair in _ONE_SENSOR if set(pair) <= set(named)]
     for channels in (*((name,) for name in named), *shared):
         alone = _ALONE * any(set(channels) < set(pair) for pair in shared)
@@ -176,7 +176,7 @@ def explained(
     """The one or two faults that explain the gains at the lowest cost, none if there are
     none, and single faults that explain them as well."""
     gains = _known(pairs)
-    possible = list(_possible(gains, track))
+    possible = list(_possible(pairs, track))
     sets: list[tuple[Fault, ...]] = [(), *((one,) for one in possible)]
     usual = [fault for fault in possible if fault.rarity < _RARE]
     twos = itertools.combinations(usual, 2)
