@@ -7,7 +7,7 @@ from tirefit.data.faults import ALIKE
 from tirefit.data.motion import Motion, slowed
 from tirefit.data.vehicle import Vehicle
 
-_CUT, _MUCH_CUT = 0.7, 0.04
+_CUT, _MUCH_CUT = 0.7, 0.05
 """Share of the bandwidth above which the filter attenuates, and the smallest share of a
 column's variance there that causes a warning."""
 

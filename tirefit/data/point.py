@@ -223,17 +223,17 @@ class _Lines(NamedTuple):
 
 
 def _point(motion: Motion, vehicle: Vehicle, kept) -> _Point:
-    """The point by the filtered signals, or by the slower ones if these determine it better or
-    contradict it."""
+    """The point by the filtered signals, or by the slower ones if only these determine it or, of a
+    pose, if these determine it better or contradict it."""
     each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
     known = [one for one in each if one.known]
     best = known[-1] if known else _Point()
     if len(known) > 1:
-        std = math.hypot(known[0].std, best.std)
-        if abs(known[0].at - best.at) > SURE * std:
-            best = best._replace(misfit=math.inf)
-        elif known[0].std < _BETTER * best.std:
+        apart = abs(known[0].at - best.at) > SURE * math.hypot(known[0].std, best.std)
+        better = apart or _BETTER * best.std < known[0].std
+        if not (better and vehicle.columns.motion == POSE):  # rates are differentiated less
             best = known[0]
+        best = best._replace(misfit=math.inf if apart else best.misfit)
     effect = max((one.effect for one in known), default=0.0)
     return best._replace(effect=effect, slope=min((one.slope for one in each), default=0.0))
 
@@ -299,7 +299,8 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     strength = share / max(1 - share, 1e-9) * fit.effective / count
     std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9))
     on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
-    known = on_car and fit.theta[0] > 0 and std < _KNOWN * vehicle.wheelbase
+    stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
+    known = on_car and stable and std < _KNOWN * vehicle.wheelbase
     misfit = math.sqrt(np.mean(fit.error**2))
     return _Point(stated + x, x, std, effect, misfit, known, none.slope)
 
