@@ -1,5 +1,6 @@
-"""The point that a log describes, by the relation of force and slip, on simulated cars."""
+"""The tracked point of logs of simulated cars, at several speeds, noises and cutoffs."""
 
+import re
 from itertools import product
 
 import numpy as np
@@ -84,13 +85,10 @@ def test_a_log_of_the_front_axle_names_it(tmp_path, name, seed):
 def test_the_correlations_and_what_was_assumed_are_named(tmp_path, columns):
     log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"], columns=columns)
     said = of_the_point(log, vehicle(tmp_path, columns=columns, cutoff=1.0))
-    for words in (
-        "this fits the front axle, not the centre of gravity, which is assumed, as"
-        " tracked_point is not stated",
-        "with the rear axle",
-        "if the log describes the front axle, set tracked_point = [2.7, 0] in vehicle.toml",
-    ):
-        assert words in said
+    at = re.search(r"the tracked point is ([\d.]+) ± ([\d.]+) m ahead of the rear axle", said)
+    assert float(at[1]) == pytest.approx(BASE, abs=2 * float(at[2]))
+    assert "not 1.5 m (the centre of gravity, which is assumed, as tracked_point" in said
+    assert f"set tracked_point = [{at[1]}, 0] in vehicle.toml" in said
     # The oracle is the simulator: its own force and slip of the rear axle.
     truth = simulate_drive(Drive(**SLOW["bends of 10 s"]), CAR).truth
     slip = np.arctan2(truth["v_y"] - CAR.l_r * truth["yaw_rate"], truth["v"])
@@ -102,26 +100,18 @@ def test_a_stated_point_is_doubted_but_kept(tmp_path):
     log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"])
     found = derive(log, vehicle(tmp_path, CAR.l_r - 0.1, cutoff=1.0), believe=True)
     (said,) = found.warnings
-    assert "fits the front axle, not the stated point, 1.4 m ahead of the rear axle" in said
+    assert "m ahead of the rear axle, not 1.4 m; set tracked_point = [2.7" in said
     other = derive(log, vehicle(tmp_path, BASE, cutoff=1.0))
     assert not np.allclose(found.columns["alpha"], other.columns["alpha"], atol=1e-3)
 
 
-WEAK = {("bends of 10 s", 1), *product(("noise of 2 cm", "gentle"), (0, 1))}
-"""Drives on which noise gives another point by 4 standard errors. To withdraw an estimate that
-correlates worse than the stated point removes these, and the right point of a measured log."""
+RIGHT = [
+    pytest.param(name, seed, marks=[pytest.mark.long] * seed)
+    for name, seed in product(SLOW | FAST, (0, 1))
+]
 
 
-def _right_point():
-    for name, seed in product(SLOW | FAST, (0, 1)):
-        marks = [pytest.mark.long] if seed else []
-        if (name, seed) in WEAK:
-            reason = "noise gives another point by 4 standard errors"
-            marks.append(pytest.mark.xfail(strict=True, reason=reason))
-        yield pytest.param(name, seed, marks=marks)
-
-
-@pytest.mark.parametrize(("name", "seed"), [*_right_point()])
+@pytest.mark.parametrize(("name", "seed"), RIGHT)
 def test_the_right_point_is_not_doubted(tmp_path, name, seed):
     log = log_at(tmp_path, 0.0, (SLOW | FAST)[name], seed)
     for cutoff in (2.0, 5.0):

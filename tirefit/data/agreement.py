@@ -1,6 +1,6 @@
-"""Compare redundant channels of a log: gain, delay and offset of each pair.
+"""Estimate gain, delay and offset of a channel against its prediction from others.
 
-A pair compares one channel, L, with its prediction from others, a sum of terms R_k:
+A channel L is compared with a sum of terms R_k:
 
 .. math:: L(t) = \\sum_k g_k R_k(t - d) + o + e(t)
 
@@ -25,13 +25,14 @@ _GLITCH = 3.0  # multiple of the 99th percentile beyond which a sample is a glit
 _OUTLIER = 5.0
 """Residuals above this many standard deviations (from their median size) are outliers."""
 
-_AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
+AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
 """Times of the instruments, over the time after which the noise is independent."""
 
 _ROUNDS = 4
 EACH = 10  # rows that are used per correlation time of the noise
 
 FEWEST = 50  # fewest rows that are compared: 5 s of a log with the default filter
+_TINY = 1e-300  # divisor in place of zero
 
 
 class Term(NamedTuple):
@@ -83,12 +84,12 @@ class Agreement(NamedTuple):
     effective: float  # number of independent rows
 
 
-class _Fit(NamedTuple):
-    """A fit of the terms, the rate of their sum, and a constant."""
+class Fit(NamedTuple):
+    """A fit of factors of the sides and of a constant."""
 
-    theta: np.ndarray  # (k + 2,) factors
+    theta: np.ndarray  # (k + 1,) factors
     std: np.ndarray  # their standard errors
-    seen: np.ndarray  # see :class:`Agreement`
+    seen: np.ndarray  # (k,) see :class:`Agreement`
     effective: float  # number of independent samples
     error: np.ndarray  # (n,) residuals
 
@@ -105,8 +106,8 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
     terms = np.column_stack([term.values for term in pair.terms])
     known = np.isfinite(pair.values) & np.isfinite(terms).all(axis=1)
     usable = usable & known
-    for column in (pair.values, *terms.T):
-        usable &= _no_glitch(column, usable)
+    for column in (pair.values, *terms.T) if usable.any() else ():
+        usable &= np.abs(column) <= _GLITCH * np.percentile(np.abs(column[usable]), 99)
     step, latest = max(1, round(apart * rate)), round(LATEST * rate)
     rows = surrounded(part, usable, known, max(2 * step, latest) + 1)
     rows = rows[:: max(1, step // EACH)]
@@ -125,8 +126,7 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         along = gains if gains.any() else np.ones(k)  # the gains of a dead channel are 0
         sides = np.column_stack([terms, rates @ along])
         own = pair.values[rows + shift]
-        near = around(sides, rows, step)
-        fit = instrumented(own, sides[rows], near, zero)
+        fit = instrumented(own, sides[rows], around(sides, rows, step), zero)
         if fit is None:
             return None
         good, rest = _no_outlier(fit.error), round(fit.theta[k] * rate)
@@ -136,28 +136,23 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         shift = int(np.clip(shift - rest, -latest, latest))
         gains, rows = fit.theta[:k], rows[good]
     assert fit is not None  # the loop has at least one round
-    near = around(pair.values[:, None], rows + shift, step)
+    near = np.hstack([around(pair.values[:, None], rows + shift, step), np.ones((len(own), 1))])
+    unseen = np.var(own - near @ np.linalg.lstsq(near, own)[0]) / max(np.var(own), _TINY)
+    moves = np.ptp(own) > 0 and np.ptp(own - fit.error) > 0
     return Agreement(
         pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
         float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
         float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
-        _seen_around(own, near), float(np.std(terms[rows].sum(axis=1))),
-        float(np.std(own)), _correlation(own, own - fit.error), len(own), fit.effective,
+        float(1 - unseen), float(np.std(terms[rows].sum(axis=1))), float(np.std(own)),
+        float(np.corrcoef(own, own - fit.error)[0, 1]) if moves else 0.0, len(own), fit.effective,
     )  # fmt: skip
 
 
 def around(values, rows, step: int) -> np.ndarray:
-    """Values (n, k) before and after each row, at the times ``_AROUND``, as columns."""
+    """Values (n, k) before and after each row, at the times ``AROUND``, as columns."""
     last = len(values) - 1
-    places = [np.clip(rows + round(k * step), 0, last) for k in _AROUND]
+    places = [np.clip(rows + round(k * step), 0, last) for k in AROUND]
     return np.nan_to_num(np.hstack([values[place] for place in places]))
-
-
-def _seen_around(values, around) -> float:
-    """Share of the variation of values (n,) that the instruments (n, m) explain."""
-    columns = np.column_stack([around, np.ones(len(values))])
-    left = values - columns @ np.linalg.lstsq(columns, values)[0]
-    return float(1 - np.var(left) / max(np.var(values), 1e-300))
 
 
 def _no_outlier(error: np.ndarray) -> np.ndarray:
@@ -165,21 +160,6 @@ def _no_outlier(error: np.ndarray) -> np.ndarray:
     about = np.abs(error - np.median(error))
     good = about <= _OUTLIER * 1.4826 * np.median(about)
     return good if good.sum() >= FEWEST else np.ones(len(error), bool)
-
-
-def _correlation(one, other) -> float:
-    """Correlation of two arrays (n,); 0 if one of them is constant."""
-    if np.ptp(one) == 0 or np.ptp(other) == 0:
-        return 0.0
-    return float(np.corrcoef(one, other)[0, 1])
-
-
-def _no_glitch(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Samples (n,) bool that are not glitches by their size."""
-    if not usable.any():
-        return usable
-    size = np.abs(values)
-    return size <= _GLITCH * np.percentile(size[usable], 99)
 
 
 def surrounded(part, usable, known, reach: int) -> np.ndarray:
@@ -199,14 +179,14 @@ def _delay(values, terms, rows, latest: int) -> tuple[int, np.ndarray]:
     for shift in shifts:
         late = values[rows + shift]
         about = late - late.mean()
-        explained = np.sum((basis.T @ about) ** 2) / max(np.sum(about**2), 1e-300)
+        explained = np.sum((basis.T @ about) ** 2) / max(np.sum(about**2), _TINY)
         scores.append(explained - _NO_DELAY * (shift / latest) ** 2)
     best = shifts[int(np.argmax(scores))]
     projected = basis.T @ values[rows + best]
     return best, np.linalg.lstsq(triangle, projected)[0][:-1]
 
 
-def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
+def instrumented(values, sides, near, zero: Callable) -> Fit | None:
     """Two-stage least squares with a prior on the offset; None if not determined.
 
     Args:
@@ -215,11 +195,11 @@ def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
         zero: function of the (k,) factors of the sides that returns the standard
             deviation of the offset, in the unit of the values.
     """
-    one, tiny = np.ones((len(values), 1)), 1e-300
+    one = np.ones((len(values), 1))
     scale = np.concatenate([np.std(sides, axis=0), [1.0]])
     scale[scale == 0] = 1.0
     columns = np.hstack([sides, one]) / scale
-    instruments = np.hstack([near / np.maximum(np.std(near, axis=0), tiny), one])
+    instruments = np.hstack([near / np.maximum(np.std(near, axis=0), _TINY), one])
     seen = instruments @ np.linalg.lstsq(instruments, columns)[0]
     curvature, slope = seen.T @ columns, seen.T @ values
     prior = np.zeros_like(curvature)
@@ -239,7 +219,7 @@ def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
         return None
     std = np.sqrt(np.maximum(noise * np.diag(spread), 0.0))
     share = np.array([_share(columns, seen, k) for k in range(sides.shape[1])])
-    return _Fit(theta / scale, std / scale, share, count, values - columns @ theta)
+    return Fit(theta / scale, std / scale, share, count, values - columns @ theta)
 
 
 def _share(columns, seen, k: int) -> float:
@@ -249,11 +229,9 @@ def _share(columns, seen, k: int) -> float:
     Args:
         columns: (n, m); seen: their prediction from the instruments.
     """
-    others = [j for j in range(columns.shape[1]) if j != k]
-    part = np.linalg.lstsq(seen[:, others], seen[:, k])[0]
-    own = seen[:, k] - seen[:, others] @ part
-    whole = columns[:, k] - columns[:, others] @ part
-    return float(np.mean(own**2) / max(np.mean(whole**2), 1e-300))
+    part = np.linalg.lstsq(np.delete(seen, k, axis=1), seen[:, k])[0]
+    own, whole = (one[:, k] - np.delete(one, k, axis=1) @ part for one in (seen, columns))
+    return float(np.mean(own**2) / max(np.mean(whole**2), _TINY))
 
 
 def effective(error: np.ndarray) -> float:

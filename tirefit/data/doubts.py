@@ -4,7 +4,7 @@ band that it cuts, forces beyond any friction."""
 import numpy as np
 
 from tirefit.data.faults import ALIKE
-from tirefit.data.motion import Motion
+from tirefit.data.motion import Motion, slowed
 from tirefit.data.vehicle import Vehicle
 
 _CUT, _MUCH_CUT = 0.7, 0.05
@@ -23,11 +23,10 @@ def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
         columns: :attr:`tirefit.data.derive.DerivedLog.columns` of every grid sample.
         kept: (n,) bool, the samples that will be written.
     """
-    stretches = _stretches(motion, kept)
     return (
         *_beyond_grip(columns, kept, vehicle),
         *_at_edges(motion, kept, vehicle),
-        *_cut_by_filter(columns, stretches, vehicle),
+        *_cut_by_filter(columns, motion, kept, vehicle),
     )
 
 
@@ -54,13 +53,6 @@ def _beyond_grip(columns, kept, vehicle: Vehicle) -> list[str]:
     return [f"{message}: check mass, yaw_inertia and the unit of a_y or of the positions"]
 
 
-def _stretches(motion: Motion, kept) -> list[np.ndarray]:
-    """Index arrays of unbroken stretches of kept samples."""
-    rows = np.flatnonzero(kept)
-    breaks = (np.diff(rows) > 1) | (np.diff(motion.part[rows]) != 0)
-    return np.split(rows, np.flatnonzero(breaks) + 1)
-
-
 def _at_edges(motion: Motion, kept, vehicle: Vehicle) -> list[str]:
     reach = vehicle.filter.settling
     inside = np.count_nonzero(kept & (motion.within < reach * (1 - 1e-9)))
@@ -72,26 +64,18 @@ def _at_edges(motion: Motion, kept, vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _cut_by_filter(columns, stretches, vehicle: Vehicle) -> list[str]:
+def _cut_by_filter(columns, motion: Motion, kept, vehicle: Vehicle) -> list[str]:
     """Warnings on columns with much variance just below the bandwidth, and so above it."""
-    from scipy.signal import welch
-
-    band, messages = vehicle.filter.bandwidth, []
-    window = int(10 * vehicle.filter.sample_rate / band)
-    long = [rows for rows in stretches if len(rows) >= window]
-    rate, every = vehicle.filter.sample_rate, np.concatenate(stretches)
-    for name in ("alpha", "fy") if long else ():
-        power, frequency = np.zeros(window // 2 + 1), np.zeros(window // 2 + 1)
-        for rows in long:
-            frequency, density = welch(columns[name][rows], rate, nperseg=window)
-            power = power + len(rows) / sum(map(len, long)) * density
-        beyond = frequency > _CUT * band
-        cut = float(np.sum(power[beyond]) * (frequency[1] - frequency[0]))
-        share = cut / max(float(np.var(columns[name][every])), _SILENT)
-        if share > _MUCH_CUT:
-            messages.append(
-                f"{100 * share:.0f} % of the variance of {name} lies above"
-                f" {_CUT * band:.2g} Hz, where the filter ({band:.3g} Hz) cuts: raise"
-                " filter.cutoff, unless that is noise"
-            )
-    return messages
+    band = vehicle.filter.bandwidth
+    signals = np.stack([columns["alpha"], columns["fy"]], axis=1)
+    slow = slowed(signals, motion, vehicle, vehicle.filter.cutoff / (_CUT * band))
+    there = kept & np.isfinite(slow).all(axis=1)
+    cut = np.mean((signals - slow)[there] ** 2, axis=0)
+    shares = cut / np.maximum(np.var(signals[there], axis=0), _SILENT)
+    return [
+        f"{100 * share:.0f} % of the variance of {name} lies above"
+        f" {_CUT * band:.2g} Hz, where the filter ({band:.3g} Hz) cuts: raise"
+        " filter.cutoff, unless that is noise"
+        for name, share in zip(("alpha", "fy"), shares, strict=True)
+        if share > _MUCH_CUT
+    ]

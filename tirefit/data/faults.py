@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from tirefit.data.agreement import LATEST, Agreement
@@ -49,10 +49,13 @@ _RARE, _ALONE = 0.05, 0.03
 """A rare unit is preferred if it is nearer by so much [log gain] than a usual one; so is
 a unit of a single channel of a sensor."""
 
+_UNEXPLAINED, _FAULT = 1.0, 0.5
+"""Cost [log gain] of a gain that is not explained, and of a fault, which explains one or more."""
+
 _ONE_SENSOR = (("v_x", "v_y"), ("a_x", "a_y"))
 """Channels that are usually of the same sensor, in the same unit."""
 
-_AS_LIKELY = 0.02
+_AS_LIKELY = 0.02  # difference of the costs of faults that explain the gains equally well
 
 
 class Fault(NamedTuple):
@@ -64,29 +67,31 @@ class Fault(NamedTuple):
     rarity: float  # penalty of a rare unit [log gain]
 
 
+Gain = tuple[Agreement, int]
+"""A pair, and the number of one of its gains."""
+
+
 # --- what is judged -------------------------------------------------------------
 
 
 def judged(a: Agreement) -> list[bool]:
     """Which gains of a pair are known well enough to be compared with 1."""
-    if not a.pair.level and (
+    related = a.pair.level or not (
         abs(a.correlation) < RELATED
         or max(a.size, a.own_size) < a.pair.floor
         or abs(a.delay) > _NO_CLOCK * LATEST + 2 * a.delay_std
         or strays(a)
-    ):
-        return [False] * len(a.gains)
+    )
     return [
-        (a.pair.level or signal) and abs(gain) > _CLEAR * std
-        for gain, std, signal in zip(a.gains, a.gain_stds, no_noise(a), strict=True)
+        related and (a.pair.level or _no_noise(a, k)) and abs(gain) > _CLEAR * std
+        for k, (gain, std) in enumerate(zip(a.gains, a.gain_stds, strict=True))
     ]
 
 
-def no_noise(a: Agreement) -> list[bool]:
-    """Which terms are signal: terms that the instruments explain, which they cannot do
-    with noise, and a single term that another sensor confirms."""
-    shared = abs(a.correlation) > _SHARED
-    return [seen > SEEN or (k == 0 and shared) for k, seen in enumerate(a.seen)]
+def _no_noise(a: Agreement, k: int) -> bool:
+    """Whether a term is signal: the instruments explain it, which they cannot do with
+    noise, or another sensor confirms it."""
+    return a.seen[k] > SEEN or (k == 0 and abs(a.correlation) > _SHARED)
 
 
 def strays(a: Agreement) -> bool:
@@ -94,79 +99,61 @@ def strays(a: Agreement) -> bool:
     if a.pair.level:
         return False
     turns = a.pair.channel in ("a_y", "yaw_rate", "yaw")
-    if turns and a.own_seen > SEEN and not no_noise(a)[0]:
+    if turns and a.own_seen > SEEN and not _no_noise(a, 0):
         return a.own_size > _MUCH * a.pair.floor  # the others are noise
     highest = abs(a.correlation) + _SURELY / math.sqrt(a.effective)
     return a.size > a.pair.floor and a.seen[0] > SEEN and highest < _UNRELATED
 
 
-def _predicted(powers: Mapping[str, int], faults: Iterable[Fault]) -> float:
-    """The gain that the faults cause if the true gain is 1."""
-    gain = 1.0
-    for fault in faults:
-        power = sum(powers.get(channel, 0) for channel in fault.channels)
-        gain *= fault.factor**power
-    return gain
-
-
-def _distance(a: Agreement, k: int, faults: Sequence[Fault]) -> float:
-    """|log| of a gain over the predicted one; infinite if the signs differ, zero if they
-    differ by less than the standard error."""
-    expected = _predicted(a.pair.terms[k].powers, faults)
-    ratio = a.gains[k] / expected
-    if ratio <= 0:
-        return math.inf
-    if a.pair.channel == "steering":
-        low, high = _STEERING
-        return 0.0 if low < ratio < high else math.inf
-    return abs(math.log(ratio))
-
-
-def not_explained(pairs, faults) -> list[tuple[Agreement, int]]:
+def not_explained(pairs: Sequence[Agreement], faults: Sequence[Fault] = ()) -> list[Gain]:
     """The judged gains that the faults do not explain."""
-    return [
-        (a, k)
-        for a in pairs
-        for k, known in enumerate(judged(a))
-        if known and _distance(a, k, faults) > _limit(a, k, bool(faults))
-    ]
+    return [gain for gain in _known(pairs) if _cost(gain, faults) >= _UNEXPLAINED]
 
 
-def _limit(a: Agreement, k: int, faulty: bool) -> float:
-    """Largest distance of a gain from the predicted one: a unit must agree closely, but
-    a deviation from 1 must be significant."""
-    if faulty:
-        return max(_NEAR_UNIT, min(_NEAR * _relative(a, k), _FARTHEST))
-    return max(math.log(ALIKE), SURE * _relative(a, k))
+def _known(pairs: Sequence[Agreement]) -> list[Gain]:
+    return [(a, k) for a in pairs for k, known in enumerate(judged(a)) if known]
 
 
-def _relative(a: Agreement, k: int) -> float:
-    return a.gain_stds[k] / abs(a.gains[k])
+def _cost(gain: Gain, faults: Sequence[Fault]) -> float:
+    """|log| of a gain over that which the faults cause; ``_UNEXPLAINED`` if the signs differ
+    or it is too large: a unit must agree closely, a deviation from 1 must be significant."""
+    a, k = gain
+    caused = 1.0
+    for fault in faults:
+        caused *= fault.factor ** sum(a.pair.terms[k].powers.get(c, 0) for c in fault.channels)
+    ratio = a.gains[k] / caused
+    if a.pair.channel == "steering":
+        return 0.0 if _STEERING[0] < ratio < _STEERING[1] else _UNEXPLAINED
+    relative = a.gain_stds[k] / abs(a.gains[k])
+    limit = max(math.log(ALIKE), SURE * relative)
+    if caused != 1:
+        limit = max(_NEAR_UNIT, min(_NEAR * relative, _FARTHEST))
+    off = abs(math.log(ratio)) if ratio > 0 else math.inf
+    return min(off, _UNEXPLAINED) if off <= limit else _UNEXPLAINED
 
 
 # --- the search -----------------------------------------------------------------
 
 
-def _possible(pairs: Sequence[Agreement], track: Track) -> list[Fault]:
+def _possible(pairs: Sequence[Agreement], track: Track) -> Iterator[Fault]:
     """All faults of units and signs that the channels of the pairs may have."""
     read = {c.quantity: c for c in track.channels}
-    named = {name for a in pairs for term in a.pair.terms for name in term.powers}
-    faults = []
-    groups: list[tuple[str, ...]] = [(name,) for name in sorted(named)]
-    groups += [pair for pair in _ONE_SENSOR if set(pair) <= named]
-    for channels in groups:
-        name = "x" if channels[0] in ("xy", "y") else channels[0]
-        several = any(set(channels) < set(pair) <= named for pair in _ONE_SENSOR)
-        alone = _ALONE if several else 0.0
-        factors = {1.0: None} | ({} if channels == ("y",) else _units(read[name]))
-        flips = (1.0,) if channels == ("xy",) or len(channels) > 1 else (1.0, -1.0)
-        for (factor, unit), sign in itertools.product(factors.items(), flips):
-            rare = 0.0 if unit in (None, *_USUAL) else _RARE
-            twice = _RARE if unit and sign < 0 else 0.0
-            if unit or sign < 0:
-                rarity = alone + rare + twice
-                faults.append(Fault(channels, sign * factor, unit, rarity))
-    return faults
+    named = sorted({name for a in pairs for term in a.pair.terms for name in term.powers})
+    shared = [pair for pair in _ONE_SENSOR if set(pair) <= set(named)]
+    for channels in (*((name,) for name in named), *shared):
+        alone = _ALONE * any(set(channels) < set(pair) for pair in shared)
+        units = {} if channels == ("y",) else _units(read[_header_of(channels[0])])
+        for factor, unit in ({1.0: None} | units).items():
+            rare = alone + _RARE * (unit not in (None, *_USUAL))
+            if unit:
+                yield Fault(channels, factor, unit, rare)
+            if channels != ("xy",) and len(channels) == 1:
+                yield Fault(channels, -factor, unit, rare + _RARE * bool(unit))
+
+
+def _header_of(name: str) -> str:
+    """The quantity of the column of a channel: ``x`` of ``xy``, which stands for x and y."""
+    return {"xy": "x", "y": "x"}.get(name, name)
 
 
 def _units(channel) -> dict[float, str]:
@@ -178,51 +165,35 @@ def _units(channel) -> dict[float, str]:
         unit = unit_of(text, channel.quantity)
         assert unit is not None  # it is from the list of this quantity
         factor = abs(channel.factor) / unit.scale
-        if abs(math.log(factor)) > math.log(ALIKE) and factor not in factors:
-            factors[factor] = text
+        if abs(math.log(factor)) > math.log(ALIKE):
+            factors.setdefault(factor, text)
     return factors
 
 
-def _halves(off, left) -> bool:
-    """Whether some pair has one gain explained and another not."""
-    pairs_left = {id(a) for a, _ in left}
-    gains_left = {(id(a), k) for a, k in left}
-    return any(id(a) in pairs_left and (id(a), k) not in gains_left for a, k in off)
+def explained(
+    pairs: Sequence[Agreement], track: Track
+) -> tuple[tuple[Fault, ...], tuple[Fault, ...]]:
+    """The one or two faults that explain the gains at the lowest cost, none if there are
+    none, and single faults that explain them as well."""
+    gains = _known(pairs)
+    possible = list(_possible(pairs, track))
+    sets: list[tuple[Fault, ...]] = [(), *((one,) for one in possible)]
+    usual = [fault for fault in possible if fault.rarity < _RARE]
+    twos = itertools.combinations(usual, 2)
+    sets += [(one, two) for one, two in twos if not {*one.channels} & {*two.channels}]
+    by_pair = [[gain for gain in gains if gain[0] is a] for a in pairs]
 
+    def cost(faults: tuple[Fault, ...]) -> float:
+        total = sum(_FAULT + fault.rarity for fault in faults)
+        for some in by_pair:
+            each = [_cost(gain, faults) for gain in some]
+            # Two faults could explain any gain, so a pair is explained as a whole or not.
+            explains = max(each, default=0.0) < _UNEXPLAINED
+            total += sum(each) if explains else _UNEXPLAINED * len(each)
+        return total
 
-def explained(pairs, off, track) -> tuple[tuple[Fault, ...], list[Fault]]:
-    """The fewest faults that explain most of the wrong gains, and alternatives to them.
-
-    Each fault must explain a gain of its own, as two faults together can cause any gain.
-    """
-    possible = _possible(pairs, track)
-    best: tuple[tuple, tuple[Fault, ...]] | None = None
-    ranked = []
-    for count in (1, 2):
-        usual = [f for f in possible if count == 1 or f.rarity < _RARE]
-        for faults in itertools.combinations(usual, count):
-            if len({c for f in faults for c in f.channels}) < sum(len(f.channels) for f in faults):
-                continue
-            left = not_explained(pairs, faults)
-            if len(off) - len(left) < count or _halves(off, left):
-                continue
-            near = sum(
-                min(_distance(a, k, faults), 1.0)
-                for a in pairs
-                for k, known in enumerate(judged(a))
-                if known
-            )
-            rank = (len(left), count, near + sum(f.rarity for f in faults))
-            ranked.append((rank, faults))
-    if not ranked:
-        return (), []
-    best = min(ranked, key=lambda item: item[0])
-    others = [
-        faults[0]
-        for rank, faults in ranked
-        if rank[:2] == best[0][:2]
-        and len(faults) == 1
-        and faults != best[1]
-        and rank[2] < best[0][2] + _AS_LIKELY
-    ]
-    return best[1], others
+    costs = {faults: cost(faults) for faults in sets}
+    best = min(costs, key=lambda faults: costs[faults])
+    limit = costs[best] + _AS_LIKELY
+    alike = [f[0] for f in costs if len(f) == 1 == len(best) and f != best and costs[f] < limit]
+    return best, tuple(alike)

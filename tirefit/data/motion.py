@@ -190,13 +190,15 @@ SLOWER = 5.0
 cutoff: noise of a point differentiated twice would hide a relation of faster ones."""
 
 
-def slowed(signals: np.ndarray, motion: "Motion", vehicle: Vehicle) -> np.ndarray:
-    """Signals (n, k) low-passed at the cutoff over :data:`SLOWER` in each stretch, with zero
+def slowed(
+    signals: np.ndarray, motion: "Motion", vehicle: Vehicle, slower: float = SLOWER
+) -> np.ndarray:
+    """Signals (n, k) low-passed at the cutoff over ``slower`` in each stretch, with zero
     where they are not known; NaN in a stretch that is too short."""
     slow = np.full_like(signals, np.nan)
     for rows in motion.stretches:
         known = np.where(np.isfinite(signals[rows]), signals[rows], 0.0)
-        smooth = low_passed(known, vehicle, SLOWER)
+        smooth = low_passed(known, vehicle, slower)
         if smooth is not None:
             slow[rows] = smooth
     return slow

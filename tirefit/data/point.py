@@ -5,8 +5,10 @@ acceleration by :math:`x \\dot r`. At moderate slip
 :math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
 c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
 :mod:`tirefit.data.agreement`, values before and after a row are its instruments, and
-standard errors use the effective number of rows. A wrong yaw inertia, a delay and another
-place of the accelerometer act alike: the message names them.
+standard errors use the effective number of rows. The fit is repeated with signals below a
+fifth of the filter's cutoff, as noise of a pose that is differentiated twice may hide the
+force (:func:`_point`). A wrong yaw inertia, a delay and
+another place of the accelerometer act alike: the message names them.
 """
 
 import math
@@ -15,11 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.agreement import EACH, FEWEST, around, instrumented, surrounded
-from tirefit.data.candidates import candidates_of
+from tirefit.data.agreement import AROUND, EACH, FEWEST, Fit, around, instrumented, surrounded
 from tirefit.data.faults import ALIKE, CHANGED, SURE
 from tirefit.data.findings import point_words
-from tirefit.data.motion import Motion, further_ahead, slip_and_force
+from tirefit.data.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
@@ -34,41 +35,24 @@ def zero_of_alpha(
     the error of the yaw that was used, at the front plus that of the steering.
     """
     pose = vehicle.columns.motion == POSE
-    key = "yaw_offset" if pose else "sideslip_offset"
-    given = getattr(vehicle, key)
-    what, logged, turns = "sideslip", "sideslip", "raises"
-    assumed = "the speeds are taken as along the car's axes; a sensor that is rotated to"
-    assumed += " the right by an angle makes alpha too large by this angle"
+    what, logged, key, turns = "sideslip", "sideslip", "sideslip_offset", "raises"
     if pose:
-        what, logged, turns = "heading", "yaw", "lowers"
-        assumed = "the logged yaw is taken as the heading; if the heading is larger, alpha"
-        assumed += " is too large by the difference"
-    message = f"{what} offset: none assumed, {assumed}"
-    if given:
-        message = f"{what} offset: {given:g} rad were added to the logged {logged}, as"
-        message += f" declared, which {turns} alpha by as much"
-    left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
-    if left is None:
+        what, logged, key, turns = "heading", "yaw", "yaw_offset", "lowers"
+    given = getattr(vehicle, key)
+    added = f"{given:g} rad were added to the logged {logged}" if given else "none assumed"
+    message = f"{what} offset: {added}; a {key} that is added {turns} alpha by as much"
+    strong = np.percentile(abs(fy), 95)
+    weak = abs(fy) < _MODERATE * strong
+    share = fy[weak] / strong
+    if axle != "rear" or not turns_both_ways(share):
         return message, None
+    terms = np.column_stack([np.ones(len(share)), share, share**3])
+    left = float(np.linalg.lstsq(terms, alpha[weak])[0][0])
     takes_out = given + left if pose else given - left
     return (
         f"{message}; estimated from these data: alpha is {left:+.4f} rad where fy = 0;"
         f" for a symmetric tire, {key} = {takes_out:.4f} corrects it"
     ), left
-
-
-def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
-    """Slip angle [rad] at zero side force, by an odd cubic through the weaker half of fy.
-
-    None unless left and right turns each have a tenth of those samples.
-    """
-    strong = np.percentile(abs(fy), 95)
-    weak = abs(fy) < 0.5 * strong
-    share = fy[weak] / strong
-    if not turns_both_ways(share):
-        return None
-    terms = np.column_stack([np.ones(len(share)), share, share**3])
-    return float(np.linalg.lstsq(terms, alpha[weak])[0][0])
 
 
 def turns_both_ways(share: np.ndarray) -> bool:
@@ -99,6 +83,10 @@ _ONE_POINT = 0.05
 """Standard deviation of the force over the strong force below which the log has one
 operating point and its slope is undefined."""
 
+_BETTER = 2.0
+"""Ratio of the standard errors above which the fit below a fifth of the cutoff counts: the cube
+of a filtered force biases it by 1 % of the wheelbase in simulated drives."""
+
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
 
@@ -111,29 +99,22 @@ class PointCheck(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-class _Fit(NamedTuple):
+class _Point(NamedTuple):
     """The point, fitted."""
 
+    at: float = 0.0  # [m] ahead of the rear axle
     ahead: float = 0.0  # of the stated point [m]
     std: float = math.inf  # its standard error
     effect: float = 0.0  # of the distance on the slip angle (rms over rms)
-    slope: float = 0.0  # at the point (:func:`_slope`)
+    misfit: float = 0.0  # rms of the slip angle that is not explained [rad]; infinite if the
+    # fits of the filtered and of the slower signals contradict each other
+    known: bool = False  # whether a stable tire at this point on the car explains the force
+    slope: float = 0.0  # slip angle over force at the stated point, in its standard errors
 
     @property
     def is_off(self) -> bool:
         """Whether the stated point is wrong by more than the error, with an effect."""
-        sure = self.slope > 0 and abs(self.ahead) > SURE * self.std
-        return sure and self.effect > CHANGED
-
-
-class _Rows(NamedTuple):
-    """Rows to fit, distance of the instruments [rows], the strong force [N], and the prior
-    standard deviation of alpha_0: infinite if it is fitted, else 0."""
-
-    rows: np.ndarray
-    step: int
-    strong: float
-    offset: float
+        return self.known and abs(self.ahead) > SURE * self.std and self.effect > CHANGED
 
 
 def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck:
@@ -142,53 +123,40 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     Args:
         kept: (n,) bool, the samples that will be written.
     """
+    found = _point(motion, vehicle, kept)
     check = PointCheck("tracked point: this log does not determine it", None)
-    step = max(1, round(vehicle.filter.sample_rate / vehicle.filter.cutoff))
-    known = np.isfinite(slip_and_force(motion, vehicle)).all(axis=0)
-    every = surrounded(motion.part, kept & known, known, 2 * step + 1)
-    every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
-    if len(every) < FEWEST:
-        return check
-    # The smaller slope: without and with a zero error.
-    rows = _moderate(motion, vehicle, every, step)
-    free = rows._replace(offset=math.inf)
-    slope = min(_slope(motion, vehicle, some) for some in (rows, free))
-    fit = _point(motion, vehicle, every, step)
-    stated = vehicle.l_r - vehicle.cg_from_tracked[0]
-    tried = candidates_of(motion, vehicle, kept)
-    low, high = (share * vehicle.wheelbase for share in _ON_CAR)
-    found = fit.slope > 0 and fit.std < _KNOWN * vehicle.wheelbase
-    on_car = low < stated + fit.ahead < high
-    other = None if found and fit.is_off else tried.other
-    check = check._replace(line=f"{check.line}{tried.words}")
-    if found and on_car and not other:
-        line = f"tracked point: {point_words(fit.ahead, fit.std)}"
-        check = PointCheck(line, (stated + fit.ahead, fit.std))
-    if found and on_car and fit.is_off:
-        words, remedy = _words(fit, stated, vehicle)
-    elif other:
-        words, remedy = other
-    elif not found and _fits_flipped(motion, vehicle, free):
-        words, remedy = _flipped(vehicle)
-    elif slope <= -SURE:
-        may_flip = _may_flip(motion, vehicle, every, step, found)
-        words, remedy = (_flipped if may_flip else _nothing_fits)(vehicle)
+    if found.known:
+        line = f"tracked point: {point_words(found.ahead, found.std)}"
+        check = PointCheck(line, (found.at, found.std))
+    against = found.slope <= -SURE
+    if (found.is_off or not found.known) and _fits_mirrored(motion, vehicle, kept, found):
+        other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
+        unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
+        words = f"v_y or {other} has the wrong sign"
+        remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
+    elif found.is_off:
+        words, remedy = _words(found, vehicle)
+    elif against:
+        words = "no point on the car explains it"
+        remedy = "check tracked_point, the signs of the channels and yaw_inertia, which is"
+        remedy += f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
     else:
         return check
-    if slope > -SURE:
-        message = f"lateral force against slip angle: {words}; {remedy}"
-        return check._replace(warnings=(message,))
+    if not against:
+        return check._replace(warnings=(f"lateral force against slip angle: {words}; {remedy}",))
     reason = "channels contradict each other: the lateral force acts in the direction"
-    reason += f" of the axle's slip ({-slope:.0f} standard errors): {words}"
+    reason += f" of the axle's slip ({-found.slope:.0f} standard errors): {words}"
     return check._replace(problems=(InputProblem(reason, remedy, file),))
 
 
-def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
+def _words(found: _Point, vehicle: Vehicle) -> tuple[str, str]:
     """Reason and remedy of a wrong point."""
-    at, left = stated + fit.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
-    place = f"{at:.3g} ± {fit.std:.1g} m ahead of the rear axle"
-    reason = f"the tracked point is {place}, not {stated:.3g} m"
-    remedy = f"set tracked_point = [{at:.3g}, {left:g}] in vehicle.toml"
+    stated, left = found.at - found.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
+    reason = f"the tracked point is {found.at:.3g} ± {found.std:.1g} m ahead of the rear axle,"
+    reason += f" not {stated:.3g} m"
+    if not vehicle.tracked_point:
+        reason += " (the centre of gravity, which is assumed, as tracked_point is not stated)"
+    remedy = f"set tracked_point = [{found.at:.3g}, {left:g}] in vehicle.toml"
     remedy += "" if vehicle.tracked_point else " (or correct l_r)"
     sensor = "the place of the a_y sensor, " if "a_y" in vehicle.columns.motion else ""
     return reason, (
@@ -197,148 +165,159 @@ def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
     )
 
 
-def _mirrored(motion: Motion, vehicle: Vehicle) -> Motion:
-    """The motion with the other sign of v_y of the tracked point, and of the a_y that
-    follows from it where none is logged."""
+def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept, found: _Point) -> bool:
+    """Whether the stated point fits the other sign of v_y of the tracked point (and of the a_y
+    that follows from it where none is logged) better than the point that was found. If neither
+    sign determines a point, whether the force is in the direction of the slip only as stated."""
+    if vehicle.columns.motion == POSE:
+        return False
     v_y = 2 * vehicle.cg_from_tracked[0] * motion.yaw_rate - motion.v_y
     a_y = motion.a_y
     if vehicle.columns.a_y_follows:
         a_y = a_y + motion.rate_of(v_y - motion.v_y)
-    return replace(motion, v_y=v_y, a_y=a_y)
-
-
-def _may_flip(motion: Motion, vehicle: Vehicle, every, step: int, found: bool) -> bool:
-    """Whether the stated point fits the flipped v_y, or neither v_y determines one."""
-    if vehicle.columns.motion == POSE:
-        return False
-    again = _point(_mirrored(motion, vehicle), vehicle, every, step)
-    if again.std > _KNOWN * vehicle.wheelbase:
-        return not found
-    return again.slope > 0 and not again.is_off
-
-
-def _flipped(vehicle: Vehicle) -> tuple[str, str]:
-    """Reason and remedy of a wrong sign."""
-    other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
-    unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
-    remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
-    return f"v_y or {other} has the wrong sign", remedy
-
-
-def _nothing_fits(vehicle: Vehicle) -> tuple[str, str]:
-    """Reason and remedy where no point explains the force."""
-    remedy = "check tracked_point, the signs of the channels and yaw_inertia, which is"
-    remedy += f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
-    return "no point on the car explains it", remedy
+    other = _point(replace(motion, v_y=v_y, a_y=a_y), vehicle, kept)
+    if not other.known:
+        return not found.known and found.slope <= -SURE < other.slope
+    return not other.is_off and (not found.known or other.misfit * ALIKE < found.misfit)
 
 
 # --- fit ------------------------------------------------------------------------
 
 
-def _moderate(motion: Motion, vehicle: Vehicle, every, step: int) -> _Rows:
-    """The rows of moderate force among ``every`` (n,), or all if they are too few."""
-    force = slip_and_force(motion, vehicle)[1][every]
-    strong = max(float(np.percentile(np.abs(force), 95)), 1e-300)
-    weak = np.abs(force) <= _MODERATE * strong
-    weak |= weak.sum() < FEWEST
-    offset = math.inf if turns_both_ways(force[weak] / strong) else 0.0
-    return _Rows(every[weak], step, strong, offset)
+class _Lines(NamedTuple):
+    """Tangent of the slip angle and force [N], which are lines over the position x [m ahead of
+    the stated point] of the tracked point: (n,) each."""
+
+    slip: np.ndarray
+    force: np.ndarray
+    slip_x: np.ndarray  # change over x
+    force_x: np.ndarray
+    every: np.ndarray  # the rows to use
+    step: int  # distance of the instruments [rows]
+
+    def moderate(self, x: float) -> tuple[np.ndarray, float, float]:
+        """The rows of moderate force at a point, or all if they are too few; the strong force
+        [N]; and the prior standard deviation of alpha_0: infinite if it is fitted, else 0."""
+        force = np.abs(self.force + x * self.force_x)[self.every]
+        strong = max(float(np.percentile(force, 95)), 1e-300)
+        weak = force <= _MODERATE * strong
+        weak |= weak.sum() < FEWEST
+        rows = self.every[weak]
+        both = turns_both_ways((self.force + x * self.force_x)[rows] / strong)
+        return rows, strong, math.inf if both else 0.0
+
+    def at(self, x: float, strong: float) -> tuple[np.ndarray, np.ndarray]:
+        """Slip angle (n,) at a point, and force over the strong force and its cube (n, 2)."""
+        share = (self.force + x * self.force_x) / strong
+        return np.arctan(self.slip + x * self.slip_x), np.column_stack([share, share**3])
+
+    def solved(self, alpha, sides, rows, offset: float) -> Fit:
+        """The fit of alpha by the sides (n, k), with standard errors that include a zero error
+        that is not fitted."""
+        near = around(sides, rows, self.step)
+        fit = instrumented(alpha[rows], sides[rows], near, lambda _: offset)
+        other = fit if offset else instrumented(alpha[rows] + _ZERO, sides[rows], near, lambda _: 0)
+        if fit is None or other is None:
+            raise np.linalg.LinAlgError
+        return fit._replace(std=np.hypot(fit.std, other.theta - fit.theta))
 
 
-def _shape(force, rows: _Rows) -> np.ndarray:
-    share = force / rows.strong
-    return np.column_stack([share, share**3])
+def _point(motion: Motion, vehicle: Vehicle, kept) -> _Point:
+    """The point by the filtered signals, or by the slower ones if only these determine it or, of a
+    pose, if these determine it better or contradict it."""
+    each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
+    known = [one for one in each if one.known]
+    best = known[-1] if known else _Point()
+    if len(known) > 1:
+        apart = abs(known[0].at - best.at) > SURE * math.hypot(known[0].std, best.std)
+        better = apart or _BETTER * best.std < known[0].std
+        if not (better and vehicle.columns.motion == POSE):  # rates are differentiated less
+            best = known[0]
+        best = best._replace(misfit=math.inf if apart else best.misfit)
+    effect = max((one.effect for one in known), default=0.0)
+    return best._replace(effect=effect, slope=min((one.slope for one in each), default=0.0))
 
 
-def _fits_flipped(motion: Motion, vehicle: Vehicle, rows: _Rows) -> bool:
-    """Whether the force follows the slip with -v_y, and fits better than as stated."""
-    if vehicle.columns.motion == POSE:
-        return False
-    other = _mirrored(motion, vehicle)
-    if _slope(other, vehicle, rows) <= SURE:
-        return False
-    misfits = []
-    for some in (motion, other):
-        alpha, force, _ = slip_and_force(some, vehicle)
-        try:
-            misfits.append(float(np.std(_solved(alpha, _shape(force, rows), rows).error)))
-        except np.linalg.LinAlgError:
-            return False
-    return misfits[1] * ALIKE < misfits[0]
+def _lines(motion: Motion, vehicle: Vehicle, kept):
+    """The lines of the filtered signals and of those below a fifth of the cutoff."""
+    small = 0.01 * vehicle.wheelbase
+    alpha, force, _ = slip_and_force(motion, vehicle)
+    alphas, forces, _ = slip_and_force(*further_ahead(motion, vehicle, small))
+    slopes = (np.tan(alphas) - np.tan(alpha)) / small, (forces - force) / small
+    signals = np.stack([np.tan(alpha), force, *slopes], axis=1)
+    if kept.any():  # values of other rows, as at standstill, are arbitrary
+        low, high = np.nanmin(signals[kept], axis=0), np.nanmax(signals[kept], axis=0)
+        signals = np.clip(signals, low, high)
+    for slower in (1.0, SLOWER):
+        if slower > 1:
+            signals = slowed(signals, motion, vehicle)
+            kept = kept & (motion.within >= slower * vehicle.filter.settling)
+        step = max(1, round(slower * vehicle.filter.sample_rate / vehicle.filter.cutoff))
+        known = np.isfinite(signals).all(axis=1)
+        every = surrounded(motion.part, kept & known, known, 2 * step + 1)
+        every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
+        if len(every) >= FEWEST:
+            slip, force, slip_x, force_x = np.nan_to_num(signals.T)
+            yield _Lines(slip, force, slip_x, force_x, every, step)
 
 
-def _point(motion: Motion, vehicle: Vehicle, every: np.ndarray, step: int) -> _Fit:
+def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     """Fit of the tracked point; starts at the best point of a grid."""
-    stated, best = vehicle.l_r - vehicle.cg_from_tracked[0], (math.inf, 0.0)
-    names = Motion.__dataclass_fields__
-    few = Motion(**{name: getattr(motion, name)[every] for name in names})
+    stated = vehicle.l_r - vehicle.cg_from_tracked[0]
+    none = _Point(slope=_slope(lines))
+    start, misfit = 0.0, math.inf
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
-        moved, _ = further_ahead(few, vehicle, x)
-        rows = _moderate(moved, vehicle, np.arange(len(every)), step)
-        alpha, force = (values[rows.rows] for values in slip_and_force(moved, vehicle)[:2])
-        one = np.ones((len(alpha), 1 if rows.offset else 0))
-        sides = np.hstack([_shape(force, rows), one])
+        rows, strong, offset = lines.moderate(x)
+        alpha, sides = (values[rows] for values in lines.at(x, strong))
+        sides = np.hstack([sides, np.ones((len(rows), 1 if offset else 0))])
         theta = np.linalg.lstsq(sides, alpha)[0]
-        if theta[0] > 0:
-            best = min(best, (float(np.var(alpha - sides @ theta)), x))
-    start, small = best[1], 0.01 * vehicle.wheelbase
-    rows = _moderate(further_ahead(motion, vehicle, start)[0], vehicle, every, step)
+        variance = float(np.var(alpha - sides @ theta))
+        if theta[0] > 0 and variance < misfit:
+            start, misfit = x, variance
+    rows, strong, offset = lines.moderate(start)
     x, fit = start, None
     try:
         for _ in range(_ROUNDS):
-            alpha, force, _ = slip_and_force(*further_ahead(motion, vehicle, x))
-            sides = _shape(force, rows)
-            theta = _solved(alpha, sides, rows).theta[:2]
-            moved = slip_and_force(*further_ahead(motion, vehicle, x + small))
-            bent = (_shape(moved[1], rows) - sides) @ theta
-            sides = np.column_stack([sides, (moved[0] - alpha - bent) / small])
-            fit = _solved(alpha, sides, rows)
+            alpha, sides = lines.at(x, strong)
+            theta = lines.solved(alpha, sides, rows, offset).theta
+            bend = (theta[0] + 3 * theta[1] * sides[:, 0] ** 2) * lines.force_x / strong
+            turn = lines.slip_x * np.cos(alpha) ** 2
+            sides = np.column_stack([sides, turn - bend])
+            fit = lines.solved(alpha, sides, rows, offset)
             x -= float(fit.theta[2])
             if abs(fit.theta[2]) < 0.05 * fit.std[2]:
                 break
-        std = _with_zero(fit, alpha, sides, rows)[-1]
     except np.linalg.LinAlgError:
-        return _Fit()
+        return none
     assert fit is not None  # the loop has at least one round
-    size = max(float(np.mean(alpha[rows.rows] ** 2)), 1e-300)
-    effect = abs(x) * math.sqrt(np.mean(sides[rows.rows, -1] ** 2) / size)
+    size = max(float(np.mean(alpha[rows] ** 2)), 1e-300)
+    effect = abs(x) * math.sqrt(np.mean(sides[rows, 2] ** 2) / size)
     # With instruments, the bias of least squares over their F statistic remains: Bound,
     # Jaeger, Baker, JASA 1995, eq. 7.
-    share, count = fit.seen[-1], around(sides, rows.rows[:1], 0).shape[1]
+    share, count = fit.seen[2], sides.shape[1] * len(AROUND)
     strength = share / max(1 - share, 1e-9) * fit.effective / count
-    bias = abs(x - start) / max(strength - 1, 1e-9)
-    slope = _slope(*further_ahead(motion, vehicle, x), rows)
-    return _Fit(x, math.hypot(std, bias), effect, slope)
+    std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9))
+    on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
+    stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
+    known = on_car and stable and std < _KNOWN * vehicle.wheelbase
+    misfit = math.sqrt(np.mean(fit.error**2))
+    return _Point(stated + x, x, std, effect, misfit, known, none.slope)
 
 
-def _slope(motion: Motion, vehicle: Vehicle, rows: _Rows) -> float:
-    """Slope of the slip angle over the force, in its standard errors."""
-    alpha, force, _ = slip_and_force(motion, vehicle)
-    sides = force[:, None] / rows.strong
-    if np.std(sides[rows.rows]) < _ONE_POINT:
+def _slope(lines: _Lines) -> float:
+    """Slope of the slip angle over the force at the stated point, in its standard errors: the
+    smaller one, without and with a zero error."""
+    rows, strong, offset = lines.moderate(0.0)
+    alpha, sides = lines.at(0.0, strong)
+    share, slopes = sides[rows, :1], [0.0]
+    if np.std(share) < _ONE_POINT:
         return 0.0
-    try:
-        fit = _solved(alpha, sides, rows)
-        weight = sides[rows.rows] ** 2
-        if fit.effective * np.mean(weight) ** 2 / np.mean(weight**2) < SURE**2:
-            return 0.0  # too few effective rows
-        return float(fit.theta[0] / max(_with_zero(fit, alpha, sides, rows)[0], 1e-300))
-    except np.linalg.LinAlgError:
-        return 0.0
-
-
-def _with_zero(fit, alpha, sides, rows: _Rows) -> np.ndarray:
-    """Standard errors (k,), with that by a zero error that is not fitted."""
-    if rows.offset:
-        return fit.std[:-1]
-    other = _solved(alpha + _ZERO, sides, rows)
-    return np.hypot(fit.std[:-1], (other.theta - fit.theta)[:-1])
-
-
-def _solved(alpha, sides, rows: _Rows):
-    near = around(sides, rows.rows, rows.step)
-    fit = instrumented(alpha[rows.rows], sides[rows.rows], near, lambda _: rows.offset)
-    if fit is None:
-        raise np.linalg.LinAlgError
-    return fit
+    for free in {offset, math.inf}:
+        try:
+            fit = lines.solved(alpha, sides[:, :1], rows, free)
+        except np.linalg.LinAlgError:
+            continue
+        if fit.effective * np.mean(share**2) ** 2 / np.mean(share**4) >= SURE**2:  # enough rows
+            slopes.append(float(fit.theta[0] / max(fit.std[0], 1e-300)))
+    return min(slopes)
