@@ -125,6 +125,9 @@ class AbstractEstimator(eqx.Module):
     """
 
     method: ClassVar[Method]
+    resolved: ClassVar[float] = 0.15
+    """Relative standard deviation of mu above which it is flagged: asphalt, gravel and snow
+    differ by 0.2 to 0.3, two of these. 0: the method's own standard deviations and flags."""
 
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 

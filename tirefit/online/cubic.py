@@ -30,7 +30,6 @@ from tirefit.online.base import (
     nominal_stiffness,
     slip_noise,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 _LEAST_SLIDING = 1e-3
@@ -78,7 +77,14 @@ class Cubic(AbstractEstimator):
 
     cpa2: float = nominal_stiffness()
     mu: float = nominal_friction()
-    cpa2_std: float = par(0.05, (0.0, 1.0), "-", "relative std of c_p a^2", "S(19)", r"\sigma_c")
+    cpa2_std: float = par(
+        0.4,
+        (0.0, 0.99),
+        "-",
+        "relative std of c_p a^2; 0.4 for the one from the load, some 0.05 for a measured one",
+        "S(19)",
+        r"\sigma_c",
+    )
     force_noise: float = force_noise()
     slip_noise: float = slip_noise()
     least_use: float = excitation()
@@ -90,23 +96,26 @@ class Cubic(AbstractEstimator):
         sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
         fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
         cpa2 = jnp.asarray(self.cpa2, float)
-        mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1, 2))(fx, sigma, cpa2, fz)
+        mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1))(fx, sigma, cpa2, fz)
         share = 1 / jnp.sqrt(sample["count"])
-        noises = (share * self.force_noise * fz, share * self.slip_noise)
-        stds = (*noises, self.cpa2_std * cpa2)
-        std = jnp.sqrt(sum((g * s) ** 2 for g, s in zip(slope, stds, strict=True)))
+        # A difference, as a tire that slides at the expected stiffness, where the slope is
+        # zero, does not slide at a smaller one; no friction explains a force beyond D.
+        softer = friction_by_cubic(fx, sigma, (1 - self.cpa2_std) * cpa2, fz)
+        parts = (
+            slope[0] * share * self.force_noise * fz,
+            slope[1] * share * self.slip_noise,
+            softer - mu,
+        )
+        std = jnp.sqrt(sum(part**2 for part in parts))
         idle = 2 * cpa2 * sigma < self.least_use * fz
         usable = jnp.isfinite(mu) & jnp.isfinite(std) & (mu > 0) & ~idle
         after = choose(usable, CubicState(mu, std), state)
-        return after, self._estimate(after, idle, usable)
+        change = (mu - state.mu) / jnp.hypot(std, state.std)
+        return after, self._estimate(after, idle, usable, jnp.where(usable, change, jnp.nan))
 
     def hold(self, state: CubicState, dt, steps) -> tuple[CubicState, Estimate]:
-        return state, self._estimate(state, False, True)
+        return state, self._estimate(state, False, True, jnp.nan)
 
-    def _estimate(self, state: CubicState, idle, usable) -> Estimate:
-        flag = flag_of(
-            (~(state.std < RESOLVED * state.mu) | ~usable, Flag.LOW_USE),
-            (idle, Flag.LITTLE_EXCITATION),
-        )
-        nothing = jnp.full((), jnp.nan)
-        return Estimate(state.mu[None], state.std[None], flag, nothing)
+    def _estimate(self, state: CubicState, idle, usable, surprise) -> Estimate:
+        flag = flag_of((~usable, Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION))
+        return Estimate(state.mu[None], state.std[None], flag, surprise)

@@ -10,9 +10,8 @@ grid is then a hypothesis: the brush gives the forces at the estimated slips, an
 difference from the estimated forces weighs the hypothesis by the covariance of the
 filter; mu is the weighted mean. Errors within one time constant of the forces count once.
 
-The surprise, for the detection of changes, is the difference of the forces from those
-of the expected mu, along the direction in which another mu would change them. It is
-scaled by recent surprises, as the stated errors of model and forces are usually too large.
+The surprise is the difference of the forces from those of the expected mu, along the
+direction in which another mu would change them.
 """
 
 from typing import ClassVar, NamedTuple
@@ -22,8 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
-from tirefit.online.regression import RESOLVED
+from tirefit.online.base import Estimate, Method, Sample, choose, floats
 from tirefit.online.vehicle import (
     GRAVITY,
     AbstractVehicleMethod,
@@ -37,8 +35,6 @@ from tirefit.params import par
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-], all equally likely at first."""
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
-_MEMORY, _LEAST_SQUARE = 0.9, 0.02
-"""Weight of the previous mean square surprise, and its smallest value."""
 _STATES, _FORCES = 8, 6
 _TORQUES = tuple(f"torque_{wheel}" for wheel in WHEELS)
 _OMEGAS = tuple(f"omega_{wheel}" for wheel in WHEELS)
@@ -55,7 +51,6 @@ class ForceState(NamedTuple):
     waited: Float[Array, ""]  # [s] since then
     surprises: Float[Array, ""]  # sum over ``seconds``, times dt
     seconds: Float[Array, ""]  # [s] not reported yet
-    square: Float[Array, ""]  # mean square of those reported recently
 
 
 class ForceFilter(AbstractVehicleMethod):
@@ -103,7 +98,6 @@ class ForceFilter(AbstractVehicleMethod):
             jnp.full((), 2 * _LONGEST),
             jnp.zeros(()),
             jnp.zeros(()),
-            jnp.ones(()),
         )
 
     def hold(self, state: ForceState, dt, steps):
@@ -130,18 +124,13 @@ class ForceFilter(AbstractVehicleMethod):
         total, seconds = state.surprises + dt * surprise, state.seconds + dt
         due = (seconds >= self.correlation) & ~anew
         mean = total / jnp.maximum(seconds, 1e-9)
-        # Limit the effect of a single large surprise on the scale.
-        grown = jnp.minimum(mean * mean, 4 * state.square) - state.square
-        square = state.square + (1 - _MEMORY) * grown
         weighed = state._replace(
             log_weight=log_weight,
             surprises=jnp.where(due, 0.0, total),
             seconds=jnp.where(due, 0.0, seconds),
-            square=jnp.where(due, square, state.square),
         )
-        reported = mean / jnp.sqrt(jnp.maximum(state.square, _LEAST_SQUARE))
         after = choose(anew, state, weighed)
-        return after, self._estimate(after, jnp.where(due, reported, jnp.nan))
+        return after, self._estimate(after, jnp.where(due, mean, jnp.nan))
 
     def _first(self):
         load = self.mass * GRAVITY
@@ -267,5 +256,5 @@ class ForceFilter(AbstractVehicleMethod):
         rows = rows.at[1, 12].set(1.0).at[2, 13].set(1.0)
         stds = jnp.sqrt(jnp.diag(rows @ state.covariance @ rows.T))
         value = jnp.concatenate([mu[None], rows @ state.x])
-        flag = flag_of((~(mu_std < RESOLVED * mu), Flag.LOW_USE))
-        return Estimate(value, jnp.concatenate([mu_std[None], stds]), flag, surprise)
+        std = jnp.concatenate([mu_std[None], stds])
+        return Estimate(value, std, jnp.zeros((), int), surprise)

@@ -32,7 +32,6 @@ from tirefit.online.base import (
     force_noise,
     nominal_stiffness,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
@@ -160,19 +159,17 @@ class TireSensor(AbstractEstimator):
         value = value * jnp.stack([1.0, side, 1.0])
         # Far out of the range there is no estimate; near the edge it is flagged.
         after: TireSensorState = choose(inside, TireSensorState(value, std), state)
-        return after, self._estimate(after, ~inside)
+        change = (value[0] - state.value[0]) / jnp.hypot(std[0], state.std[0])
+        return after, self._estimate(after, ~inside, jnp.where(inside, change, jnp.nan))
 
     def hold(self, state: TireSensorState, dt, steps) -> tuple[TireSensorState, Estimate]:
-        return state, self._estimate(state, False)
+        return state, self._estimate(state, False, jnp.nan)
 
     def _outputs(self, x, stiffness):
         """mu, slip angle [rad] and used friction of one point (2,)."""
         theta, used = network(trained(), x[0], x[1])
         return jnp.stack([x[0] / used, jnp.arctan(theta / stiffness), used])
 
-    def _estimate(self, state: TireSensorState, outside) -> Estimate:
-        flag = flag_of(
-            (~(state.std[0] < RESOLVED * state.value[0]), Flag.LOW_USE),
-            (outside, Flag.OUT_OF_RANGE),
-        )
-        return Estimate(state.value, state.std, flag, jnp.full((), jnp.nan))
+    def _estimate(self, state: TireSensorState, outside, surprise) -> Estimate:
+        flag = flag_of((outside, Flag.OUT_OF_RANGE))
+        return Estimate(state.value, state.std, flag, surprise)
