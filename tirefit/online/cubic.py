@@ -78,10 +78,10 @@ class Cubic(AbstractEstimator):
     cpa2: float = nominal_stiffness()
     mu: float = nominal_friction()
     cpa2_std: float = par(
-        0.4,
+        0.7,
         (0.0, 0.99),
         "-",
-        "relative std of c_p a^2; 0.4 for the one from the load, some 0.05 for a measured one",
+        "relative std of c_p a^2; 0.7 for that from the load, some 0.05 for a measured one",
         "S(19)",
         r"\sigma_c",
     )
