@@ -151,6 +151,37 @@ class AbstractEstimator(eqx.Module):
         return state
 
 
+class Single(NamedTuple):
+    """The last estimates (p,) from a sample, and their standard deviations."""
+
+    value: Float[Array, " p"]
+    std: Float[Array, " p"]
+
+
+class AbstractSingleSample(AbstractEstimator):
+    """A method without memory: it computes all parameters from every sample alone.
+
+    The surprise is the change of the first parameter over the standard deviation of both.
+    """
+
+    def init(self) -> Single:
+        nothing = jnp.full(len(self.method.parameters), jnp.nan)
+        return Single(nothing, nothing)
+
+    def from_sample(self, sample: Sample) -> tuple[Single, Any, Int[Array, ""]]:
+        """The estimates, whether they can be used, and the flag."""
+        raise NotImplementedError
+
+    def step(self, state: Single, sample: Sample) -> tuple[Single, Estimate]:
+        made, usable, flag = self.from_sample(sample)
+        after: Single = choose(usable, made, state)
+        change = (made.value[0] - state.value[0]) / jnp.hypot(made.std[0], state.std[0])
+        return after, Estimate(*after, flag, jnp.where(usable, change, jnp.nan))
+
+    def hold(self, state: Single, dt, steps) -> tuple[Single, Estimate]:
+        return state, Estimate(*state, jnp.zeros((), int), jnp.full((), jnp.nan))
+
+
 def choose(condition, yes, no):
     """Either of two pytrees of equal structure, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)

@@ -10,19 +10,17 @@ below f = 1/3 the tire slides and S(20) holds, :math:`\mu = F / F_z`. S prints k
 the physical slip is used, with which S(19) equals S(12) exactly.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
+    AbstractSingleSample,
     Flag,
     Method,
     Sample,
-    choose,
+    Single,
     excitation,
     flag_of,
     force_noise,
@@ -56,14 +54,7 @@ def friction_by_cubic(fx, sigma, cpa2, fz):
     return jnp.where(short < _LEAST_SLIDING, jnp.nan, mu)
 
 
-class CubicState(NamedTuple):
-    """The last friction [-] from a sample, and its standard deviation."""
-
-    mu: Float[Array, ""]
-    std: Float[Array, ""]
-
-
-class Cubic(AbstractEstimator):
+class Cubic(AbstractSingleSample):
     """Friction from every single sample; the stiffness must be known."""
 
     method: ClassVar[Method] = Method(
@@ -89,10 +80,7 @@ class Cubic(AbstractEstimator):
     slip_noise: float = slip_noise()
     least_use: float = excitation()
 
-    def init(self) -> CubicState:
-        return CubicState(jnp.full((), jnp.nan), jnp.full((), jnp.nan))
-
-    def step(self, state: CubicState, sample: Sample) -> tuple[CubicState, Estimate]:
+    def from_sample(self, sample: Sample):
         sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
         fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
         cpa2 = jnp.asarray(self.cpa2, float)
@@ -109,13 +97,5 @@ class Cubic(AbstractEstimator):
         std = jnp.sqrt(sum(part**2 for part in parts))
         idle = 2 * cpa2 * sigma < self.least_use * fz
         usable = jnp.isfinite(mu) & jnp.isfinite(std) & (mu > 0) & ~idle
-        after = choose(usable, CubicState(mu, std), state)
-        change = (mu - state.mu) / jnp.hypot(std, state.std)
-        return after, self._estimate(after, idle, usable, jnp.where(usable, change, jnp.nan))
-
-    def hold(self, state: CubicState, dt, steps) -> tuple[CubicState, Estimate]:
-        return state, self._estimate(state, False, True, jnp.nan)
-
-    def _estimate(self, state: CubicState, idle, usable, surprise) -> Estimate:
         flag = flag_of((~usable, Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION))
-        return Estimate(state.mu[None], state.std[None], flag, surprise)
+        return Single(mu[None], std[None]), usable, flag
