@@ -11,7 +11,8 @@ difference from the estimated forces weighs the hypothesis by the covariance of 
 filter; mu is the weighted mean. Errors within one time constant of the forces count once.
 
 The surprise is the difference of the forces from those of the expected mu, along the
-direction in which another mu would change them.
+direction in which another mu would change them. It is scaled up to a mean square of one, as
+the stated errors of model and forces are usually too large.
 """
 
 from typing import ClassVar, NamedTuple
@@ -35,6 +36,8 @@ from tirefit.params import par
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-], all equally likely at first."""
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
+_MEMORY, _LEAST_SQUARE = 0.9, 0.02
+"""Weight of the previous mean square surprise, and its smallest value."""
 _STATES, _FORCES = 8, 6
 _TORQUES = tuple(f"torque_{wheel}" for wheel in WHEELS)
 _OMEGAS = tuple(f"omega_{wheel}" for wheel in WHEELS)
@@ -51,6 +54,7 @@ class ForceState(NamedTuple):
     waited: Float[Array, ""]  # [s] since then
     surprises: Float[Array, ""]  # sum over ``seconds``, times dt
     seconds: Float[Array, ""]  # [s] not reported yet
+    square: Float[Array, ""]  # mean square of those reported recently
 
 
 class ForceFilter(AbstractVehicleMethod):
@@ -98,6 +102,7 @@ class ForceFilter(AbstractVehicleMethod):
             jnp.full((), 2 * _LONGEST),
             jnp.zeros(()),
             jnp.zeros(()),
+            jnp.ones(()),
         )
 
     def hold(self, state: ForceState, dt, steps):
@@ -124,13 +129,18 @@ class ForceFilter(AbstractVehicleMethod):
         total, seconds = state.surprises + dt * surprise, state.seconds + dt
         due = (seconds >= self.correlation) & ~anew
         mean = total / jnp.maximum(seconds, 1e-9)
+        # Limit the effect of a single large surprise on the scale.
+        grown = jnp.minimum(mean * mean, 4 * state.square) - state.square
+        square = state.square + (1 - _MEMORY) * grown
         weighed = state._replace(
             log_weight=log_weight,
             surprises=jnp.where(due, 0.0, total),
             seconds=jnp.where(due, 0.0, seconds),
+            square=jnp.where(due, square, state.square),
         )
+        reported = mean / jnp.sqrt(jnp.clip(state.square, _LEAST_SQUARE, 1.0))
         after = choose(anew, state, weighed)
-        return after, self._estimate(after, jnp.where(due, mean, jnp.nan))
+        return after, self._estimate(after, jnp.where(due, reported, jnp.nan))
 
     def _first(self):
         load = self.mass * GRAVITY

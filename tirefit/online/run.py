@@ -132,7 +132,7 @@ def _stepped(estimator, state: Guarded, began: Guarded):
     count = jnp.maximum(state.gathered, 1.0)
     mean = {name: total / count for name, total in state.sums.items()}
     moved, estimate = estimator.step(state.inner, {**mean, "count": count})
-    rise, fall, alarm = _cusum(state, estimate.surprise / state.window.rms)
+    rise, fall, alarm = _cusum(state, estimate.surprise / jnp.maximum(state.window.rms, 1.0))
     window = state.window.after(estimate.surprise, mu_of(estimator, estimate))
     moved = _either(alarm, estimator.open(moved), moved)
     finite = _all_finite(moved, began.inner)
@@ -189,8 +189,8 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
 
 
 def _cusum(state: Guarded, surprise):
-    """Page's two-sided test on the surprises over their recent root mean square; both sums
-    are reset at an alarm."""
+    """Page's two-sided test on the surprises, over their recent root mean square where that
+    is above one; both sums are reset at an alarm."""
     there = jnp.isfinite(surprise)
     z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
     drift = jnp.where(there, CUSUM_DRIFT, 0.0)
