@@ -128,6 +128,8 @@ class AbstractEstimator(eqx.Module):
     resolved: ClassVar[float] = 0.15
     """Relative standard deviation of mu above which it is flagged: asphalt, gravel and snow
     differ by 0.2 to 0.3, two of these. 0: the method's own standard deviations and flags."""
+    widened: ClassVar[bool] = True
+    """Whether surprises widen its standard deviations: not without any measured log."""
 
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 

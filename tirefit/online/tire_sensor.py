@@ -109,6 +109,8 @@ class TireSensor(AbstractSingleSample):
         "S §3.6",
     )
 
+    widened: ClassVar[bool] = False  # friction may differ from sample to sample
+
     cpa2: float = nominal_stiffness()
     half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a")
     force_noise: float = force_noise()

@@ -91,15 +91,18 @@ def judged(estimator: AbstractEstimator, window: Window, estimate: Estimate) -> 
     """
     if not estimator.resolved:
         return estimate
-    wider = jnp.maximum(window.rms * jnp.sqrt(window.dependence), 1.0)
-    std = wider * estimate.std
-    few = (window.weight > 0) & (window.weight < _ENOUGH * window.dependence)
-    names, flag = estimator.method.parameters, flag_of((few, Flag.SETTLING))
+    names, std = estimator.method.parameters, estimate.std
+    few = moves = jnp.zeros((), bool)
+    if estimator.widened:
+        std = jnp.maximum(window.rms * jnp.sqrt(window.dependence), 1.0) * std
+        few = (window.weight > 0) & (window.weight < _ENOUGH * window.dependence)
+    flag = flag_of((few, Flag.SETTLING))
     if "mu" in names:
         k = names.index("mu")
         mu = estimate.value[k]
-        std = std.at[k].set(jnp.hypot(std[k], _MODEL * mu))
-        moves = jnp.sqrt(window.spread / jnp.maximum(window.steps, 1.0)) > _MOVES * mu
+        if estimator.widened:
+            std = std.at[k].set(jnp.hypot(std[k], _MODEL * mu))
+            moves = jnp.sqrt(window.spread / jnp.maximum(window.steps, 1.0)) > _MOVES * mu
         settling = flag_of((few | moves, Flag.SETTLING))
         flag = jnp.where(std[k] < estimator.resolved * mu, settling, code(Flag.LOW_USE))
     return estimate._replace(std=std, flag=jnp.maximum(estimate.flag, flag))
