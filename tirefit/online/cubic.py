@@ -87,12 +87,13 @@ class Cubic(AbstractSingleSample):
         mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1))(fx, sigma, cpa2, fz)
         share = 1 / jnp.sqrt(sample["count"])
         # A difference, as a tire that slides at the expected stiffness, where the slope is
-        # zero, does not slide at a smaller one; no friction explains a force beyond D.
+        # zero, does not slide at a smaller one. If no friction explains the force there, mu is
+        # not known.
         softer = friction_by_cubic(fx, sigma, (1 - self.cpa2_std) * cpa2, fz)
         parts = (
             slope[0] * share * self.force_noise * fz,
             slope[1] * share * self.slip_noise,
-            softer - mu,
+            jnp.where(jnp.isfinite(softer), softer - mu, mu),
         )
         std = jnp.sqrt(sum(part**2 for part in parts))
         idle = 2 * cpa2 * sigma < self.least_use * fz

@@ -91,7 +91,7 @@ def judged(estimator: AbstractEstimator, window: Window, estimate: Estimate) -> 
     """
     if not estimator.resolved:
         return estimate
-    names, std = estimator.method.parameters, estimate.std
+    names, std = estimator.method.parameters, jnp.asarray(estimate.std)
     few = moves = jnp.zeros((), bool)
     if estimator.widened:
         std = jnp.maximum(window.rms * jnp.sqrt(window.dependence), 1.0) * std
