@@ -129,7 +129,7 @@ class AbstractEstimator(eqx.Module):
     """Relative standard deviation of mu above which it is flagged: asphalt, gravel and snow
     differ by 0.2 to 0.3, two of these. 0: the method's own standard deviations and flags."""
     widened: ClassVar[bool] = True
-    """Whether surprises widen its standard deviations: not without any measured log."""
+    """Whether recent surprises widen its standard deviations and calm its test of changes."""
 
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 
@@ -178,7 +178,7 @@ class AbstractSingleSample(AbstractEstimator):
         made, usable, flag = self.from_sample(sample)
         after: Single = choose(usable, made, state)
         change = (made.value[0] - state.value[0]) / jnp.hypot(made.std[0], state.std[0])
-        return after, Estimate(*after, flag, jnp.where(usable, change, jnp.nan))
+        return after, Estimate(*after, flag, jnp.where(usable & self.widened, change, jnp.nan))
 
     def hold(self, state: Single, dt, steps) -> tuple[Single, Estimate]:
         return state, Estimate(*state, jnp.zeros((), int), jnp.full((), jnp.nan))

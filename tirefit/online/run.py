@@ -132,7 +132,8 @@ def _stepped(estimator, state: Guarded, began: Guarded):
     count = jnp.maximum(state.gathered, 1.0)
     mean = {name: total / count for name, total in state.sums.items()}
     moved, estimate = estimator.step(state.inner, {**mean, "count": count})
-    rise, fall, alarm = _cusum(state, estimate.surprise / jnp.maximum(state.window.rms, 1.0))
+    scale = jnp.maximum(state.window.rms, 1.0) if estimator.widened else 1.0
+    rise, fall, alarm = _cusum(state, estimate.surprise / scale)
     window = state.window.after(estimate.surprise, mu_of(estimator, estimate))
     moved = _either(alarm, estimator.open(moved), moved)
     finite = _all_finite(moved, began.inner)

@@ -83,6 +83,8 @@ class SlipSlope(AbstractEstimator):
         "straight line",
     )
 
+    widened: ClassVar[bool] = False  # it measures the noise of its samples itself
+
     slope: float = par(
         18.5,
         (0.5, 500.0),
