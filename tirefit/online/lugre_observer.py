@@ -117,6 +117,8 @@ class LuGreObserver(AbstractEstimator):
         "lugre",
     )
 
+    widened: ClassVar[bool] = False  # no measured log has its inputs
+
     average: float = 1.0
     tire: LuGre = LuGre()
     radius: float = par(0.5, (0.01, 2.0), "m", "effective rolling radius", "", "R")
