@@ -148,16 +148,20 @@ def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
 
     "Before" is the estimate shortly before the detection, "after" that at the next
     detection or the end. A detection without a move of three standard deviations (of
-    both together) was a false alarm, which is only flagged.
+    both together) was a false alarm, which is only flagged. For "before", the smallest since
+    the last detection counts: the surprises of the change itself widen those just before it.
     """
     alarms = np.flatnonzero(method.flag == code(Flag.CHANGED))
     ends = [*(alarms[1:] - 1), len(time) - 1][: len(alarms)]
+    starts = [0, *alarms[:-1]]
     there = []
-    for alarm, end in zip(alarms, ends, strict=True):
+    for start, alarm, end in zip(starts[: len(alarms)], alarms, ends, strict=True):
         early = max(int(alarm) - _SETTLE, 0)
         for k, parameter in enumerate(method.parameters):
             before, after = method.value[early, k], method.value[end, k]
-            spread = np.hypot(method.std[early, k], method.std[end, k])
+            stds = method.std[min(start, early) : early + 1, k]
+            least = np.min(stds, initial=np.inf, where=np.isfinite(stds))
+            spread = np.hypot(least, method.std[end, k])
             if abs(after - before) > _FAR * spread:
                 moved = (time[alarm], before, after)
                 there.append(Change(float(moved[0]), parameter, *map(float, moved[1:])))
