@@ -7,7 +7,8 @@ has :math:`s^2 (1 + \rho) / (1 - \rho)` times the variance of independent ones o
 and so has the estimate, which is such a sum. The window forgets after ten seconds, or fifty
 surprises if these take longer.
 
-Chosen on one log of `fits/friction_benchmark` (f1tenth, tires a), judged on the others.
+The numbers were chosen on logs of `fits/friction_benchmark`, mainly on one (f1tenth, tires a); no
+other measured log has judged them.
 """
 
 from typing import NamedTuple
