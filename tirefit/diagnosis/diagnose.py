@@ -255,7 +255,9 @@ def _are_known(without: Sequence[str], known: set[str]) -> None:
     UsageError.raise_for(problems)
 
 
-def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
+def _asked_for(
+    forces: Sequence[str], data: TireData, gives: Sequence[str], in_columns: Sequence[str]
+) -> tuple[str, ...]:
     """The forces to diagnose among those of the model; ``in_columns`` are the simulated
     columns, if the simulator is given by columns."""
     problems = []

@@ -96,7 +96,7 @@ def extension_of(base: Base, chosen: Fit) -> Extension:
     )
 
 
-def _covariates(to: Extension, given: TireInputs, force) -> Covariates:
+def _covariates(to: Extension, given: TireInputs, force: Any) -> Covariates:
     """The quantities on which effects may depend, for one sample. Those that a tire does
     not have are None, so that an effect that uses them raises an error.
 

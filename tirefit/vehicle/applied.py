@@ -40,7 +40,7 @@ class Applied:
         """The setting at samples (n,)."""
         return self.model.setting(self.z, samples)
 
-    def samples(self, motion: Motion, rows, vehicle: Vehicle, tires) -> Samples:
+    def samples(self, motion: Motion, rows: Any, vehicle: Vehicle, tires: Any) -> Samples:
         """The quantities on which effects depend, at rows (w, k) of the motion of a log;
         the time is the middle of that of the diagnosis."""
         found = samples_of(motion, rows, vehicle, tires)
@@ -52,7 +52,9 @@ class Applied:
             turn=motion.yaw_rate[rows] / motion.v_x[rows],
         )
 
-    def channels(self, vehicle: Vehicle, tires, motion: Motion, channels, rows):
+    def channels(
+        self, vehicle: Vehicle, tires: Any, motion: Motion, channels: Any, rows: Any
+    ) -> Any:
         """Speed, lateral acceleration, wheel angle and state (n,) of a log with the
         effects of steering and log; and samples at rows (w, k)."""
         v_x, a_y, steer, *state = channels
@@ -62,7 +64,7 @@ class Applied:
         samples = self.samples(motion, rows, vehicle, tires)
         return (v_x, a_y, steer, *named.values()), samples
 
-    def wheel_angle(self, steering, motion: Motion, vehicle: Vehicle, tires):
+    def wheel_angle(self, steering: Any, motion: Motion, vehicle: Vehicle, tires: Any) -> Any:
         """Road wheel angle (n,) of a log, with the effects of the steering."""
         rows = np.arange(len(motion.time))[None]
         samples = jax.tree.map(lambda x: x[0], self.samples(motion, rows, vehicle, tires))
@@ -79,7 +81,7 @@ class Applied:
     def changes(self, samples: Samples) -> Changes:
         """The changes of the car at samples (w, k)."""
 
-        def one(samples: Samples):
+        def one(samples: Samples) -> Any:
             count = len(samples.speed)
             return jax.tree.map(
                 lambda x: jnp.broadcast_to(jnp.asarray(x, float), count), self.at(samples).car
@@ -87,7 +89,7 @@ class Applied:
 
         return jax.vmap(one)(jax.tree.map(jnp.asarray, samples))
 
-    def corrected(self, state: Mapping, v_x, vehicle: Vehicle) -> dict:
+    def corrected(self, state: Mapping, v_x: np.ndarray, vehicle: Vehicle) -> dict:
         """The states of a log (n,) without the errors of its channels."""
         wheelbase = vehicle.l_f + vehicle.l_r
         none = Samples(*[0.0] * len(Samples._fields))._replace(wheelbase=wheelbase)
@@ -130,7 +132,7 @@ class _Document(AnyDocument):
         return {name.partition(": ")[0]: one.value for name, one in self.amplitudes.items()}
 
     @model_validator(mode="after")
-    def _known(self):
+    def _known(self) -> Any:
         library, variants = effects_by_id(CAR_EFFECTS), self.extension.variants
         for name in self.sizes:
             if name not in library or variants.get(name) not in range(len(library[name].variants)):

@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 
 from tirefit.data.vehicle import Vehicle
 from tirefit.models import AbstractTire, TireForces, TireInputs
+from tirefit.params import Values
 
 _STABLE, _MOST_PARTS = 0.5, 50
 """Largest step of the integration over the car's shortest time constant; most steps
@@ -47,7 +48,7 @@ class LinearTire(AbstractTire):
         return TireForces(None, force, None)
 
 
-def linear(tire: AbstractTire, fz: float, v: float) -> LinearTire:
+def linear(tire: AbstractTire, fz: Any, v: float) -> LinearTire:
     """The linear tire of the same slope at zero slip."""
     force = lambda alpha: tire(TireInputs(alpha=alpha, fz=fz, v=v)).fy  # noqa: E731
     return LinearTire(float(jax.grad(force)(0.0)) / fz)
@@ -73,13 +74,13 @@ class Car(eqx.Module):
     gravity: Float[Array, ""] | float
 
     @property
-    def loads(self):
+    def loads(self) -> tuple[jax.Array | float, jax.Array | float]:
         """Static load of the front and the rear axle [N]."""
         weight = self.mass * self.gravity / (self.l_f + self.l_r)
         return weight * self.l_r, weight * self.l_f
 
 
-def car_of(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia=1.0) -> Car:
+def car_of(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia: Any = 1.0) -> Car:
     """The car of a vehicle on two tires; ``inertia`` is a factor on its yaw inertia."""
     return Car(
         front,
@@ -130,13 +131,22 @@ class Changes(NamedTuple):
 NO_CHANGES = Changes()
 
 
-def slip_angles(car: Car, v_x, steering, v_y, yaw_rate, ahead=0.0):
+def slip_angles(
+    car: Car,
+    v_x: jax.Array,
+    steering: jax.Array | float,
+    v_y: jax.Array,
+    yaw_rate: jax.Array,
+    ahead: jax.Array | float = 0.0,
+) -> tuple[jax.Array, jax.Array]:
     """Slip angle [rad] of the front and the rear axle."""
     front = jnp.arctan2(v_y + (car.l_f - ahead) * yaw_rate, v_x) - steering
     return front, jnp.arctan2(v_y - (car.l_r + ahead) * yaw_rate, v_x)
 
 
-def _across(tire: AbstractTire, slip, fz, v, axle: Axle):
+def _across(
+    tire: AbstractTire, slip: jax.Array, fz: jax.Array, v: jax.Array, axle: Axle
+) -> jax.Array:
     """Force of an axle to the right [N]: stiffness times s and friction times g give
     g F(slip s / g), exact for a brush."""
     ratio = axle.stiffness / axle.friction
@@ -148,8 +158,14 @@ def _across(tire: AbstractTire, slip, fz, v, axle: Axle):
 
 
 def accelerations(
-    car: Car, v_x, steering, v_y, yaw_rate, changes: Changes = NO_CHANGES, late=(0, 0)
-):
+    car: Car,
+    v_x: jax.Array,
+    steering: jax.Array | float,
+    v_y: jax.Array,
+    yaw_rate: jax.Array,
+    changes: Changes = NO_CHANGES,
+    late: jax.Array | tuple[int, ...] = (0, 0),
+) -> tuple[jax.Array, jax.Array]:
     """Lateral acceleration [m/s2] to the left, and yaw acceleration [rad/s2].
 
     Args:
@@ -179,10 +195,10 @@ def stiffest(car: Car, slowest: float) -> float:
 
 
 @jax.jit
-def _slopes(car: Car, speed):
+def _slopes(car: Car, speed: jax.Array) -> jax.Array:
     """Derivatives of the rates of v_y and yaw rate by both, driving straight ahead."""
 
-    def moved(motion):
+    def moved(motion: jax.Array) -> jax.Array:
         lateral, yaw = accelerations(car, speed, 0.0, *motion)
         return jnp.stack([lateral - speed * motion[1], yaw])
 
@@ -190,7 +206,13 @@ def _slopes(car: Car, speed):
 
 
 def predicted(
-    car: Car, start: State, v_x, steering, step: float, parts: int, changes: Changes | None = None
+    car: Car,
+    start: State,
+    v_x: jax.Array,
+    steering: jax.Array,
+    step: float,
+    parts: int,
+    changes: Changes | None = None,
 ) -> State:
     """The states at every sample, from a start state: (n,) each.
 
@@ -204,18 +226,28 @@ def predicted(
     return followed(car, start, v_x, steering, step, parts, changes)[0]
 
 
-def followed(car: Car, start: State, v_x, steering, step: float, parts: int, changes=None):
+def followed(
+    car: Car,
+    start: State,
+    v_x: jax.Array,
+    steering: jax.Array,
+    step: float | Values,
+    parts: int,
+    changes: Changes | None = None,
+) -> tuple[State, jax.Array]:
     """:func:`predicted`, and the lag (n, 2) of the slip angles [rad] at every sample."""
     width, count = step / parts, len(v_x) - 1
     lags = changes is not None
-    held = NO_CHANGES
+    held: Any = NO_CHANGES
     if changes is not None:
         held = jax.tree.map(
             lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1], changes
         )
 
     @jax.jit  # traced once for the four slopes of a step
-    def slope(state: State, speed, angle, change, late) -> State:
+    def slope(
+        state: State, speed: jax.Array, angle: jax.Array, change: Changes, late: jax.Array
+    ) -> State:
         motion = state.v_y, state.yaw_rate
         lateral, yaw = accelerations(car, speed, angle, *motion, change, late)
         cos, sin = jnp.cos(state.heading), jnp.sin(state.heading)
@@ -227,22 +259,25 @@ def followed(car: Car, start: State, v_x, steering, step: float, parts: int, cha
             speed * sin + state.v_y * cos,
         )
 
-    def onward(carried, given):
+    def onward(
+        carried: tuple[State, jax.Array],
+        given: tuple[tuple[jax.Array, ...], tuple[jax.Array, ...], Any],
+    ) -> tuple[tuple[State, jax.Array], tuple[State, jax.Array]]:
         speeds, angles, change = given
         speed, change = speeds[0], change if lags else held
 
-        def steered(part) -> tuple[Any, Any]:
+        def steered(part: jax.Array) -> tuple[Any, Any]:
             share = part / parts
             return cubic(share, *speeds), cubic(share, *angles)
 
-        def slips(part, state):
+        def slips(part: jax.Array, state: State) -> jax.Array:
             motion = state.v_y, state.yaw_rate
             return jnp.stack(slip_angles(car, *steered(part), *motion, change.ahead))
 
-        def small(k, carried):
+        def small(k: jax.Array, carried: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
             now, late = carried
 
-            def at(part, move):
+            def at(part: jax.Array, move: State) -> State:
                 moved = jax.tree.map(lambda s, m: s + m, now, move)
                 return slope(moved, *steered(part), change, late)
 
@@ -267,14 +302,16 @@ def followed(car: Car, start: State, v_x, steering, step: float, parts: int, cha
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, found)
 
 
-def cubic(share, first, last, bend, next_bend):
+def cubic(
+    share: jax.Array, first: jax.Array, last: jax.Array, bend: jax.Array, next_bend: jax.Array
+) -> jax.Array:
     """Value at a share of the interval from one sample to the next, on the cubic through
     four samples; ``bend`` are their second differences."""
     pull = (2 - share) * bend + (1 + share) * next_bend
     return first + share * (last - first) - share * (1 - share) / 6 * pull
 
 
-def _with_bends(values):
+def _with_bends(values: jax.Array) -> tuple[jax.Array, ...]:
     """Arguments of :func:`cubic` for each sample but the last: four of (n - 1,)."""
     if len(values) < 3:
         return values[:-1], values[1:], jnp.zeros(1), jnp.zeros(1)
@@ -282,7 +319,7 @@ def _with_bends(values):
     return values[:-1], values[1:], bends[:-1], bends[1:]
 
 
-def delayed(values, samples):
+def delayed(values: jax.Array, samples: Values | float) -> jax.Array:
     """Values (n,) delayed by a number of samples; the first value before the start."""
     count = len(values) - 1
     place = jnp.clip(jnp.arange(count + 1) - samples, 0, count)
@@ -290,18 +327,18 @@ def delayed(values, samples):
     return cubic(place - whole, *(part[whole] for part in _with_bends(values)))
 
 
-def _later(late, rate, time, step: float):
+def _later(late: jax.Array, rate: jax.Array, time: jax.Array, step: float | Values) -> jax.Array:
     """Distance, a step later, of a first-order lag with a time constant [s] from its
     input; exact for an input with constant rate, and smooth at a time constant of zero."""
     kept = jnp.exp(-step / jnp.maximum(time, AT_ONCE))
     return late * kept - time * rate * (1 - kept)
 
 
-def lagged(values, time, step: float):
+def lagged(values: jax.Array, time: jax.Array, step: float | jax.Array) -> jax.Array:
     """Values (n,) through a first-order lag with a time constant [s]; no lag at first."""
     rates = jnp.diff(values) / step
 
-    def onward(late, rate):
+    def onward(late: jax.Array, rate: jax.Array) -> tuple[jax.Array, jax.Array]:
         late = _later(late, rate, time, step)
         return late, late
 
@@ -310,11 +347,11 @@ def lagged(values, time, step: float):
     return values + jnp.append(first, late)
 
 
-def with_play(values, half: float):
+def with_play(values: jax.Array, half: float) -> jax.Array:
     """Values (n,) with play: constant until the input differs by more than ``half``."""
     half = half + _TOUCH
 
-    def onward(held, value):
+    def onward(held: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
         held = jnp.clip(held, value - half, value + half)
         return held, held
 

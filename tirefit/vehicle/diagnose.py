@@ -129,7 +129,12 @@ def diagnose_vehicle(
 
 
 def studied(
-    found: Mapping[str, CutLog], vehicle: Vehicle, tires, library, window: float, tell: "Steps"
+    found: Mapping[str, CutLog],
+    vehicle: Vehicle,
+    tires: Sequence[GivenTire],
+    library: Sequence[Effect],
+    window: float,
+    tell: "Steps",
 ) -> Concluded:
     """The verdict on the windows of cut logs, for a car on these tires."""
     subject, lacks = subject_of(found, vehicle, tires, library)
@@ -145,7 +150,7 @@ def studied(
 class Steps:
     """Reports steps and their share in about ``count`` of them, slower near the end."""
 
-    def __init__(self, report: Callable[[float, str], None] | None, count: int):
+    def __init__(self, report: Callable[[float, str], None] | None, count: int) -> None:
         self.report, self.count, self.done = report or (lambda share, note: None), count, 0
 
     def __call__(self, note: str) -> None:
@@ -169,7 +174,7 @@ def _searched(subject: Windows) -> Search:
     return search
 
 
-def _notes(given, tires) -> tuple[str, ...]:
+def _notes(given: tuple[GivenTire, ...], tires: Sequence[GivenTire]) -> tuple[str, ...]:
     fitted = (
         f"the {axle} tire, {tire.name}, starts as fitted to the forces of derive"
         for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
@@ -178,7 +183,7 @@ def _notes(given, tires) -> tuple[str, ...]:
     return "speed and steering are those of the log; axle loads are static", *fitted
 
 
-def check_effects(vehicle: Vehicle, effects, without) -> None:
+def check_effects(vehicle: Vehicle, effects: Sequence[Effect], without: Sequence[str]) -> None:
     """Raise UsageError for a vehicle without a steering map, or ids that are none."""
     problems = steering_problems(vehicle, "a diagnosis of a vehicle")
     known = [effect.id for effect in effects]
@@ -189,7 +194,10 @@ def check_effects(vehicle: Vehicle, effects, without) -> None:
 
 
 def subject_of(
-    found: Mapping[str, CutLog], vehicle: Vehicle, tires, library: Sequence[Effect]
+    found: Mapping[str, CutLog],
+    vehicle: Vehicle,
+    tires: Sequence[GivenTire],
+    library: Sequence[Effect],
 ) -> tuple[Windows, dict[str, tuple[str, ...]]]:
     """The subject of a diagnosis of cut logs with unit noise, and the needs that they do
     not meet, by effect."""

@@ -146,7 +146,13 @@ def _channels(base: Windows) -> dict[str, tuple[float, slice]]:
     return {ALL: (1.0, slice(None)), **each}
 
 
-def _closure(base: Windows, channel: str, before, after, generator) -> Shrinkage:
+def _closure(
+    base: Windows,
+    channel: str,
+    before: np.ndarray,
+    after: np.ndarray,
+    generator: np.random.Generator,
+) -> Shrinkage:
     """Closure of the gap of a channel from whitened residuals (m,) to others."""
     unit, own = _channels(base)[channel]
     before, after = (unit * base.over_noise(x)[:, own].ravel() for x in (before, after))
@@ -155,7 +161,13 @@ def _closure(base: Windows, channel: str, before, after, generator) -> Shrinkage
     return closure_elsewhere(before, after, variance, run, base.inflation, generator)
 
 
-def _held_out(case: Concluded, ladder: Ladder, logs, other: Windows, generator):
+def _held_out(
+    case: Concluded,
+    ladder: Ladder,
+    logs: Mapping[str, CutLog],
+    other: Windows,
+    generator: np.random.Generator,
+):
     """Closure on held-out logs, and the ladder with the closure of each step there."""
     null = case.weighed.best_of[()]
     other = other.following(replace(null, state=other.cut.data.start))
@@ -168,7 +180,9 @@ def _held_out(case: Concluded, ladder: Ladder, logs, other: Windows, generator):
     return on_files(ladder, closure, missed, 1.0, ", ".join(logs))
 
 
-def _budgets(case: Concluded, ladder: Ladder, generator) -> dict[str, tuple[Part, ...]]:
+def _budgets(
+    case: Concluded, ladder: Ladder, generator: np.random.Generator
+) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of each channel in the order of the ladder: the parameters of the
     tires, the effects, the remainder and the noise."""
     base, fits, found = case.base, fits_of(case, ladder), {}

@@ -4,9 +4,12 @@ and of the log, as records of :class:`tirefit.diagnosis.effects.Effect`.
 An effect changes a :class:`Setting` and may depend on :class:`Samples`.
 """
 
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from tirefit.diagnosis.effects.record import LEAST_FACTOR, code, library
 from tirefit.vehicle.car import Changes
@@ -59,14 +62,16 @@ _EACH = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
 _WORDS = ("of both axles", "of the front axle", "of the rear axle")
 
 
-def _which(constants, rows, time) -> str:
+def _which(constants: tuple[float, ...], rows: Samples, time: np.ndarray) -> str:
     return _WORDS[_EACH.index(tuple(constants))]
 
 
-def _adds(part: str, name: str, value):
+def _adds(part: str, name: str, value: Callable[..., Any]) -> Callable[..., Any]:
     """The change of an effect that adds to a number of a part."""
 
-    def change(setting, amplitude, constants, rows):
+    def change(
+        setting: Setting, amplitude: jax.Array, constants: tuple[float, ...], rows: Samples
+    ) -> Setting:
         held = getattr(setting, part)
         new = getattr(held, name) + value(amplitude, constants, rows)
         return setting._replace(**{part: held._replace(**{name: new})})
@@ -74,7 +79,7 @@ def _adds(part: str, name: str, value):
     return change
 
 
-def scaled_axles(setting: Setting, name: str, factors) -> Setting:
+def scaled_axles(setting: Setting, name: str, factors: jax.Array | Sequence[jax.Array]) -> Setting:
     """The setting with a field of front and rear axle multiplied by factors."""
     axles = {}
     for axle, factor in zip(("front", "rear"), factors, strict=True):
@@ -84,10 +89,12 @@ def scaled_axles(setting: Setting, name: str, factors) -> Setting:
     return setting._replace(car=setting.car._replace(**axles))
 
 
-def _scales(name: str, term) -> dict[str, Any]:
+def _scales(name: str, term: Callable[..., Any]) -> dict[str, Any]:
     """The code of an effect that scales a number of its axles by 1 + term."""
 
-    def change(setting, amplitude, constants, rows):
+    def change(
+        setting: Setting, amplitude: jax.Array, constants: tuple[float, ...], rows: Samples
+    ) -> Setting:
         added = term(amplitude, rows)
         factors = [1 + c * added for c in constants]
         return scaled_axles(setting, name, factors)
@@ -95,7 +102,9 @@ def _scales(name: str, term) -> dict[str, Any]:
     return code(change, which=_which)
 
 
-def _falls(setting, amplitude, constants, rows):
+def _falls(
+    setting: Setting, amplitude: jax.Array, constants: tuple[float, ...], rows: Samples
+) -> Setting:
     axles = {}
     for k, axle in enumerate(("front", "rear")):
         held = getattr(setting.car, axle)
@@ -105,13 +114,15 @@ def _falls(setting, amplitude, constants, rows):
     return setting._replace(car=setting.car._replace(**axles))
 
 
-def _transfer(setting, height, constants, rows):
+def _transfer(
+    setting: Setting, height: jax.Array, constants: tuple[Any, ...], rows: Samples
+) -> Setting:
     """Load transfer of height over wheelbase times the forward acceleration."""
     moved = height * rows.along
     return scaled_axles(setting, "load", (1 - 2 * moved, 1 + 2 * moved))
 
 
-def _tilt(slope, constants, rows):
+def _tilt(slope: jax.Array, constants: tuple[float, ...], rows: Samples) -> jax.Array:
     """Force to the left of a slope of the ground."""
     along, across = constants
     towards = across * jnp.cos(rows.heading) - along * jnp.sin(rows.heading)

@@ -8,7 +8,7 @@ linear recursion from sample to sample.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import numpy as np
 
 from tirefit.compiled import BRIEF
 from tirefit.diagnosis.effects.record import Atom
+from tirefit.params import Values
 from tirefit.vehicle.car import (
     AT_ONCE,
     Axle,
@@ -84,7 +85,9 @@ class Linear:
     change linearly; the interval is divided as for the integration.
     """
 
-    def __init__(self, now: Moved, v_x, relaxation, step: float, parts: int):
+    def __init__(
+        self, now: Moved, v_x: Values, relaxation: np.ndarray, step: float, parts: int
+    ) -> None:
         self.motion, self.v_x, self.step, self.parts = now, np.asarray(v_x), step, parts
         width = step / parts
         a, late, slip = _middle(now.by_motion), _middle(now.by_late), _middle(now.slip)
@@ -139,7 +142,9 @@ class Linear:
         none = np.zeros((*self.push.shape[:2], 2, count))
         return self._channels((none, none, none), np.eye(5)[:, :count])
 
-    def _channels(self, given, first: np.ndarray | None = None) -> np.ndarray:
+    def _channels(
+        self, given: tuple[np.ndarray, np.ndarray, np.ndarray], first: np.ndarray | None = None
+    ) -> np.ndarray:
         """Derivatives of the channels from those of the rates at both ends of each interval
         and of the lags (w, k - 1, 2, q), and of the state at the start (5, q)."""
         begin, end, lags = given
@@ -182,7 +187,9 @@ def _middle(values: np.ndarray) -> np.ndarray:
     return 0.5 * (values[:, 1:] + values[:, :-1])
 
 
-def steered(steering: Steering, command, across, step: float):
+def steered(
+    steering: Steering, command: jax.Array, across: jax.Array, step: float | jax.Array
+) -> jax.Array:
     """Wheel angle (n,) behind a logged one (l + n,) that begins l samples before.
 
     Args:
@@ -221,7 +228,7 @@ class Model(NamedTuple):
         """Number of coefficients."""
         return TIRES + len(self.atoms)
 
-    def setting(self, z, rows: Samples) -> Setting:
+    def setting(self, z: Values, rows: Samples) -> Setting:
         """The setting by the coefficients, for each sample."""
         factors = jnp.exp(z[:TIRES]).reshape(2, 2)
         setting = Setting()
@@ -234,12 +241,16 @@ class Model(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=BRIEF)
-def inputs(model: Model, step, z, ways, data: Data, rows: Samples):
+def inputs(
+    model: Model, step: jax.Array, z: jax.Array, ways: jax.Array, data: Data, rows: Samples
+) -> tuple[tuple[jax.Array, jax.Array, jax.Array], Slopes]:
     """The inputs at coefficients z: wheel angle (w, k), changes (w, k, f) and errors of the
     log (w, 3); and their :class:`Slopes` along ``ways`` (p, q)."""
 
-    def one(window: Data, rows: Samples):
-        def at(along):
+    def one(window: Data, rows: Samples) -> tuple[tuple[jax.Array, jax.Array, jax.Array], Slopes]:
+        def at(
+            along: jax.Array,
+        ) -> tuple[tuple[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]:
             setting = model.setting(z + ways @ along, rows)
             angle = steered(setting.steering, window.steering, rows.across, step)
             leaves = [jnp.broadcast_to(x, angle.shape) for x in jax.tree.leaves(setting.car)]
@@ -253,7 +264,7 @@ def inputs(model: Model, step, z, ways, data: Data, rows: Samples):
     return jax.vmap(one)(data, rows)
 
 
-def logged(channels: int, state: State, reading: Reading, v_x):
+def logged(channels: int, state: State, reading: Reading, v_x: jax.Array) -> jax.Array:
     """What the log has of a state: (c, ...)."""
     if channels == 2:
         v_y = state.v_y + reading.sideslip * v_x + reading.ahead * state.yaw_rate
@@ -264,30 +275,45 @@ def logged(channels: int, state: State, reading: Reading, v_x):
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=BRIEF)
-def moved(channels: int, car: Car, grid, start, data: Data, given) -> Moved:
+def moved(
+    channels: int,
+    car: Car,
+    grid: tuple[Any, Any],
+    start: jax.Array,
+    data: Data,
+    given: tuple[jax.Array, jax.Array, jax.Array],
+) -> Moved:
     """The motion from start states (w, s) with the inputs that :func:`inputs` gives.
 
     ``grid`` is the time between samples and the number of steps of the integration from
     one to the next.
     """
 
-    def one(start, window: Data, angle, changes, reading) -> Moved:
+    def one(
+        start: jax.Array, window: Data, angle: jax.Array, changes: jax.Array, reading: jax.Array
+    ) -> Moved:
         split = jax.tree.unflatten(_TREE, [*changes.T])
         first = State(*start, *jnp.zeros(5 - len(start)))
         step, parts = grid
         states, late = followed(car, first, window.v_x, angle, step, parts, split)
 
-        def rates(motion, angle, change, late, v_x):
-            change = jax.tree.unflatten(_TREE, [*change])
+        def rates(
+            motion: jax.Array, angle: jax.Array, change: jax.Array, late: jax.Array, v_x: jax.Array
+        ) -> tuple[jax.Array, jax.Array]:
+            changed: Changes = jax.tree.unflatten(_TREE, [*change])
             v_y, turn = motion
-            lateral, yaw = accelerations(car, v_x, angle, v_y, turn, change, late)
+            lateral, yaw = accelerations(car, v_x, angle, v_y, turn, changed, late)
             return jnp.stack([lateral - v_x * turn, yaw]), lateral
 
-        def slips(motion, angle, ahead, v_x):
+        def slips(
+            motion: jax.Array, angle: jax.Array, ahead: jax.Array, v_x: jax.Array
+        ) -> tuple[jax.Array, jax.Array]:
             found = jnp.stack(slip_angles(car, v_x, angle, motion[0], motion[1], ahead))
             return found, found
 
-        def read(state, reading, v_x):
+        def read(
+            state: jax.Array, reading: jax.Array, v_x: jax.Array
+        ) -> tuple[jax.Array, jax.Array]:
             found = logged(channels, State(*state), Reading(*reading), v_x)
             return found, found
 
@@ -295,11 +321,12 @@ def moved(channels: int, car: Car, grid, start, data: Data, given) -> Moved:
         motion, each = state[:, :2], jax.vmap(jax.jacfwd(rates, (0, 1, 2, 3), has_aux=True))
         (by_motion, by_angle, by_change, by_late), lateral = each(motion, angle, changes, late, v_x)
         slip, angles = jax.vmap(jax.jacfwd(slips, has_aux=True))(motion, angle, split.ahead, v_x)
-        each = jax.vmap(jax.jacfwd(read, (0, 1), has_aux=True), (0, None, 0))
-        (reads, by_reading), values = each(state, reading, v_x)
-        return Moved(
+        reader = jax.vmap(jax.jacfwd(read, (0, 1), has_aux=True), (0, None, 0))
+        (reads, by_reading), values = reader(state, reading, v_x)
+        moved: tuple[Any, ...] = (
             values - window.logged, by_motion, by_angle, by_change, by_late, slip, reads,
             by_reading, states, late, angles, lateral,
         )  # fmt: skip
+        return Moved(*moved)
 
     return jax.vmap(one)(start, data, *given)

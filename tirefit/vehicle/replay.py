@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,11 +35,21 @@ from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError
 from tirefit.vehicle.applied import applied
-from tirefit.vehicle.car import Car, State, accelerations, car_of, linear, predicted, steps_a_sample
+from tirefit.vehicle.car import (
+    Car,
+    Changes,
+    State,
+    accelerations,
+    car_of,
+    linear,
+    predicted,
+    steps_a_sample,
+)
 from tirefit.vehicle.diagnose import Steps
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.errors import QUANTITIES, Errors
 from tirefit.vehicle.windows import (
+    CutLog,
     cut_logs,
     integrated,
     known_vehicle,
@@ -121,7 +131,7 @@ class Replay(Record):
             "notes": self.notes,
         }
 
-    def to_frame(self):
+    def to_frame(self) -> Any:
         """The rms errors as a pandas data frame: columns kind (the model), name (the
         quantity and the horizon in s), value, unit."""
         rows = [
@@ -221,7 +231,7 @@ def replay(
         for same in zip(*(log.windows for log in found.values()), strict=True)
     )
     steps = [round(h * rate) for h in horizons]
-    car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
+    car: Car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
     speed = float(np.median(joined.v_x[np.isfinite(joined.a_y)]))
     axles = zip((car.front, car.rear), car.loads, strict=True)
     straight = replace_tires(car, *(linear(t, fz, speed) for t, fz in axles))
@@ -271,7 +281,7 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
     return given
 
 
-def _notes(vehicle: Vehicle, tires) -> tuple[str, ...]:
+def _notes(vehicle: Vehicle, tires: tuple[GivenTire, ...]) -> tuple[str, ...]:
     notes = [
         "speed and steering are those of the log; start states are from the log, low-passed"
         f" at {vehicle.filter.bandwidth:.3g} Hz with zero phase",
@@ -291,7 +301,7 @@ def _notes(vehicle: Vehicle, tires) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _traced(module):
+def _traced(module: Any) -> Any:
     """The module with its numbers as arrays, so that others use the same program."""
     return jax.tree.map(lambda x: jnp.asarray(x, float), module)
 
@@ -302,7 +312,14 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
 
 
 def _windows(
-    vehicle: Vehicle, horizons, generator, apply, thinned, tell, track: Track, motion: Motion
+    vehicle: Vehicle,
+    horizons: Sequence[float],
+    generator: np.random.Generator,
+    apply: Any,
+    thinned: list[str],
+    tell: Steps,
+    track: Track,
+    motion: Motion,
 ) -> list[_Windows] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
     settled and the car fast enough, to the longest horizon; None of none. Behind them
@@ -325,7 +342,7 @@ def _windows(
     # The last sample is repeated beyond the end, where nothing is compared.
     rows = np.minimum(rows, ends[:, None] - 1)
 
-    def cut(motion: Motion, apply=None) -> _Windows:
+    def cut(motion: Motion, apply: Any = None) -> _Windows:
         channels, samples = _channels(motion, vehicle), None
         if apply is not None:
             channels, samples = apply(motion, channels, rows)
@@ -355,10 +372,20 @@ def _channels(motion: Motion, vehicle: Vehicle) -> tuple:
 
 
 @partial(jax.jit, static_argnames=("step", "parts"))
-def _states(car: Car, start: State, v_x, steering, changes, step: float, parts: int):
+def _states(
+    car: Car,
+    start: State,
+    v_x: jax.Array,
+    steering: jax.Array,
+    changes: Changes | None,
+    step: float,
+    parts: int,
+) -> tuple[State, jax.Array]:
     """States (w, k) of every window, and the lateral acceleration (w, k)."""
 
-    def one(start, v_x, steering, changes):
+    def one(
+        start: State, v_x: jax.Array, steering: jax.Array, changes: Changes | None
+    ) -> tuple[State, jax.Array]:
         states = predicted(car, start, v_x, steering, step, parts, changes)
         motion = v_x, steering, states.v_y, states.yaw_rate
         if changes is None:
@@ -368,7 +395,14 @@ def _states(car: Car, start: State, v_x, steering, changes, step: float, parts: 
     return jax.vmap(one)(start, v_x, steering, changes)
 
 
-def _compared(car: Car, windows: _Windows, steps, rate: float, parts: int, changes=None):
+def _compared(
+    car: Car,
+    windows: _Windows,
+    steps: Sequence[int],
+    rate: float,
+    parts: int,
+    changes: Changes | None = None,
+) -> tuple[Errors, tuple[State, np.ndarray]]:
     """Errors at the horizons, and the predicted states (w, k)."""
     given = windows.start, windows.v_x, windows.steering, changes
     states, lateral = _states(car, *given, 1 / rate, parts)
@@ -387,11 +421,11 @@ def _floor(tire: Errors, noisy: Sequence[Errors]) -> Errors:
     )
 
 
-def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
+def _errors(states: State, a_y: np.ndarray, windows: _Windows, steps: Sequence[int]) -> Errors:
     """The errors of predicted states (w, k)."""
     at, true = np.asarray(steps), windows.measured
 
-    def missed(name):
+    def missed(name: str) -> np.ndarray:
         return (getattr(states, name) - getattr(true, name))[:, at]
 
     cos, sin = np.cos(true.heading[:, at]), np.sin(true.heading[:, at])
@@ -408,13 +442,13 @@ def _errors(states: State, a_y, windows: _Windows, steps) -> Errors:
     )
 
 
-def _without_slip(vehicle: Vehicle, windows: _Windows, steps) -> Errors:
+def _without_slip(vehicle: Vehicle, windows: _Windows, steps: Sequence[int]) -> Errors:
     """The errors of a car without slip: r = v_x tan(delta) / (l_f + l_r)."""
     v_x, steering = windows.v_x, windows.steering
     yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
     sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
 
-    def summed(values, start):
+    def summed(values: np.ndarray, start: np.ndarray) -> np.ndarray:
         mean = 0.5 * (values[:, 1:] + values[:, :-1]) / rate
         return start[:, None] + np.cumsum(np.pad(mean, ((0, 0), (1, 0))), axis=1)
 
@@ -426,7 +460,15 @@ def _without_slip(vehicle: Vehicle, windows: _Windows, steps) -> Errors:
     return _errors(State(sideways, yaw, heading, x, y), a_y, windows, steps)
 
 
-def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator):
+def _held(
+    car: Car,
+    tires: tuple[GivenTire, ...],
+    windows: _Windows,
+    steps: Sequence[int],
+    rate: float,
+    parts: int,
+    generator: np.random.Generator,
+) -> dict[str, list[float | None]]:
     """Share of the windows within the band of the tires' parameters, by horizon."""
     if all(tire.fit is None for tire in tires):
         return {}
@@ -443,7 +485,7 @@ def _held(car: Car, tires, windows: _Windows, steps, rate, parts: int, generator
     return held
 
 
-def _fans(found, predictions) -> dict[str, Fans]:
+def _fans(found: Mapping[str, CutLog], predictions: tuple[State, np.ndarray]) -> dict[str, Fans]:
     """The windows of the figures, for each log."""
     (states, lateral), fans, first = predictions, {}, 0
     for name, log in found.items():

@@ -8,6 +8,7 @@ the noise of the channels that they explain.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +20,11 @@ from tirefit.diagnosis.engine.discrepancy import SIZES, Cell, Discrepancy, place
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.padding import pad_rows, padded_size
+from tirefit.params import Values
 from tirefit.vehicle.car import Car, steps_a_sample
+from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
-from tirefit.vehicle.windows import Cut, minimised
+from tirefit.vehicle.windows import Cut, Data, minimised
 
 _COARSER = 2.0
 """Step of the integration over that of a replay: one time constant of the car at its slowest
@@ -62,7 +65,7 @@ _USUAL = 0.03
 """Usual change of a force over the load of its axle."""
 
 
-def _filled(windows):
+def _filled(windows: Values | tuple[Data, Samples]) -> np.ndarray | tuple[Data, Samples]:
     """Arrays (w, ...) padded by copies of the first window to a few sizes."""
     return jax.tree.map(
         lambda part: pad_rows(part, padded_size(len(part), _LEAST_WINDOWS)), windows
@@ -95,7 +98,7 @@ class Windows:
     # --- the linearised car ------------------------------------------------------------
 
     @cached_property
-    def _given(self):
+    def _given(self) -> tuple[Car, tuple[jax.Array, int], Data, Samples]:
         """Car, grid, windows and samples for :func:`moved`, of few shapes."""
         # As arrays, so that another car uses the same compiled program.
         car = jax.tree.map(lambda x: jnp.asarray(x, float), self.car)
@@ -104,7 +107,9 @@ class Windows:
         grid = jnp.asarray(self.step), steps
         return car, grid, *_filled((self.cut.data, self.cut.rows))
 
-    def linear(self, z: np.ndarray, starts, columns: Sequence[int] = ()):
+    def linear(
+        self, z: np.ndarray, starts: Values, columns: Sequence[int] = ()
+    ) -> tuple[Linear, np.ndarray]:
         """The motion from all coefficients and start states (w, s), linearised, and its
         derivatives (w, k, c, q) by some coefficients."""
         car, grid, data, rows = self._given
@@ -122,14 +127,19 @@ class Windows:
         joined = [np.concatenate(x, axis=-1) for x in zip(*slopes, strict=True)]
         return now, now.by_inputs(Slopes(*joined))
 
-    def coefficients(self, z=(), atoms: Sequence[int] = (), amplitude=()) -> np.ndarray:
+    def coefficients(
+        self,
+        z: np.ndarray | tuple[Any, ...] = (),
+        atoms: Sequence[int] = (),
+        amplitude: np.ndarray | tuple[Any, ...] = (),
+    ) -> np.ndarray:
         """All coefficients (4 + K,) of the factors on the tires and of some atoms."""
         found = np.zeros(self.model.size)
         found[: len(z)] = z
         found[[TIRES + k for k in atoms]] = amplitude
         return found
 
-    def at(self, fit: Fit, columns: Sequence[int] = ()):
+    def at(self, fit: Fit, columns: Sequence[int] = ()) -> tuple[Linear, np.ndarray]:
         """:meth:`linear` at a fit."""
         z = self.coefficients(fit.z, fit.atoms, fit.amplitude)
         return self.linear(z, fit.state, columns)
@@ -253,7 +263,9 @@ class Windows:
         places = [*range(TIRES), *(TIRES + k for k in atoms)]
         # Sets of every size share the compiled programs.
 
-        def run(own, starts, _):
+        def run(
+            own: np.ndarray, starts: Values, _: Any
+        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             z = np.zeros(self.model.size)
             z[places] = np.asarray(own)[:size]
             now, by = self.linear(z, starts, places)
@@ -266,7 +278,7 @@ class Windows:
             for side, own in ((-_MOST_OFF, priors.low), (_MOST_OFF, priors.high))
         ]
         own = np.concatenate([start.z, start.amplitude, [0.0] * fill])
-        own, states, _, _ = minimised(
+        found, states, _, _ = minimised(
             run,
             jnp.asarray(own),
             jnp.asarray(start.state),
@@ -278,7 +290,7 @@ class Windows:
             _TOLERANCE,
             _STEPS,
         )
-        own = np.asarray(own)[:size]
+        own = np.asarray(found)[:size]
         z = self.coefficients(own[:TIRES], atoms, own[TIRES:])
         now, by = self.linear(z, states, places)
         return fitted(
@@ -319,7 +331,13 @@ class Windows:
         columns: list[np.ndarray] = []
         cells: list[Cell] = []
 
-        def add(axles, covariate, shapes, places, settings=False):
+        def add(
+            axles: Sequence[int],
+            covariate: str,
+            shapes: np.ndarray,
+            places: np.ndarray,
+            settings: bool = False,
+        ) -> None:
             sizes = _USUAL * shapes.reshape(*shape, -1)
             each = [now.by_force(k, sizes * float(loads[k])) for k in axles]
             columns.append(self.projected(now, np.sum(each, axis=0)))

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from scipy.special import stdtrit
 
 from tirefit import __version__
 from tirefit.data.table import TireData
-from tirefit.data.vehicle import Vehicle, vehicle_toml
+from tirefit.data.vehicle import Steering, Vehicle, vehicle_toml
 from tirefit.display import Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
@@ -39,7 +39,7 @@ from tirefit.fitting.solve import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.store import at_estimate
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
-from tirefit.params import constrain, with_values
+from tirefit.params import Values, constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
@@ -234,7 +234,7 @@ def fit_trajectory(
     return problem.solved(rows)
 
 
-def _check(vehicle: Vehicle, unknowns, given) -> None:
+def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenTire]) -> None:
     problems = steering_problems(vehicle, "a fit by trajectory")
     for name in (name for name in unknowns if name not in UNKNOWNS):
         remedy = f"{did_you_mean(name, UNKNOWNS)}valid: {', '.join(UNKNOWNS)}"
@@ -263,42 +263,51 @@ class _Problem:
     z holds the tires' parameters in their unconstrained space, then the unknowns.
     """
 
-    def __init__(self, vehicle, tires, unknowns, rate, data: Data):
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        tires: Sequence[GivenTire],
+        unknowns: tuple[str, ...],
+        rate: float,
+        data: Data,
+    ) -> None:
         self.vehicle, self.tires, self.unknowns = vehicle, tires, unknowns
         self.rate, self.data = rate, data
-        self.layouts: list[Layout] = [tire.fit[0] for tire in tires]
+        fits = [tire.fit for tire in tires if tire.fit is not None]  # each has one
+        self.steering = cast(Steering, vehicle.steering)
+        self.layouts: list[Layout] = [fit[0] for fit in fits]
         self.first = np.cumsum([0, *(layout.size for layout in self.layouts)])
-        first = {"steering_delay": vehicle.steering.delay}
+        first = {"steering_delay": self.steering.delay}
         own = [first.get(name, 0.0) for name in unknowns]
-        self.z = np.concatenate([*(t.fit[1] for t in tires), own])
+        self.z = np.concatenate([*(fit[1] for fit in fits), own])
         self.names = CHANNELS[data.logged.shape[-1]]
         slowest = float(np.min(data.v_x))
         self.parts = steps_a_sample(self.car(self.z), slowest, rate)
         self.run = linearised(self.missed, self.parts)
 
-    def unknown(self, z, name: str, default: float = 0.0):
+    def unknown(self, z: Values, name: str, default: float = 0.0) -> jax.Array | float:
         """The value of an unknown, in its unit; its neutral value if not estimated."""
         if name not in self.unknowns:
             return default
         value = z[self.first[-1] + self.unknowns.index(name)]
         return jnp.exp(value) if UNKNOWNS[name].is_factor else value
 
-    def tire(self, z, axle: int) -> AbstractTire:
+    def tire(self, z: Values, axle: int) -> AbstractTire:
         first, last = self.first[axle : axle + 2]
         values = self.layouts[axle].natural(z[first:last])
         return with_values(self.tires[axle].tire, values)
 
-    def car(self, z) -> Car:
+    def car(self, z: Values) -> Car:
         inertia = self.unknown(z, "yaw_inertia", 1.0)
         car = car_of(self.vehicle, self.tire(z, 0), self.tire(z, 1), inertia)
         ahead = self.unknown(z, "cg_ahead")
         return replace(car, l_f=car.l_f - ahead, l_r=car.l_r + ahead)
 
-    def missed(self, z, start, window: Data, parts: int):
+    def missed(self, z: jax.Array, start: jax.Array, window: Data, parts: int) -> jax.Array:
         """Predicted - logged (k, c) of one window."""
         step, count = 1 / self.rate, window.v_x.shape[0]
         lead = window.steering.shape[0] - count
-        delay = self.unknown(z, "steering_delay", self.vehicle.steering.delay)
+        delay = self.unknown(z, "steering_delay", self.steering.delay)
         steering = delayed(window.steering, delay / step)[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
@@ -309,7 +318,7 @@ class _Problem:
         reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
-    def solved(self, rows) -> TrajectoryFit:
+    def solved(self, rows: Mapping[str, TireData]) -> TrajectoryFit:
         z, starts = jnp.asarray(self.z), jnp.asarray(self.data.start)
         pull, now = self.pulls(), self.run(z, starts, self.data)
         for _ in range(_ROUNDS):
@@ -346,12 +355,14 @@ class _Problem:
         priors = [(UNKNOWNS[name].prior * scale.get(name, 1.0)) ** -2 for name in self.unknowns]
         return jnp.asarray([*np.zeros(self.first[-1]), *priors])
 
-    def estimates(self, z, std, ends) -> dict[str, Estimate]:
+    def estimates(self, z: np.ndarray, std: np.ndarray, ends: np.ndarray) -> dict[str, Estimate]:
         """Estimates of all parameters, from z with its standard errors (p,) and the
         ends (2, p) of the intervals."""
         found = {}
 
-        def add(name, unit, k, natural: Callable, identified):
+        def add(
+            name: str, unit: str, k: int, natural: Callable, identified: Callable[..., Any]
+        ) -> None:
             low, high = sorted(float(natural(end)) for end in ends[:, k])
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
             value, error = float(natural(z[k])), float(slope * std[k])
@@ -378,9 +389,9 @@ class _Problem:
 
     def found_vehicle(self, found: Mapping[str, Estimate]) -> Vehicle:
         """The vehicle with the estimated values."""
-        vehicle, steering = self.vehicle, self.vehicle.steering
+        vehicle, steering = self.vehicle, self.steering
 
-        def value(name, default=0.0):
+        def value(name: str, default: float = 0.0) -> float:
             return found[name].value if name in found else default
 
         ratio, offset = value("steering_ratio", 1.0), value("steering_offset")
@@ -404,7 +415,15 @@ class _Problem:
             changed |= {"mass_front": None, "mass_rear": None}
         return vehicle.model_copy(update=changed)
 
-    def axle(self, k: int, axle: str, z, covariance, found, rows) -> GivenTire:
+    def axle(
+        self,
+        k: int,
+        axle: str,
+        z: np.ndarray,
+        covariance: np.ndarray,
+        found: Mapping[str, Estimate],
+        rows: TireData,
+    ) -> GivenTire:
         """The tire of an axle, with the content of its ``fit.json``."""
         layout, own = self.layouts[k], slice(*self.first[k : k + 2])
         fit = layout, z[own], covariance[own, own]
@@ -434,5 +453,5 @@ class _Problem:
         return replace(self.tires[k], tire=self.tire(z, k), fit=fit, content=json_safe(content))
 
 
-def _factor(scale: float, logarithm) -> float:
+def _factor(scale: float, logarithm: float) -> float:
     return scale * float(np.exp(logarithm))

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from tirefit.fitting import least_squares as law
 from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
 from tirefit.fitting.source import GivenTire
 from tirefit.models import TireInputs
+from tirefit.params import Values
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.vehicle.effects import Samples
 
@@ -159,7 +160,7 @@ def starts_in(
     return [(k, last) for first, last in each for k in range(first, last - least + 1, step)], step
 
 
-def integrated(motion: Motion, rate: float):
+def integrated(motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Heading and position (n,) of a log of rates, relative to its first sample."""
     yaw, v_x, v_y = (np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y))
     heading = _summed(yaw) / rate
@@ -228,7 +229,9 @@ def cut_in_windows(
     )
 
 
-def logged_channels(track: Track, motion: Motion, vehicle: Vehicle):
+def logged_channels(
+    track: Track, motion: Motion, vehicle: Vehicle
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values of the log for the centre of gravity, on the grid, unfiltered: channels
     (n, c), start states (n, s), and the steering command (n,)."""
     names = [channel.quantity for channel in track.channels]
@@ -252,12 +255,12 @@ def logged_channels(track: Track, motion: Motion, vehicle: Vehicle):
     return logged, np.column_stack([motion.v_y, motion.yaw_rate]), command
 
 
-def linearised(missed, parts: int):
+def linearised(missed: Callable[..., Any], parts: int) -> Callable[..., Any]:
     """Residuals (w, k, c) and their derivatives by z (w, k, c, p) and by the start of
     the own window (w, k, c, s), compiled."""
 
-    def one(z, start, window):
-        def both(z, start):
+    def one(z: jax.Array, start: jax.Array, window: Data) -> tuple[jax.Array, jax.Array, jax.Array]:
+        def both(z: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array]:
             found = missed(z, start, window, parts)
             return found, found
 
@@ -267,7 +270,13 @@ def linearised(missed, parts: int):
     return jax.jit(jax.vmap(one, (None, 0, 0)))
 
 
-def eliminated(missed, by_z, by_start, noise, damping=0.0):
+def eliminated(
+    missed: jax.Array,
+    by_z: jax.Array,
+    by_start: jax.Array,
+    noise: jax.Array,
+    damping: jax.Array | float = 0.0,
+) -> tuple[jax.Array, ...]:
     """The normal equations of z without the start states: score (w, p), information
     (w, p, p), and the terms of the step of each start: (w, s) and (w, s, p).
 
@@ -295,13 +304,23 @@ eliminate = jax.jit(eliminated)
 class _Windows:
     """Normal equations of z whose start states follow every step of z."""
 
-    def __init__(self, run, z, starts, now, data, noise, pull):
+    def __init__(
+        self,
+        run: Callable[..., Any],
+        z: jax.Array,
+        starts: jax.Array,
+        now: tuple[Values, ...],
+        data: Data | None,
+        noise: jax.Array,
+        pull: Values,
+    ) -> None:
         self.run, self.data, self.noise, self.pull = run, data, noise, np.asarray(pull)
         self.z, self.starts, self.now = np.asarray(z), starts, now
         self.cost, self.damping = np.inf, law.FIRST_DAMPING / law.EASE
-        self.step, self.tied = 0.0, None
+        self.step: Any = 0.0
+        self.tied: Any = None
 
-    def __call__(self, z) -> Normal:
+    def __call__(self, z: np.ndarray) -> Normal:
         starts, now = self.starts, self.now
         if self.tied is not None:
             starts = starts + self.step + self.tied @ (z - self.z)
@@ -319,13 +338,22 @@ class _Windows:
         normal = np.asarray(information.sum(axis=0)) + np.diag(self.pull)
         return Normal(cost, normal, np.asarray(score.sum(axis=0)) + self.pull * z, beside)
 
-    def squares(self, missed) -> float:
+    def squares(self, missed: Values) -> float:
         return float(jnp.sum((missed / self.noise[None, None]) ** 2))
 
 
 def minimised(
-    run, z, starts, now, data, noise, pull, bounds=(None, None), tolerance=_SETTLED, most=MAX_STEPS
-):
+    run: Callable[..., Any],
+    z: jax.Array,
+    starts: jax.Array,
+    now: tuple[Values, ...],
+    data: Data | None,
+    noise: jax.Array,
+    pull: Values,
+    bounds: Sequence[np.ndarray | None] = (None, None),
+    tolerance: float = _SETTLED,
+    most: int = MAX_STEPS,
+) -> tuple[jax.Array, jax.Array, tuple[Values, ...], bool]:
     """Least squares in z within its bounds and in all start states; ``now`` is the result
     of ``run`` there. Returns the end values, and whether it converged in at most ``most``
     trials: a step would change the cost by less than ``tolerance`` of it."""
@@ -335,7 +363,9 @@ def minimised(
     return jnp.asarray(at.z), at.starts, at.now, end.converged
 
 
-def sandwich(missed, by_z, by_start, noise, pull):
+def sandwich(
+    missed: jax.Array, by_z: jax.Array, by_start: jax.Array, noise: jax.Array, pull: jax.Array
+) -> tuple[np.ndarray, int]:
     """Covariance (p, p) of z from the scores of blocks of windows, and their number."""
     score, information, *_ = eliminate(missed, by_z, by_start, noise)
     inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
@@ -366,7 +396,9 @@ class Cut(NamedTuple):
     log: np.ndarray
 
 
-def joined_windows(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
+def joined_windows(
+    found: Mapping[str, CutLog], vehicle: Vehicle, tires: Sequence[GivenTire]
+) -> tuple[Cut, set[str]]:
     """The windows of all logs, and the needs of effects that they meet."""
     data, rows, log = [], [], []
     passed = 0.0
@@ -391,7 +423,13 @@ def joined_windows(found, vehicle: Vehicle, tires) -> tuple[Cut, set[str]]:
     return cut, has
 
 
-def samples_of(motion: Motion, own, vehicle: Vehicle, tires, passed: float = 0.0) -> Samples:
+def samples_of(
+    motion: Motion,
+    own: np.ndarray,
+    vehicle: Vehicle,
+    tires: Sequence[GivenTire],
+    passed: float = 0.0,
+) -> Samples:
     """The quantities on which effects depend, at the rows (w, k) of a log. ``across`` and ``turn``
     are zero until they are set from a fit; ``passed`` [s] is the duration of the previous logs."""
     g, count = vehicle.gravity, len(own)

@@ -47,7 +47,9 @@ LEAST_FACTOR = 0.05
 """Smallest friction or stiffness over its usual value, as a linear law would become
 negative at amplitudes that a search tries."""
 
-Change = Callable[[State, float, tuple[float, ...], Covariates], State]
+Change = Callable[[Any, Any, tuple[float, ...], Any], Any]
+"""(state, amplitude, constants, rows) -> state: of :class:`State` and
+:class:`Covariates` for rows of a tire, of ``Setting`` and ``Samples`` for a car."""
 
 
 class Prior(NamedTuple):

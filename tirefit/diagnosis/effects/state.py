@@ -104,7 +104,7 @@ class _Shaped(AbstractPressure):
         skewed = getattr(leaning, name)(u)
         return (1 - self.flat) * skewed + self.flat * getattr(Quartic(), name)(u)
 
-    def density(self, u):
+    def density(self, u: jax.Array) -> jax.Array:
         return self._mix("density", u)
 
     def cdf(self, u: jax.Array) -> jax.Array:

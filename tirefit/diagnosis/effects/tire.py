@@ -95,25 +95,25 @@ def _which_speed(constants: tuple[float, ...], rows: Covariates, time: np.ndarra
     return f"{_ALONE if kinetic else _ALL}, {how}"
 
 
-def _which_fall(constants, rows, time) -> str:
+def _which_fall(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
     v_st, exponent, both = constants
     law = f"with exponent e = {exponent:g}" if exponent else "by log(1 + v_s / v_st)"
     v_st = v_st * float(np.max(rows.brisk))
     return f"{_ALL if both else _ALONE}, {law}, v_st = {v_st:.3g} m/s"
 
 
-def _which_power(constants, rows, time) -> str:
+def _which_power(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
     laws = "a power of the load", "in proportion to F_z / F_z0 - 1"
     return (*laws, "in proportion to log(F_z / F_z0)")[int(np.argmax(constants))]
 
 
-def _which_drift(constants, rows, time) -> str:
+def _which_drift(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
     even, way = constants
     lasts = way * float(np.ptp(time))
     return "evenly" if even else f"quick at first, as exp(-t / {lasts:.3g} s)"
 
 
-def _which_step(constants, rows, time) -> str:
+def _which_step(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
     begin, end = constants
     share = np.asarray(rows.time)[: len(time)]
     inside = (share > begin) & (share < end)

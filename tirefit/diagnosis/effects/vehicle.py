@@ -86,11 +86,11 @@ def _error(key: str, prepared: "Prepared", rig: Rig) -> tuple[float | None, bool
     return error, stated
 
 
-def _of_scale(prior, scale: float):
+def _of_scale(prior: Prior, scale: float) -> Prior:
     return prior._replace(scale=scale, low=-_FAR * scale, high=_FAR * scale)
 
 
-def _narrowed(prior, scale: float):
+def _narrowed(prior: Prior, scale: float) -> Prior:
     """The prior with at most this scale."""
     own = _of_scale(prior, min(prior.scale, scale))
     return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
@@ -182,7 +182,7 @@ def said_of_motion(rows: "Prepared", rig: Rig, force: Mapping[str, np.ndarray]) 
     return (message,)
 
 
-def _rms(values) -> float:
+def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 

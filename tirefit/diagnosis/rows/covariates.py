@@ -164,7 +164,12 @@ def _over_range(values: np.ndarray) -> np.ndarray:
 
 
 def covariates_of(
-    data: TireData, mode: str, sweeps: Sweeps, slip: np.ndarray, second: np.ndarray, radius
+    data: TireData,
+    mode: str,
+    sweeps: Sweeps,
+    slip: np.ndarray,
+    second: np.ndarray,
+    radius: float | None,
 ) -> Covariates:
     """Covariates that follow from the columns; the base fit adds the others."""
     fz, v, zero = data.usable("fz"), column(data, "v"), np.zeros(data.n)
@@ -206,7 +211,12 @@ def covariates_of(
 
 
 def needs_met(
-    data: TireData, mode: str, rows: Covariates, sweeps: bool, radius, derived
+    data: TireData,
+    mode: str,
+    rows: Covariates,
+    sweeps: bool,
+    radius: float | None,
+    derived: Derived | None,
 ) -> frozenset[str]:
     """Names of the needs of effects that this data meets."""
 

@@ -29,6 +29,7 @@ from tirefit.fitting.solve import starting_points
 from tirefit.models import TireInputs
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
+from tirefit.params import Values
 from tirefit.results import DataError
 
 _STEPS, _TOLERANCE, _FARTHEST = 26, 1e-3, 20.0
@@ -173,7 +174,9 @@ def measured_slips(design: Design, prepared: Prepared) -> Design:
     return design._replace(slip=pad_rows(slips, len(design.keep)))
 
 
-def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
+def with_offset(
+    prepared: Prepared, tire: Tire, design: Design, z: np.ndarray
+) -> tuple[Design, dict[str, np.ndarray]]:
     """The design with the offset of a simulator from its tire at the measured slips;
     that offset by channel (n,)."""
     own = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
@@ -223,31 +226,32 @@ def first_fit(
 
 def begin(
     prepared: Prepared, tire: Tire, z: np.ndarray, guess: np.ndarray, rig: Rig, simulated: bool
-) -> tuple[Tire, Design, np.ndarray, np.ndarray, dict[Any, Any]]:
+) -> tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """(tire, design of the rows, z, guess, offset of a simulator by channel (n,))."""
-    design, missed = design_of(prepared, tire.effects, rig), {}
+    design = design_of(prepared, tire.effects, rig)
+    missed: dict[str, np.ndarray] = {}
     if simulated:
         design, missed = with_offset(prepared, tire, design, z)
     return tire, design, z, guess, missed
 
 
-def as_measured(data: TireData, channels) -> TireData:
+def as_measured(data: TireData, channels: tuple[str, ...]) -> TireData:
     """The data with the simulated forces in place of the measured ones."""
     dropped = {f"{c}_std" for c in channels}
     columns = {k: v for k, v in data.columns.items() if k not in dropped}
     return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
 
 
-def _rms(values) -> float:
+def _rms(values: Values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def missed_share(prepared, channel: str, values) -> float:
+def missed_share(prepared: Prepared, channel: str, values: Values) -> float:
     """Error (n,) of a tire as a share of the simulated force, rms."""
     return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
 
 
-def check_followed(prepared, missed: dict, name: str) -> None:
+def check_followed(prepared: Prepared, missed: dict, name: str) -> None:
     """Raises DataError if the stand-in ``name`` does not follow the simulated forces;
     ``missed`` is its error (n,) by channel."""
     for c, values in missed.items():
@@ -265,12 +269,16 @@ def check_followed(prepared, missed: dict, name: str) -> None:
             raise unfit(prepared.data, reason, remedy)
 
 
-def standing_in(prepared: Prepared, name, effects, rig, given: Given):
+def standing_in(
+    prepared: Prepared, name: str | None, effects: tuple[Effect, ...], rig: Rig, given: Given
+) -> tuple[tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]], str]:
     """:func:`begin` of a tire fitted to a simulator's forces, and its model: ``name``, or
     the first of :data:`STAND_INS` that follows closely, else the better one."""
     simulated = as_measured(prepared.data, prepared.channels)
 
-    def tried(model: str):
+    def tried(
+        model: str,
+    ) -> tuple[tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]], str]:
         if model in MAGIC_FORMULAS:
             # Its coefficients follow the simulator; only scaling factors are adapted.
             own = replace(given, tire=fit_magic_formula(simulated, model).tire)
@@ -291,7 +299,7 @@ def standing_in(prepared: Prepared, name, effects, rig, given: Given):
     except DataError:  # too few rows for its coefficients
         return first
 
-    def energy(one):
+    def energy(one: Any) -> float:
         return sum(float(np.mean(values**2)) for values in one[0][-1].values())
 
     return min(first, other, key=energy)
@@ -301,7 +309,9 @@ _AROUND = 4
 """Number of rows on either side for the slope of the error of a stand-in."""
 
 
-def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
+def not_followed(
+    missed: np.ndarray, slip: np.ndarray, groups: Sequence[np.ndarray], changed: float
+) -> np.ndarray:
     """Changes of a simulator beyond those of its stand-in: columns (n, 2), to first
     order. If the stand-in has the error e, friction times 1 + a and stiffness times 1 + b
     add a (e - slip e') + b slip e' to the change of the stand-in.

@@ -202,10 +202,10 @@ def _slopes_of(
     row = jax.vmap(_mean_and_spread(model, layout, mode, where))
 
     def one(z: jax.Array, state: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        def mean(z: jax.Array, carrier, state: jax.Array) -> jax.Array:
+        def mean(z: jax.Array, carrier: tuple[Any, ...] | None, state: jax.Array) -> jax.Array:
             return jnp.stack(row(z, carrier, State(*state), *where.each())[0])
 
-        def carried(z: jax.Array):
+        def carried(z: jax.Array) -> tuple[Any, ...] | None:
             return _carrier(model, layout, mode, z, where)
 
         spread = jnp.broadcast_to(z, (state.shape[1], z.size))
@@ -321,7 +321,7 @@ class Tire:
         p, scale, by_amplitude = self.layout.size, design.prior_scale, []
         of_rows = self.states(design)
 
-        def states():
+        def states() -> Iterator[np.ndarray]:
             for point, atoms in zip(points, sets, strict=True):
                 sizes = point[p : p + len(atoms)] * scale[list(atoms)]
                 present = list(zip(atoms, sizes.tolist(), strict=True))

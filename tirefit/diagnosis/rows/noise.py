@@ -4,8 +4,8 @@ All scales are Huber's proposal 2, which a few large residuals change little and
 row does not change abruptly.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -17,6 +17,7 @@ from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
 from tirefit.diagnosis.rows.discrepancy import waves_within
 from tirefit.fitting.noise import MAD, autocorrelation_time
+from tirefit.params import Values
 
 
 class Memory(NamedTuple):
@@ -49,7 +50,7 @@ _FACTS = len(_FADES)
 
 
 def memory_of(
-    white, unit, stretches: Sequence[np.ndarray], most: float = np.inf
+    white: np.ndarray, unit: np.ndarray, stretches: Sequence[np.ndarray], most: float = np.inf
 ) -> tuple[Memory, ...]:
     """Correlations of a noise of 2 % probability or more, the most probable first;
     :data:`FORGETFUL` where the correlation of neighbours is not significant.
@@ -82,7 +83,9 @@ def memory_of(
     return tuple(Memory(float(_FADES[k]), float(_FADES[k] > 0), float(chance[k])) for k in ranked)
 
 
-def _log_likelihoods(white, unit, stretches, most: float) -> np.ndarray:
+def _log_likelihoods(
+    white: np.ndarray, unit: np.ndarray, stretches: Sequence[np.ndarray], most: float
+) -> np.ndarray:
     """Restricted log likelihood of each of the correlations.
 
     The innovation of a row is x_t - fade x_(t-1): the products of the innovations of
@@ -111,13 +114,13 @@ def _log_likelihoods(white, unit, stretches, most: float) -> np.ndarray:
     return np.array(logs)
 
 
-def in_order(time, run) -> list[np.ndarray]:
+def in_order(time: Values | None, run: np.ndarray) -> list[np.ndarray]:
     """Rows of each run in the order they were measured: index arrays."""
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     return [order[run[order] == code] for code in np.unique(run)]
 
 
-def correlation(white, time, run) -> float:
+def correlation(white: np.ndarray, time: Values | None, run: np.ndarray) -> float:
     """Number of rows per independent row of a remainder (n,), at least 1 and at most
     n / :data:`_FACTS`; excluded rows are zero."""
     each = autocorrelation_time([white[rows] for rows in in_order(time, run)])
@@ -176,7 +179,17 @@ class NoiseLevel(NamedTuple):
 
 
 def judge_noise(
-    residual, spread, fz, force, given, basis, waves, groups, time, run, refine=True
+    residual: np.ndarray,
+    spread: np.ndarray,
+    fz: np.ndarray,
+    force: np.ndarray,
+    given: Values | None,
+    basis: np.ndarray,
+    waves: Callable[[np.ndarray], np.ndarray],
+    groups: Sequence[np.ndarray],
+    time: Values | None,
+    run: np.ndarray,
+    refine: bool = True,
 ) -> NoiseLevel:
     """Noise of one channel.
 
@@ -193,7 +206,7 @@ def judge_noise(
         refine: exclude rows by the smooth remainder of a fit without a gross gap.
     """
     stated = given is not None
-    base = given if stated else np.ones(len(residual))
+    base = np.ones(len(residual)) if given is None else np.asarray(given)
     std = np.sqrt(base**2 + spread) if stated else base
     white, in_time = residual / std, in_order(time, run)
     keep = ~_stray(residual, groups)
@@ -214,7 +227,8 @@ def judge_noise(
             break
         keep, smooth = good, _Smooth(smooth.basis, good)
         rest = smooth.remainder(white) * std
-    shares, flags, source = _shares(rest / std, fz, force, keep), [], "given"
+    shares, source = _shares(rest / std, fz, force, keep), "given"
+    flags: list[str] = []
     size, local = _scale(rest / std, smooth), np.inf
     grows = stated and len(shares) > 2
     if grows:
@@ -253,7 +267,13 @@ def judge_noise(
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source, ratio)
 
 
-def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):
+def _overruled(
+    white: np.ndarray,
+    smooth: "_Smooth",
+    size: float,
+    groups: Sequence[np.ndarray],
+    in_time: Sequence[np.ndarray],
+) -> tuple[float, list[Any], str]:
     """(factor, flags, source) of a stated noise. It is replaced if the remainder, ``size``
     times as large, and all neighbours scatter by more."""
     scales = {
@@ -269,7 +289,7 @@ def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):
     return 1.0, ["noise_misstated"] if size < _OVERSTATED else [], "given"
 
 
-def _stray(residual, groups) -> np.ndarray:
+def _stray(residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
     """Rows (n,) bool far both from the median of their neighbours and from the line
     between the two next to them."""
     off = np.zeros((2, len(residual)))
@@ -285,13 +305,13 @@ def _stray(residual, groups) -> np.ndarray:
     return stray & (stray.sum() > max(_FEW, 2 * _FLAGGED * len(residual)))
 
 
-def _scale(white, smooth: "_Smooth") -> float:
+def _scale(white: np.ndarray, smooth: "_Smooth") -> float:
     """Huber's scale of a remainder (n,), corrected for the degrees of freedom."""
     kept = white[smooth.keep]
     return _huber(kept) * float(np.sqrt(len(kept) / smooth.freedom))
 
 
-def _huber(values) -> float:
+def _huber(values: np.ndarray) -> float:
     """Standard deviation with squares clipped at :data:`_CLIP` of it."""
     square = np.square(values)
     scale = max(MAD**2 * float(np.median(square)), NONZERO)
@@ -300,7 +320,13 @@ def _huber(values) -> float:
     return float(np.sqrt(scale))
 
 
-def _between(white, groups, keep, apart: float = 0.0, in_time=()) -> float:
+def _between(
+    white: np.ndarray,
+    groups: Sequence[np.ndarray],
+    keep: np.ndarray,
+    apart: float = 0.0,
+    in_time: Sequence[np.ndarray] = (),
+) -> float:
     """Standard deviation by second differences of neighbours, plus two of its standard
     errors; infinite if few rows have neighbours.
 
@@ -324,7 +350,14 @@ def _between(white, groups, keep, apart: float = 0.0, in_time=()) -> float:
     return _huber(second) * (1 + 2 * float(error))
 
 
-def _smooth(white, basis, waves, std, keep, in_time) -> "_Smooth":
+def _smooth(
+    white: np.ndarray,
+    basis: np.ndarray,
+    waves: Callable[[np.ndarray], np.ndarray],
+    std: np.ndarray,
+    keep: np.ndarray,
+    in_time: Sequence[np.ndarray],
+) -> "_Smooth":
     """Smooth functions and the few significant waves.
 
     A wave counts beyond what the correlation of the remainder without it explains.
@@ -352,7 +385,7 @@ def _smooth(white, basis, waves, std, keep, in_time) -> "_Smooth":
 class _Smooth:
     """Least squares on a basis by its normal equations."""
 
-    def __init__(self, basis, keep):
+    def __init__(self, basis: np.ndarray, keep: np.ndarray) -> None:
         self.basis, self.keep = basis, keep
         part = basis * keep[:, None]
         values, vectors = np.linalg.eigh(part.T @ part)
@@ -360,19 +393,21 @@ class _Smooth:
         self.root = vectors[:, good] / np.sqrt(values[good])
         self.freedom = max(int(keep.sum()) - int(good.sum()), 1)
 
-    def remainder(self, residual):
+    def remainder(self, residual: np.ndarray) -> np.ndarray:
         """Residual less its smooth part, (n,)."""
         score = self.root.T @ (self.basis.T @ (residual * self.keep))
         return residual - self.basis @ (self.root @ score)
 
-    def memory(self, white, in_time) -> tuple[Memory, ...]:
+    def memory(self, white: np.ndarray, in_time: Sequence[np.ndarray]) -> tuple[Memory, ...]:
         """Possible correlations of a remainder (n,) of unit variance."""
         unit = (self.basis * self.keep[:, None]) @ self.root
         kept = np.where(self.keep, white, 0.0)
         return memory_of(kept, unit, in_time, (1 + _MISSTATED) ** 2)
 
 
-def _shares(white, fz, force, keep) -> list[np.ndarray]:
+def _shares(
+    white: np.ndarray, fz: np.ndarray, force: np.ndarray, keep: np.ndarray
+) -> list[np.ndarray]:
     """Shapes (n,) of the variance: constant; the square of the load, if it varies; and the
     force and its square, if the variance clearly grows with the force."""
     used = np.abs(force) / np.max(np.abs(force))
@@ -384,7 +419,7 @@ def _shares(white, fz, force, keep) -> list[np.ndarray]:
     return shares
 
 
-def _law(square, parts, fixed=0.0) -> np.ndarray:
+def _law(square: np.ndarray, parts: np.ndarray, fixed: np.ndarray | float = 0.0) -> np.ndarray:
     """Non-negative sizes (k,) of the parts (n, k) of a variance, by least squares weighted
     by the law; squares (n,) are clipped."""
     mean = max(float(np.mean(square)), NONZERO)
@@ -396,7 +431,7 @@ def _law(square, parts, fixed=0.0) -> np.ndarray:
     return sizes
 
 
-def _growth(white, values, keep) -> float:
+def _growth(white: np.ndarray, values: np.ndarray, keep: np.ndarray) -> float:
     """Score of a variance that follows the values (n,), in standard errors."""
     x = values[keep]
     if np.ptp(x) < ROUNDING * np.max(np.abs(x)):
@@ -406,7 +441,9 @@ def _growth(white, values, keep) -> float:
     return float(square @ (x - x.mean())) / float(np.std(x) * np.sqrt(2 * len(x)))
 
 
-def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) -> float:
+def slip_scatter(
+    residual: np.ndarray, steepness: np.ndarray, fz: np.ndarray, alike: Sequence, in_time: Sequence
+) -> float:
     """Standard deviation of the slip noise from the forces, zero if not significant.
 
     An error of the slip moves the force in proportion to its slope, so neighbours scatter more
@@ -490,6 +527,6 @@ def between(values: np.ndarray, in_time: Sequence[np.ndarray]) -> np.ndarray:
     return off
 
 
-def _middle(values, weight: float):
+def _middle(values: np.ndarray, weight: float) -> np.ndarray:
     """Each row, except the first and the last, plus ``weight`` times its neighbours."""
     return values[1:-1] + weight * (values[2:] + values[:-2])

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -202,7 +203,7 @@ def thinned(prepared: Prepared, most: int) -> Prepared:
         return prepared
     rows = np.linspace(0, prepared.n - 1, most).astype(int)
 
-    def some(parts):
+    def some(parts: Any) -> Any:
         return type(parts)(*(part[rows] for part in parts))
 
     plain = ("slip", "slip_std", "second", "run", "kept")

@@ -150,7 +150,7 @@ class Rig:
             if column in data
         )
 
-    def force_noise(self, channel: str, fz: Values | float) -> Values | float | None:
+    def force_noise(self, channel: str, fz: Values | float) -> Any:
         """Return the stated standard deviation (n,) of a force or moment, None without.
 
         Args:
@@ -278,7 +278,7 @@ class SlipCheck(NamedTuple):
         return same and abs(self.gain - 1) < 0.02
 
 
-def _line(computed, logged) -> dict[str, float]:
+def _line(computed: np.ndarray, logged: np.ndarray) -> dict[str, float]:
     """Least-squares line logged = offset + gain computed."""
     columns = np.stack([np.ones_like(computed), computed], axis=1)
     (offset, gain), *_ = np.linalg.lstsq(columns, logged, rcond=None)

@@ -17,6 +17,7 @@ from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
 from tirefit.data.tire_file import tire_kind
 from tirefit.data.units import sign_of
+from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.rows.forces import Tire
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -133,7 +134,9 @@ class Given:
         # A tire without coefficients of M_z has no moment.
         return {k: v for k, v in found.items() if k not in silent}
 
-    def tire_for(self, prepared: Prepared, effects) -> tuple[Tire, np.ndarray, Any]:
+    def tire_for(
+        self, prepared: Prepared, effects: Sequence[Effect]
+    ) -> tuple[Tire, np.ndarray, Any]:
         """Its tire with a layout of the parameters that may be adapted; their values as
         z, and the same as the first guess."""
         tire, layout, z = self.tire, self.layout, self.z
@@ -169,7 +172,7 @@ class Simulated:
     doubt: str = ""
 
 
-def _check_size(force, data: TireData, name: str, rows) -> None:
+def _check_size(force: np.ndarray, data: TireData, name: str, rows: np.ndarray) -> None:
     """Raises DataError if simulated and measured force (n,) differ much in size."""
     measured = data[name.removesuffix("_sim")]
     rows = rows & np.isfinite(measured)
@@ -237,7 +240,13 @@ def _arrays(sim: Mapping, n: int) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _of_fit(fit, tire, layout, source, sha256=None) -> Given:
+def _of_fit(
+    fit: StoredFit | FitResult,
+    tire: AbstractTire,
+    layout: Layout,
+    source: str,
+    sha256: str | None = None,
+) -> Given:
     if any(parameter.per_run for parameter in layout.free):
         reason = f"{source}: a fit with parameters for each run is not one simulator"
         remedy = "write its forces into the data (`tirefit predict --beside`), and use --sim"
@@ -250,12 +259,12 @@ def _of_fit(fit, tire, layout, source, sha256=None) -> Given:
     return replace(given, z=np.asarray(fit.z), forces=partial(_predicted, fit))
 
 
-def _of_tire(tire, kind: str, source: str, sha256=None) -> Given:
+def _of_tire(tire: AbstractTire, kind: str, source: str, sha256: str | None = None) -> Given:
     own = partial(_predicted, tire)
     return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=own)
 
 
-def _predicted(model, data: TireData) -> dict[str, np.ndarray]:
+def _predicted(model: Any, data: TireData) -> dict[str, np.ndarray]:
     return {c: v for c, v in predict(model, data).items() if f"{c}_sim" in SIMULATED}
 
 
@@ -317,7 +326,7 @@ class _Misfit(NamedTuple):
     factor: np.ndarray
 
 
-def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
+def check_signs(prepared: Prepared, tire: Tire, z: np.ndarray, given: Given) -> str:
     """A sentence if a simulator fits better with some signs reversed, as a tire written
     in other axes or for the other side of the vehicle does; else an empty text. Raises
     DataError for a file or columns without declared signs, as the diagnosis would name
@@ -372,12 +381,12 @@ def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
     return [h for h in dict.fromkeys(h & there for h in sets) if h]
 
 
-def _misfits(prepared: Prepared, tire: Tire, z, turned: frozenset[str]) -> _Misfit:
+def _misfits(prepared: Prepared, tire: Tire, z: np.ndarray, turned: frozenset[str]) -> _Misfit:
     """The misfit with the signs of ``turned`` reversed."""
     n, inputs, channels = prepared.n, _inputs(prepared), prepared.channels
     run = pad_rows(prepared.run, padded_size(n))
 
-    def of(z, turned=turned):
+    def of(z: np.ndarray, turned: frozenset[str] = turned) -> np.ndarray:
         model = with_values(tire.model, tire.layout.natural(z))
         found = jax.tree.map(np.asarray, forces(model, turned_inputs(inputs, turned), run))
         every = turned_forces(found, turned)._asdict()
@@ -410,7 +419,9 @@ def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
     return float(np.mean((gap - columns @ best) ** 2))
 
 
-def _remedies(alike, there: frozenset[str], prepared: Prepared, given: Given):
+def _remedies(
+    alike: Sequence[frozenset[str]], there: frozenset[str], prepared: Prepared, given: Given
+) -> list[str]:
     """Ways to declare the signs of a hypothesis, or the present signs."""
     source, tir = prepared.data.source, given.kind == "tir"
     now, read = CONVENTIONS[given.signs or TIR_SIGNS], CONVENTIONS[source.convention]

@@ -1,6 +1,7 @@
 """The path of the slip in time, and the distribution of the true slip of a noisy one."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import comb, softmax
@@ -9,6 +10,7 @@ from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
+from tirefit.params import Values
 
 _WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas
 
@@ -31,7 +33,7 @@ sine sweeps; ratio of two estimates of the noise above which they disagree."""
 _NOISY = 17  # number of rows over which a well sampled slip is a parabola
 
 
-def segments(time, run) -> list[np.ndarray]:
+def segments(time: Values, run: np.ndarray) -> list[np.ndarray]:
     """Index arrays of stretches without a pause of 5 usual intervals."""
     order = np.lexsort((time, run))
     step = np.diff(time[order])
@@ -41,12 +43,12 @@ def segments(time, run) -> list[np.ndarray]:
     return np.split(order, breaks)
 
 
-def shown_runs(run, names) -> list[int]:
+def shown_runs(run: np.ndarray, names: tuple[str, ...]) -> list[int]:
     """Codes of the runs ``names`` with enough rows for an offset of their own."""
     return [k for k in range(len(names)) if np.sum(run == k) >= LEAST_ROWS]
 
 
-def _parabolas(values, time, window: int):
+def _parabolas(values: np.ndarray, time: Values, window: int) -> tuple[np.ndarray, ...]:
     """Parabolas through every window of one width: rows (a, w, 3) of the fit, matrix
     (a, 3, w) from values to coefficients, sum of squares (a,), unit of time (a,)."""
     view = np.lib.stride_tricks.sliding_window_view
@@ -64,7 +66,7 @@ def _parabolas(values, time, window: int):
     return rows, fit, np.sum(left**2, axis=1), unit
 
 
-def _scatter(slip, parts, order: int) -> float:
+def _scatter(slip: np.ndarray, parts: Sequence[np.ndarray], order: int) -> float:
     """Standard deviation of white noise from differences of this order."""
     each = np.concatenate([np.diff(slip[part], order) for part in parts])
     return MAD * float(np.median(np.abs(each))) / float(np.sqrt(comb(2 * order, order)))
@@ -77,7 +79,7 @@ class _Path(NamedTuple):
     reach: np.ndarray  # (n, 2 _REACH + 1) weights of the surrounding values
 
 
-def _averaged(values, time, noise: float) -> _Path:
+def _averaged(values: np.ndarray, time: np.ndarray, noise: float) -> _Path:
     """The path of one unbroken stretch, whose values scatter by ``noise``."""
     size, row = len(values), np.arange(len(values))
     logs, parts = [], []
@@ -106,13 +108,13 @@ def _averaged(values, time, noise: float) -> _Path:
     return _Path(value, slope, np.sqrt(np.maximum(square - slope**2, 0.0)), reach)
 
 
-def _path_of(values, time, noise: float) -> _Path:
+def _path_of(values: np.ndarray, time: Values, noise: float) -> _Path:
     """:func:`_averaged` of a stretch, in overlapping pieces."""
     pieces = []
     for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
         near, own = slice(start, end + _REACH), slice(first - start, end - start)
-        path = _averaged(values[near], time[near], noise)
+        path = _averaged(values[near], np.asarray(time)[near], noise)
         pieces.append([column[own] for column in path])
     return _Path(*map(np.concatenate, zip(*pieces, strict=True)))
 
@@ -131,17 +133,17 @@ class Past(NamedTuple):
     share: np.ndarray  # (n, k) of the step between them
     interval: float
 
-    def of(self, values, rate=None, time=None) -> np.ndarray:
+    def of(self, values: Any, rate: Values | None = None, time: Values | None = None) -> np.ndarray:
         """Values (n,) at these times (n, k): linear, or cubic with their rate (n,)."""
         first, last, share = values[self.rows], values[self.others], self.share
-        if rate is None:
+        if rate is None or time is None:
             return (1 - share) * first + share * last
         step, rest = time[self.others] - time[self.rows], share - 1
         out, back = step * rate[self.rows], step * rate[self.others]
         moved = share**2 * (3 - 2 * share) * (last - first)
         return first + moved + share * rest**2 * out + share**2 * rest * back
 
-    def place(self, part, time):
+    def place(self, part: np.ndarray, time: Values) -> tuple[np.ndarray, np.ndarray]:
         """Write the rows of the stretch ``part`` around each time. Returns the index of
         the row before, within the part, and the share: (n, k) each."""
         when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
@@ -152,12 +154,12 @@ class Past(NamedTuple):
         return low, share
 
 
-def _fill_past(past: Past, part, values, time, path: _Path) -> None:
+def _fill_past(past: Past, part: np.ndarray, values: np.ndarray, time: Values, path: _Path) -> None:
     """Write the past of the rows ``part`` of one unbroken stretch."""
     low, share = past.place(part, time)
     row = np.arange(len(part))[:, None]
 
-    def own(at):
+    def own(at: np.ndarray) -> np.ndarray:
         """Weight of the value of each row in the path at that row."""
         far = np.abs(row - at) > _REACH
         weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
@@ -179,7 +181,14 @@ class Sweeps(NamedTuple):
     noise: float  # scatter of the slip about its path, 0 where unknown
 
 
-def slip_rate(slip, time, run, noise: float = 0.0, rate=None, shown=None) -> Sweeps:
+def slip_rate(
+    slip: np.ndarray,
+    time: Values | None,
+    run: np.ndarray,
+    noise: float = 0.0,
+    rate: np.ndarray | None = None,
+    shown: float | None = None,
+) -> Sweeps:
     """Rate of change of slips (n,) at times (n,) [s], or None, of runs (n,).
 
     Args:
@@ -203,7 +212,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None, shown=None) -> Swe
         return still
     # For noise all estimates agree; a curve raises those of low order or wide parabolas.
     long = [part for part in parts if len(part) >= _NOISY]
-    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long] or [[np.inf]]
+    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long] or [np.array([np.inf])]
     about = np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3))
     most = max(curved, float(about))
     scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
@@ -228,7 +237,9 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None, shown=None) -> Swe
     return still._replace(present=True, noise=scatter, past=past)
 
 
-def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
+def _by_its_rate(
+    slip: np.ndarray, time: Values, rate: np.ndarray, parts: Sequence[np.ndarray], still: Sweeps
+) -> Sweeps:
     """Sweeps of cubics through values and measured rates."""
     usual = float(np.sqrt(np.mean(rate**2)))
     past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
@@ -244,18 +255,20 @@ _FEW, _MANY = (np.polynomial.hermite_e.hermegauss(count) for count in (3, 5))
 """Gauss-Hermite nodes of the slip noise: exact for polynomial forces of degree 5, 9."""
 
 
-def _steep(slip, std) -> bool:
+def _steep(slip: np.ndarray, std: np.ndarray) -> bool:
     """Whether the force bends within the noise, which is above 1 % of a large slip."""
     large = max(float(np.quantile(np.abs(slip), 0.9)), FLAT)
     return float(np.median(std)) > 0.01 * large
 
 
-def slip_law(slip, std) -> SlipDistribution | None:
+def slip_law(slip: np.ndarray, std: np.ndarray) -> SlipDistribution | None:
     """Distribution of the true slips from measured ones and noise (n,); None if zero."""
     return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
 
 
-def slip_nodes(law: SlipDistribution | None, slip, std):
+def slip_nodes(
+    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """True slips and their probabilities (n, k); without a law, the measured slips."""
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
@@ -265,7 +278,9 @@ def slip_nodes(law: SlipDistribution | None, slip, std):
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
-def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray:
+def slip_doubt(
+    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray, path: np.ndarray | None = None
+) -> np.ndarray:
     """Common error of the estimated slips: columns (n, k) times independent unit normal
     numbers. The density of the true slips is estimated from the same noisy slips, so
     rows with equal slips share its error. ``path`` (n,) holds slips estimated from
@@ -282,7 +297,12 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
 
 
 def slip_proxies(
-    law: SlipDistribution | None, slip, std, measured, path=None, past=None
+    law: SlipDistribution | None,
+    slip: np.ndarray,
+    std: np.ndarray,
+    measured: Sequence[np.ndarray],
+    path: np.ndarray | None = None,
+    past: np.ndarray | None = None,
 ) -> np.ndarray:
     """Error of the estimated slips as predicted from other measurements: columns (n, k).
 
@@ -318,7 +338,7 @@ def slip_proxies(
     return np.array(columns).reshape(len(columns), len(slip)).T
 
 
-def _of_density(law: SlipDistribution, slip, std) -> np.ndarray:
+def _of_density(law: SlipDistribution, slip: np.ndarray, std: np.ndarray) -> np.ndarray:
     """Error of the slips due to the error of the weights of the density, which add up to
     one: by maximum likelihood, each weight with a prior as wide as the mean weight."""
     # Likelihood of each row for each part of the density (n, parts), and the same times

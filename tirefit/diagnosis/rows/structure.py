@@ -1,7 +1,8 @@
 """What a simulator lacks, from its forces alone: they have no noise, so a structure that
 explains them does so to their last digits."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
@@ -51,7 +52,7 @@ class Structure(NamedTuple):
 
 def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
     """The structures of the simulated forces over their own slip, most important first."""
-    found = []
+    found: list[Structure] = []
     for channel in prepared.channels:
         if channel in ("fx", "fy"):
             name = "alpha" if channel == "fy" else "sigma_x"
@@ -60,7 +61,9 @@ def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
     return tuple(found)
 
 
-def _structures(prepared: Prepared, channel: str, name: str, slip, force):
+def _structures(
+    prepared: Prepared, channel: str, name: str, slip: np.ndarray, force: np.ndarray
+) -> Iterator[Structure]:
     load, (unit, *_) = prepared.column("fz"), CANONICAL[name]
     per = "" if unit == "-" else f"/{unit}"
     size = max(_rms(force), NONZERO)
@@ -121,7 +124,7 @@ def _structures(prepared: Prepared, channel: str, name: str, slip, force):
     yield from _own_time(prepared, channel, slip, force / load)
 
 
-def _clipped(slip, force, scale) -> tuple[float, float] | None:
+def _clipped(slip: np.ndarray, force: np.ndarray, scale: np.ndarray) -> tuple[float, float] | None:
     """Limit and slope, over ``scale``, of a force that is proportional to the slip up to the
     limit; None for another."""
     share = force / scale
@@ -129,7 +132,7 @@ def _clipped(slip, force, scale) -> tuple[float, float] | None:
     if np.sum(np.abs(share) > _AT_TOP * top) < _FEWEST:
         return None
 
-    def missed(values):
+    def missed(values: np.ndarray) -> np.ndarray:
         slope, offset = values
         return np.clip(slope * slip + offset, -top, top) - share
 
@@ -143,7 +146,9 @@ def _clipped(slip, force, scale) -> tuple[float, float] | None:
     return top, float(found.x[0])
 
 
-def _own_time(prepared: Prepared, channel: str, slip, share):
+def _own_time(
+    prepared: Prepared, channel: str, slip: np.ndarray, share: np.ndarray
+) -> Iterator[Structure]:
     """A delay or a time constant by which the force follows the slip."""
     if "time" not in prepared.data:
         return
@@ -151,7 +156,7 @@ def _own_time(prepared: Prepared, channel: str, slip, share):
     plain, best = _scatter(slip, share), None
     for kind, moved in (("own_delay", _delayed), ("own_lag", _lagged)):
 
-        def left(log, moved=moved):
+        def left(log: float, moved: Callable[..., Any] = moved) -> float:
             return _scatter(moved(slip, time, prepared.run, np.exp(log)), share)
 
         near = min(_LOG_DELAYS, key=left)
@@ -173,20 +178,20 @@ def _own_time(prepared: Prepared, channel: str, slip, share):
     )
 
 
-def _runs(run, time):
+def _runs(run: np.ndarray, time: np.ndarray) -> Iterator[np.ndarray]:
     for number in np.unique(run):
         rows = np.flatnonzero(run == number)
         yield rows[np.argsort(time[rows], kind="stable")]
 
 
-def _delayed(slip, time, run, delay):
+def _delayed(slip: np.ndarray, time: np.ndarray, run: np.ndarray, delay: float) -> np.ndarray:
     moved = np.array(slip, float)
     for rows in _runs(run, time):
         moved[rows] = np.interp(time[rows] - delay, time[rows], slip[rows])
     return moved
 
 
-def _lagged(slip, time, run, constant):
+def _lagged(slip: np.ndarray, time: np.ndarray, run: np.ndarray, constant: float) -> np.ndarray:
     moved = np.array(slip, float)
     for rows in _runs(run, time):
         decay = np.exp(-np.diff(time[rows]) / constant)
@@ -195,7 +200,7 @@ def _lagged(slip, time, run, constant):
     return moved
 
 
-def _scatter(slip, force) -> float:
+def _scatter(slip: np.ndarray, force: np.ndarray) -> float:
     """Rms scatter of a force about a curve over the slip: each value against the line
     through its two neighbours."""
     order = np.argsort(slip, kind="stable")
@@ -205,5 +210,5 @@ def _scatter(slip, force) -> float:
     return _rms(y[1:-1] - (1 - share) * y[:-2] - share * y[2:])
 
 
-def _rms(values) -> float:
+def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -361,7 +361,7 @@ def shown_slip_noise(
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     in_time = in_order(prepared.time, prepared.run)
-    found = slip_scatter(residual, slope**2, prepared.inputs.fz, one_sided, in_time)
+    found = slip_scatter(residual, slope**2, np.asarray(prepared.inputs.fz), one_sided, in_time)
     return max(found, moving) if sweeps else found or None
 
 
@@ -383,7 +383,7 @@ def with_noise_judged(base: Base, rig: Rig, z: np.ndarray, amplitudes: np.ndarra
     return _under(_noise(replace(base, z=z), rig, amplitudes, outliers=True), base)
 
 
-def on_rows(base: Base, prepared: Prepared, rig) -> Base:
+def on_rows(base: Base, prepared: Prepared, rig: Rig) -> Base:
     """The same fit on other rows, for its forces; the noise is that of its own rows."""
     tire, prepared = base.tire, on_scale_of(prepared, base.rows)
     design = fits.design_of(prepared, tire.effects, rig)
@@ -406,9 +406,9 @@ def _noise(
     fit: Base, rig: Rig, amplitudes: np.ndarray | tuple[Any, ...] = (), outliers: bool = False
 ) -> dict[str, NoiseLevel]:
     """Noise of each channel, estimated from the remainder of a fit."""
-    rows, fz = fit.rows, fit.rows.inputs.fz
+    rows, fz = fit.rows, np.asarray(fit.rows.inputs.fz)
     mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
-    typical, most = np.asarray(fz) / np.mean(fz), rows.n // 6
+    typical, most = fz / np.mean(fz), rows.n // 6
     basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
     groups, levels = neighbours(rows), {}
     of_friction = np.minimum(np.abs(fit.slip_fraction), 1.0)  # of a brush, within 0.2

@@ -6,6 +6,7 @@ noise; their squares add up."""
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from math import comb
+from typing import Any
 
 import numpy as np
 from scipy.special import softmax, stdtrit
@@ -80,7 +81,7 @@ def _off(base: Base, fit: Fit, count: int, generator: np.random.Generator) -> np
     return own + discrepancy + rms * generator.standard_normal(discrepancy.shape)
 
 
-def _closed(gap: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _closed(gap: Any, left: np.ndarray) -> np.ndarray:
     """1 - root of (remaining energy / energy of the gap), at least -1."""
     ratio = np.asarray(left) / np.maximum(gap, NONZERO)
     return np.maximum(1 - np.sqrt(ratio), WORST)
@@ -275,7 +276,11 @@ def fits_of(case: Concluded, ladder: Ladder) -> dict[Key, Fit]:
 
 
 def on_files(
-    ladder: Ladder, closure: Shrinkage, missed: Mapping[Key, np.ndarray], variance, on: str
+    ladder: Ladder,
+    closure: Shrinkage,
+    missed: Mapping[Key, np.ndarray],
+    variance: np.ndarray | float,
+    on: str,
 ) -> tuple[HeldOut, Ladder]:
     """The closure on held-out files, and the ladder with the closure of each step there.
 

@@ -1,7 +1,7 @@
 """Forces of several tires over their common range of slip and load, with bands."""
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -16,6 +16,9 @@ from tirefit.slip import CONVENTIONS, sigma_from_kappa
 
 _SLIPS, _DRAWS = 61, 100
 """Number of slips of a curve, and of draws of its parameters."""
+
+_Place = tuple[np.ndarray, tuple[float, ...], float]
+"""Slips, loads [N] and speed [m/s] at which forces are compared."""
 
 _USUAL_SPEED = 10.0
 """Speed [m/s] where no source states one."""
@@ -112,7 +115,9 @@ def _ranges(given: GivenTire) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _common(limits, key: str) -> tuple[float, float] | None:
+def _common(
+    limits: Iterable[Mapping[str, tuple[float, float]]], key: str
+) -> tuple[float, float] | None:
     """The common range of an input, of the sources that state one; None if there is none."""
     known = [one[key] for one in limits if key in one]
     if not known:
@@ -129,12 +134,19 @@ def _levels(loads: tuple[float, float]) -> tuple[float, ...]:
     return (middle,) if high <= _ONE_LOAD * max(low, 0.0) else (max(low, 0.1 * high), middle, high)
 
 
-def _speed(limits) -> float:
+def _speed(limits: Iterable[Mapping[str, tuple[float, float]]]) -> float:
     known = [np.mean(one["v"]) for one in limits if "v" in one]
     return float(np.mean(known)) if known else _USUAL_SPEED
 
 
-def _force(name, slip, at, tires, steady, level: float) -> ForceDifference:
+def _force(
+    name: str,
+    slip: str,
+    at: _Place,
+    tires: Mapping[str, GivenTire],
+    steady: Mapping[str, Any],
+    level: float,
+) -> ForceDifference:
     slips, loads, speed = at
     curves, free = {}, {}
     for k, (source, given) in enumerate(tires.items()):
@@ -162,15 +174,18 @@ def given_same(one: GivenTire, other: GivenTire) -> bool:
     return bool(one.fit and other.fit) and one.fit[0].labels == other.fit[0].labels  # type: ignore[index]
 
 
-def _at(tire, name: str, slip: str, at) -> np.ndarray:
+def _at(tire: AbstractTire, name: str, slip: str, at: _Place) -> np.ndarray:
     """The force (loads, slips) of a tire."""
     slips, loads, speed = at
     fz = np.repeat(loads, len(slips))
-    inputs = TireInputs(**{slip: np.tile(slips, len(loads)), "fz": fz, "v": speed})
+    at_slip: dict[str, Any] = {slip: np.tile(slips, len(loads))}
+    inputs = TireInputs(fz=fz, v=speed, **at_slip)
     return np.asarray(getattr(forces(tire, inputs), name)).reshape(len(loads), len(slips))
 
 
-def _differing(first: ForceCurve, own: ForceCurve, slips, loads, reach: float) -> ForceCurve:
+def _differing(
+    first: ForceCurve, own: ForceCurve, slips: np.ndarray, loads: Sequence[float], reach: float
+) -> ForceCurve:
     away = own.force - first.force
     stds = [one.std for one in (first, own) if one.std is not None]
     size, error = np.abs(away), None
@@ -181,7 +196,7 @@ def _differing(first: ForceCurve, own: ForceCurve, slips, loads, reach: float) -
     row, column = np.unravel_index(int(np.argmax(size)), size.shape)
     return own._replace(
         slip=float(slips[column]),
-        load=float(loads[row]),
+        load=float(loads[int(row)]),
         difference=float(away[row, column]),
         error=None if error is None else float(error[row, column]),
         differs=error is not None and bool(size[row, column] > reach),

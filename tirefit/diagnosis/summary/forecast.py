@@ -151,7 +151,7 @@ def _block(base: Base, z: np.ndarray) -> _Block:
     return np.asarray(jacobian), np.asarray(columns)
 
 
-def _with_moment(base: Base, z) -> _Block:
+def _with_moment(base: Base, z: np.ndarray) -> _Block:
     """Lateral runs at the slips and loads of these rows, with F_y and M_z measured. F_y has
     the noise of the present force, M_z the same share of its peak. The contact length, a
     factor on M_z, is unknown: it is the last column of the parameters."""

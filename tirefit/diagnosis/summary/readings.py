@@ -4,7 +4,7 @@ its structure in every prediction of the first; the second does not need it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -108,7 +108,7 @@ def readings_of(
     )
 
 
-def _of_simulator(whole: Prepared, rig: Rig, study) -> Described | None:
+def _of_simulator(whole: Prepared, rig: Rig, study: Callable[..., Any]) -> Described | None:
     """The description of the simulator's own forces, which have next to no noise."""
     data = as_measured(whole.data, whole.channels)
     generator, noise, columns = np.random.default_rng(0), {}, dict(data.columns)
@@ -153,7 +153,7 @@ def _described(case: Case, rms: float) -> Described:
     return Described(parameters, effects, rms)
 
 
-def _slope(case: Case, z) -> float:
+def _slope(case: Case, z: np.ndarray) -> float:
     """Slope of the force over the slip at zero slip and the mean load."""
     tire, rows = case.base.tire, case.base.rows
     along, small = rows.mode == "x", _SMALL * float(np.std(rows.slip))
