@@ -13,7 +13,7 @@ COMMANDS = {
     "fit": "Fit a model to measurements: parameters with intervals, figures, report.",
     "convert": "Convert a Magic Formula to a brush or another version.",
     "export": "Write a tire as source code or as a file of another program.",
-    "explore": "Write a page with sliders: the forces of tires at any load, camber and slip.",
+    "explore": "Write a page with sliders: forces, friction ellipse, stiffness and peak of tires.",
     "replay": "Predict measured drives of a car from its tires; report the error over time.",
     "diagnose": "Find the effects that explain the gap between a model or simulator and data.",
     "compare": "Compare fits, .tir files or diagnoses: what differs beyond its error.",

@@ -164,7 +164,7 @@ def _signals(track: Track, motion: Motion, vehicle: Vehicle, swapped=None):
                 of["path_curve"] = vehicle.wheelbase * of["turning"] / of["speed"]
             ahead = of["course"]
             askew = np.exp(1j * (ahead - of["yaw"]))[usable] if "yaw" in of else np.zeros(1)
-            mean = np.mean(askew[np.isfinite(askew)])
+            mean = np.mean(askew, where=np.isfinite(askew)) if np.isfinite(askew).any() else 0.0
             known = abs(mean) > STEADY and abs(np.angle(mean)) < SIDEWAYS
             turn = np.exp(-1j * (of["yaw"] if known else ahead))
             for kind, moved in (("v", velocity * turn), ("a", acceleration * turn)):

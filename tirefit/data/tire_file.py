@@ -87,7 +87,7 @@ def other_tire(text: str, file: str) -> list[InputProblem]:
     model = None
     if found := _FORMAT.search(text):
         name = re.sub("[^A-Z0-9]", "", found[1].upper())
-        other = not name.startswith(("MF", "PAC")) and not _COEFFICIENT.search(text)
+        other = not name.startswith(("MF", "PAC", "USER")) and not _COEFFICIENT.search(text)
         model = _FORMATS.get(name, found[1].strip() if other else None)
     if found and model:
         reason = f"a tire of the model {model} (PROPERTY_FILE_FORMAT = {found[1].strip()!r})"
