@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import tirefit
-from tirefit.fitting.config import FitConfig, parse_config
+from tirefit.fitting.problem.config import FitConfig, parse_config
 
 FITS = Path(__file__).parents[1] / "fits"
 CASES = sorted(path.parent for path in FITS.glob("*/expected.toml"))

@@ -13,10 +13,10 @@ import pytest
 import yaml
 
 import tirefit
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.display import Record
-from tirefit.fitting.config import load_config
+from tirefit.fitting.problem.config import load_config
 from tirefit.names import EFFECT_NAMES
 from tirefit.results import Outcome, exit_code
 from tirefit.sim.brake_result import UNITS

@@ -63,7 +63,7 @@ def fit_document():
 @cache
 def whole_document():
     """A whole Magic Formula in a ``fit.json``."""
-    from tirefit.data.tir import read_tir
+    from tirefit.data.tir.tir import read_tir
     from tirefit.fitting.mf.convert import converted
 
     tire = read_tir("tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir")

@@ -21,7 +21,7 @@ from tirefit.door import (
     sealed_bytes,
     unsealed_bytes,
 )
-from tirefit.fitting.config import load_config
+from tirefit.fitting.problem.config import load_config
 from tirefit.results import DataError, TirefitError, UsageError
 
 
@@ -130,7 +130,7 @@ def test_a_grid_too_large_for_memory_is_refused(tmp_path, monkeypatch):
             KINDS["vehicle.toml"].read(path)
 
     refused("1e9", "filter.sample_rate = 1000000000.0: must be less")
-    monkeypatch.setattr("tirefit.data.motion._MOST_SAMPLES", 5000)
+    monkeypatch.setattr("tirefit.data.vehicle.motion._MOST_SAMPLES", 5000)
     refused("1000.0", "samples, more than 5,000")
 
 
@@ -192,7 +192,7 @@ def test_a_change_of_any_bit_of_a_stored_chain_is_detected(tmp_path):
 
 
 def test_a_gzip_bomb_does_not_fill_the_memory(tmp_path, monkeypatch):
-    from tirefit.data import text
+    from tirefit.data.readers import text
 
     monkeypatch.setattr(text, "DATA", 2**20)
     packed = zlib.compressobj(9, zlib.DEFLATED, 31)

@@ -10,7 +10,7 @@ from hatchling.builders.wheel import WheelBuilder
 from typer.testing import CliRunner
 
 from tirefit.cli.commands import app
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis import diagnose as engine
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.names import EFFECT_NAMES

@@ -7,10 +7,10 @@ import pytest
 
 from fits.posterior_peers.cases import CASES, NOISE, synthetic
 from fits.posterior_peers.page import summary
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.inference import deviance
-from tirefit.fitting.likelihood import Rule
-from tirefit.fitting.problem import build
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.problem.likelihood import Rule
+from tirefit.fitting.solve.inference import deviance
 
 
 @pytest.mark.parametrize("name", ["brush-low", "magic-formula"])

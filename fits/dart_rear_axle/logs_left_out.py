@@ -13,9 +13,9 @@ import numpy as np
 from scipy.special import stdtrit
 
 import tirefit
-from tirefit.data.derive import derive
-from tirefit.data.motion import read_motion
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.derive import derive
+from tirefit.data.vehicle.motion import read_motion
+from tirefit.data.vehicle.vehicle import load_vehicle
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent

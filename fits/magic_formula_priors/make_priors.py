@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf.parts import coefficients_of
 from tirefit.fitting.mf.priors import LOGARITHMIC, Prior, normal_form
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import tirefit
-from tirefit.data.derive import derive
-from tirefit.data.vehicle import Vehicle
+from tirefit.data.vehicle.derive import derive
+from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.settings import parse_settings
 
 HERE = Path(__file__).parent

@@ -5,8 +5,8 @@ import numpy as np
 from fits import formulas
 from fits.posterior_peers.cases import NOISE, Case, synthetic
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.posterior import sample
 from tirefit.fitting.result import FitResult
+from tirefit.fitting.uncertainty.posterior import sample
 from tirefit.results import Outcome
 
 __all__ = ["CHAINS", "METHODS", "fits_of", "intervals_of"]

@@ -22,7 +22,7 @@ from numpyro.infer import SVI, Trace_ELBO, init_to_value
 from numpyro.infer.autoguide import AutoMultivariateNormal, AutoNormal
 from numpyro.optim import Adam
 
-from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.problem.likelihood import FitProblem
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
 from tirefit.params import Spec, with_values

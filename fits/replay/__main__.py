@@ -19,7 +19,7 @@ jax.config.update("jax_enable_x64", True)
 
 import tirefit  # noqa: E402
 from fits.replay.cars import write_logs  # noqa: E402
-from tirefit.data.vehicle import vehicle_toml  # noqa: E402
+from tirefit.data.vehicle.vehicle import vehicle_toml  # noqa: E402
 from tirefit.report.canvas import save_picture  # noqa: E402
 from tirefit.report.vehicle import plotted, trajectory_figure  # noqa: E402
 

@@ -11,8 +11,8 @@ jax.config.update("jax_enable_x64", True)
 
 import tirefit  # noqa: E402
 from fits.formulas import brush  # noqa: E402
-from tirefit.data.derive import derive  # noqa: E402
-from tirefit.data.vehicle import Vehicle  # noqa: E402
+from tirefit.data.vehicle.derive import derive  # noqa: E402
+from tirefit.data.vehicle.vehicle import Vehicle  # noqa: E402
 from tirefit.sim.drive import Car, Drive, simulate_drive  # noqa: E402
 
 RATES = (100, 50, 20)  # Hz

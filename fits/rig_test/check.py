@@ -24,9 +24,9 @@ import tirefit
 from fits.rig_test.generate import DEG, LOADS, SMALL, Recording, recordings, write
 from fits.rig_test.peer import staged_fit
 from fits.rig_test.tire import true_forces
-from tirefit.data.prepare.prepare import prepare
+from tirefit.data.rig.prepare import prepare
 from tirefit.data.table import TireData
-from tirefit.fitting.config import load_config
+from tirefit.fitting.problem.config import load_config
 from tirefit.models import TireInputs
 
 __all__ = ["BEYOND", "FORCES", "RigRows", "band", "fit_of", "main", "rig_rows"]

@@ -11,7 +11,7 @@ import tirefit
 from fits.rig_test.check import FORCES, band, fit_of, residuals, rig_rows, rms
 from fits.rig_test.generate import SMALL
 from fits.rig_test.peer import staged_fit
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf.result import save_magic_formula
 from tirefit.models import forces
 from tirefit.models.mf import mf_tire

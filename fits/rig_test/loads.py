@@ -21,10 +21,10 @@ import tirefit
 from fits.magic_formula_priors.make_priors import FAMILIES, TIRES, priors_without
 from fits.rig_test.generate import DEG, LOADS, SMALL, recordings
 from fits.rig_test.tire import NOMINAL, TRUE, RigTire
-from tirefit.data.tir import read_tir
-from tirefit.fitting.config import load_config
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf.parts import coefficients_of
 from tirefit.fitting.mf.priors import published_priors
+from tirefit.fitting.problem.config import load_config
 
 __all__ = ["CASES", "CHOSEN", "Case", "Share", "main", "shares"]
 

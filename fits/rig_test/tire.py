@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.tir import new_tir
+from tirefit.data.tir.tir import new_tir
 from tirefit.files import write_text_atomic
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, mf_tire

@@ -94,7 +94,7 @@ def batch(fits: int = 10_000, peers: int = 500) -> None:
     """Least squares of many data sets of 400 points, time per fit."""
     from scipy.optimize import curve_fit
 
-    from tirefit.fitting.batch import fit_many
+    from tirefit.fitting.solve.batch import fit_many
 
     slip, force = measured(fits)
 
@@ -179,7 +179,7 @@ def magic_formula() -> None:
     import jax
 
     from tests.bench.magic_formula_peer import magic_formula_61
-    from tirefit.data.tir import read_tir
+    from tirefit.data.tir.tir import read_tir
     from tirefit.fitting.tir import tire_of
     from tirefit.models import TireInputs
 
@@ -251,7 +251,7 @@ def posterior() -> None:
 
     from tirefit.data.read import read_frame
     from tirefit.fitting.estimate import fit
-    from tirefit.fitting.posterior import sample
+    from tirefit.fitting.uncertainty.posterior import sample
 
     slip, force = measured(1)
     frame = {"sigma_x": slip[0], "fx": force[0], "fz": np.full(ROWS, FZ)}

@@ -32,12 +32,12 @@ def rig_test(rows: int):
 def problems(rows: int):
     """(name, problem, starts): pure F_y from the first values of its stage; all
     coefficients of F_x and F_y from near the end of the stages."""
-    from tirefit.fitting.config import FitConfig
     from tirefit.fitting.mf.bins import rig_settings
     from tirefit.fitting.mf.fit import nominal_of, problem_from
     from tirefit.fitting.mf.parts import coefficients_of
     from tirefit.fitting.mf.rows import groups_of, rows_of_forces
     from tirefit.fitting.mf.stages import Search, first_values, problem_of, search
+    from tirefit.fitting.problem.config import FitConfig
 
     config = FitConfig()
     parts = rows_of_forces(rig_test(rows), ("fx", "fy"), config)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 

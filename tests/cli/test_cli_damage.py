@@ -243,7 +243,7 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 from tirefit.cli.commands import app
-from tirefit.fitting import chains
+from tirefit.fitting.uncertainty import chains
 
 chains._SECONDS_BETWEEN = 1e9  # the chain is kept at the end alone
 disk = Path("disk")

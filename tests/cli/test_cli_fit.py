@@ -313,7 +313,7 @@ def test_least_squares_results_are_written_before_the_posterior(
     run, unrendered, rig, tmp_path, monkeypatch
 ):
     """Even if the sampling process is killed."""
-    from tirefit.fitting import posterior
+    from tirefit.fitting.uncertainty import posterior
 
     seen = {}
 
@@ -337,7 +337,7 @@ def test_an_interrupted_chain_is_kept_like_a_short_one(
     run, no_figures, rig, short, tmp_path, monkeypatch
 ):
     """So that it can be resumed as that can."""
-    from tirefit.fitting import posterior
+    from tirefit.fitting.uncertainty import posterior
 
     start, chunk = posterior.SAMPLERS["emcee"]
     calls = []

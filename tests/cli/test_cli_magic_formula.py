@@ -10,7 +10,7 @@ import pytest
 from test_cli_damage import cache_of_one
 from test_cli_tutorials import undocumented
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf import fit as mf_fit
 from tirefit.fitting.tir import own_tire
 from tirefit.models import TireInputs, forces

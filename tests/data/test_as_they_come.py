@@ -9,10 +9,10 @@ from test_derive import rates_log
 from test_motion import CAR, KEEP, RATES, pose_log, pose_vehicle, steer, truth, vehicle
 from test_motion import write_log as write
 
-from tirefit.data.derive import derive, derive_files
-from tirefit.data.motion import read_motion
 from tirefit.data.read import read
-from tirefit.data.track import read_track
+from tirefit.data.vehicle.derive import derive, derive_files
+from tirefit.data.vehicle.motion import read_motion
+from tirefit.data.vehicle.track import read_track
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import replay
 from tirefit.vehicle.windows import left_out

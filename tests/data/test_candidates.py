@@ -6,9 +6,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from tirefit.data.derive import derive, derive_files
 from tirefit.data.read import read
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.derive import derive, derive_files
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.data.write import csv_text
 from tirefit.results import DataError
 from tirefit.sim.drive import Car, simulate_drive

@@ -11,9 +11,9 @@ from test_motion import CAR as MODEL_CAR
 from test_motion import KEEP, write_log
 from test_motion import RATES as MODEL_RATES
 
-from tirefit.data.derive import derive, derive_files
 from tirefit.data.units import units_of
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.derive import derive, derive_files
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.results import DataError
 from tirefit.sim.drive import Drive, simulate_drive
 

@@ -7,7 +7,7 @@ from test_read_layouts import truth, ttc
 from test_read_signs import canonical, in_signs
 
 from tirefit.data.read import read, read_frame
-from tirefit.data.stream import RowReader
+from tirefit.data.readers.stream import RowReader
 from tirefit.data.table import join
 from tirefit.results import DataError
 from tirefit.slip import CONVENTIONS

@@ -27,8 +27,8 @@ from test_motion import (
     write_log,
 )
 
-from tirefit.data.derive import derive, derive_files
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.derive import derive, derive_files
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.results import DataError, UsageError
 
 DART = Path(__file__).parents[2] / "fits" / "dart_jetracer"

@@ -23,9 +23,9 @@ from test_motion import (
     write_log,
 )
 
-from tirefit.data.derive import derive, derive_files
-from tirefit.data.findings import findings, found_in
 from tirefit.data.read import read
+from tirefit.data.vehicle.derive import derive, derive_files
+from tirefit.data.vehicle.findings import findings, found_in
 from tirefit.results import UsageError
 
 STEERED = "[steering]\ncommand = [-1, 1]\nangle = [-1, 1]\n"

@@ -5,7 +5,7 @@ import pytest
 from scipy.io import savemat
 from test_motion import CAR, KEEP, POSE, pose_log, pose_vehicle, vehicle, write_log
 
-from tirefit.data.derive import derive
+from tirefit.data.vehicle.derive import derive
 from tirefit.results import DataError, UsageError
 
 

@@ -2,7 +2,7 @@
 
 from test_motion import CAR, KEEP, POSE, pose_log, vehicle, write_log
 
-from tirefit.data.derive import derive
+from tirefit.data.vehicle.derive import derive
 
 
 def settings(tmp_path, after=""):

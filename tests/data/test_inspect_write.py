@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tirefit import slip
-from tirefit.data.derive import derive
 from tirefit.data.inspect import inspect
 from tirefit.data.read import read, read_frame
-from tirefit.data.vehicle import load_vehicle
-from tirefit.data.vehicle_log import vehicle_log
+from tirefit.data.vehicle.derive import derive
+from tirefit.data.vehicle.vehicle import load_vehicle
+from tirefit.data.vehicle.vehicle_log import vehicle_log
 from tirefit.data.write import (
     csv_text,
     output_problems,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.data.levels import cells, levels
+from tirefit.data.rig.levels import cells, levels
 
 LOADS = [222.0, 445.0, 667.0, 890.0, 1112.0]
 ANGLES = [-6.0, -3.0, 0.0, 3.0, 6.0]

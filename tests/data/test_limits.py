@@ -6,10 +6,11 @@ import zipfile
 import numpy as np
 import pytest
 
-from tirefit.data import columns, tables
+from tirefit.data import columns
 from tirefit.data.columns import guess
 from tirefit.data.read import read
-from tirefit.data.track import _in_runs
+from tirefit.data.readers import tables
+from tirefit.data.vehicle.track import _in_runs
 from tirefit.door import COLUMNS, MIB
 from tirefit.results import DataError
 
@@ -116,7 +117,7 @@ def slowly_in_runs(time, period, max_gap, lasting):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_restarting_time_is_continued_as_its_definition_says(seed):
-    from tirefit.data.track import _LASTING
+    from tirefit.data.vehicle.track import _LASTING
 
     random = np.random.default_rng(seed)
     period, max_gap = 0.02, 0.07
@@ -135,7 +136,7 @@ def test_restarting_time_is_continued_as_its_definition_says(seed):
 def test_the_stretches_of_a_motion_are_those_of_its_parts():
     from types import SimpleNamespace
 
-    from tirefit.data.motion import Motion
+    from tirefit.data.vehicle.motion import Motion
 
     part = np.repeat([0, 1, 2, 5], [3, 1, 7, 2])
     found = Motion.stretches.fget(SimpleNamespace(part=part))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tirefit.data.derive import derive
-from tirefit.data.kinds import read_table
 from tirefit.data.read import read
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.readers.kinds import read_table
+from tirefit.data.vehicle.derive import derive
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.results import DataError
 
 HEAD = """\

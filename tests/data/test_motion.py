@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tirefit.data.derive import derive
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.derive import derive
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.results import DataError
 
 MASS, L_F, L_R, INERTIA, HEIGHT = 1.58, 0.0805, 0.0930, 0.0048, 0.03

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_contradictions import BESIDE, DART, DART_LOGS, POSE, RATES, derived, log_of, vehicle_text
 
-from tirefit.data.derive import derive
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.derive import derive
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.results import DataError
 
 L_F, L_R = 1.2, 1.4

@@ -5,10 +5,10 @@ import pytest
 from rig_script import DEG, Script, combined, cornering, drum, flat, measured
 
 import tirefit
-from tirefit.data.prepare.prepare import prepare
-from tirefit.data.prepare.series import zero_phase
-from tirefit.data.prepare.set_points import Settings, setting_names
 from tirefit.data.read import read_frame
+from tirefit.data.rig.prepare import prepare
+from tirefit.data.rig.series import zero_phase
+from tirefit.data.rig.set_points import Settings, setting_names
 from tirefit.results import DataError, UsageError
 
 OF_A_CAR = {"alpha": -0.2, "fz": 3000.0, "gamma": 0.0, "pressure": 2e5, "v": 20.0}

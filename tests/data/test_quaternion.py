@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_motion import CAR, KEEP, POSE, pose_log, vehicle, write_log
 
-from tirefit.data.derive import derive
 from tirefit.data.read import read
+from tirefit.data.vehicle.derive import derive
 from tirefit.results import DataError, UsageError
 
 SPELLINGS = {

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from tirefit import slip
-from tirefit.data import check, text
+from tirefit.data import check
 from tirefit.data.columns import guess, is_number
 from tirefit.data.read import read, read_frame
+from tirefit.data.readers import text
 from tirefit.data.units import known_unit, resolve_unit
 from tirefit.data.write import to_convention
 from tirefit.results import DataError

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tirefit.data import kinds, text
-from tirefit.data.cells import Lines
 from tirefit.data.check import read_numbers
 from tirefit.data.read import read
+from tirefit.data.readers import kinds, text
+from tirefit.data.readers.cells import Lines
 from tirefit.results import DataError
 
 ROWS = 60

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.read import read_frame, require
-from tirefit.data.stream import RowReader
+from tirefit.data.readers.stream import RowReader
 from tirefit.results import DataError
 
 LOG = {

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from test_motion import CAR, KEEP, POSE, pose_log, pose_vehicle, vehicle, write_log
 
-from tirefit.data.derive import derive
-from tirefit.data.logs import Signal, on_one_clock
 from tirefit.data.read import read, read_table
+from tirefit.data.readers.logs import Signal, on_one_clock
+from tirefit.data.vehicle.derive import derive
 from tirefit.results import DataError
 
 KAPPA = np.array([-0.08, -0.04, -0.01, 0.01, 0.03, 0.06, 0.1])

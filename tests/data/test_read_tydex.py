@@ -165,9 +165,9 @@ NOMINAL = (
 
 
 def test_the_nominal_state_of_a_magic_formula_is_read_from_the_constants(tmp_path):
-    from tirefit.fitting.config import parse_config
     from tirefit.fitting.mf.fit import nominal_of
     from tirefit.fitting.mf.rows import rows_of_forces
+    from tirefit.fitting.problem.config import parse_config
 
     data = stating(tmp_path, *(constant(*line) for line in NOMINAL))
     known = data.source.constants
@@ -186,8 +186,8 @@ def test_the_nominal_state_of_a_magic_formula_is_read_from_the_constants(tmp_pat
 
 
 def test_prepared_files_keep_the_constants(tmp_path):
-    from tirefit.data.prepare.prepare import prepare
-    from tirefit.data.prepare.store import prepared_csv
+    from tirefit.data.rig.prepare import prepare
+    from tirefit.data.rig.store import prepared_csv
 
     data = stating(tmp_path, *(constant(*line) for line in NOMINAL))
     path = tmp_path / "prepared.csv"

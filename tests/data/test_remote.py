@@ -7,7 +7,7 @@ import fsspec
 import pytest
 
 from tirefit.data.read import read
-from tirefit.data.remote import RemoteFile, expanded, file_at
+from tirefit.data.readers.remote import RemoteFile, expanded, file_at
 from tirefit.results import DataError
 
 TEXT = "sigma_x,fx,fz\n" + "\n".join(f"0.0{k},{k}00,4000" for k in range(1, 9)) + "\n"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.read import read
-from tirefit.data.tir import notes_on, parse_tir, read_tir, reduced_tir
+from tirefit.data.tir.tir import notes_on, parse_tir, read_tir, reduced_tir
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.params import with_values

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from tirefit.data.tir import notes_on, parse_tir, read_tir
+from tirefit.data.tir.tir import notes_on, parse_tir, read_tir
 from tirefit.fitting.tir import own_tire
 from tirefit.models import modelled
 from tirefit.results import DataError

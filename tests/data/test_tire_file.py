@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tirefit.data.read import read
-from tirefit.data.tir import notes_on, read_tir
-from tirefit.data.tire_file import tire_kind
+from tirefit.data.tir.tir import notes_on, read_tir
+from tirefit.data.tir.tire_file import tire_kind
 from tirefit.door import read_toml
 from tirefit.fitting.predict import predict
 from tirefit.fitting.source import given_tire

@@ -9,8 +9,8 @@ import pytest
 from test_derive import rates_log
 from test_motion import CAR, KEEP, L_F, L_R, POSE, RATES, pose_log, truth, write_log
 
-from tirefit.data.derive import derive
-from tirefit.data.vehicle import (
+from tirefit.data.vehicle.derive import derive
+from tirefit.data.vehicle.vehicle import (
     QUANTITIES,
     Columns,
     Filter,

@@ -11,8 +11,8 @@ from tirefit.diagnosis.effects.state import null_state
 from tirefit.diagnosis.rows.covariates import half_force_slip
 from tirefit.diagnosis.rows.prepared import on_scale_of, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.problem import build
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
 from tirefit.results import DataError
 
 BY_ID = {effect.id: effect for effect in EFFECTS}

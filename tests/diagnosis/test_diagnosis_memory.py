@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tirefit.diagnosis.rows.noise import FORGETFUL, Memory, correlation, memory_of
-from tirefit.fitting.noise import effective_inflation
+from tirefit.fitting.problem.noise import effective_inflation
 
 ROWS = 1200
 TIME = np.linspace(0, 1, ROWS)

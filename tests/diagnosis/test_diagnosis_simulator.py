@@ -23,8 +23,8 @@ from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.closure import _energies, block_means, parameter_changes
 from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.predict import predict
+from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.models import MODELS
 from tirefit.params import specs, with_values

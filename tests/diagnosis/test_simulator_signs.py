@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.read import read_frame
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig

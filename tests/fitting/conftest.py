@@ -5,9 +5,9 @@ import warnings
 import pytest
 from recipes import ESTIMATED, GIVEN, SAMPLING, STD, VAGUE_NOISE, curve
 
-from tirefit.fitting import posterior
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.posterior import sample
+from tirefit.fitting.uncertainty import posterior
+from tirefit.fitting.uncertainty.posterior import sample
 
 
 @pytest.fixture(scope="package")

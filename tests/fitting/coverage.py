@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.importance import draw_weighted
-from tirefit.fitting.inference import deviance, minima
-from tirefit.fitting.posterior import SAMPLERS, _density, _whitening
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import solve_problem
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.inference import deviance, minima
+from tirefit.fitting.solve.multistart import solve_problem
+from tirefit.fitting.uncertainty.importance import draw_weighted
+from tirefit.fitting.uncertainty.posterior import SAMPLERS, _density, _whitening
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 

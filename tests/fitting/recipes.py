@@ -3,9 +3,9 @@
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import Solved, solve_problem
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.multistart import Solved, solve_problem
 
 FZ = 4000.0
 STD = 40.0

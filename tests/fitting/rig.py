@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 

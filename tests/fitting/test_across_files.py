@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.fitting.across_files import across_files
+from tirefit.fitting.verdict.across_files import across_files
 
 
 def made(seed, n=400, scatter=0.02, drift=0.0, wild=(), least=0.005):

@@ -7,7 +7,7 @@ import pytest
 from rig import MF52, MF61, Plan, sweeps, tire_of
 
 from tirefit.data.read import read_frame
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.priors import published_priors
 from tirefit.fitting.mf.result import tir_of

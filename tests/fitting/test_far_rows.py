@@ -8,10 +8,10 @@ import pytest
 from recipes import ESTIMATED, STD, TRUTH, brush_force, curve, table
 from scipy.stats import binom
 
-from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.far_rows import settle
-from tirefit.fitting.inference import half_width_95
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.far_rows import settle
+from tirefit.fitting.solve.inference import half_width_95
 from tirefit.params import constrain
 from tirefit.report.fit_report import fit_report
 

@@ -7,12 +7,12 @@ import pytest
 from recipes import FZ, solved, table
 
 from tirefit.data.read import read
-from tirefit.fitting.combined_slip import slip_of_forces
-from tirefit.fitting.config import load_config, parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.likelihood import root_deviance, row_moments
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import laid_out
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.combined_slip import slip_of_forces
+from tirefit.fitting.problem.config import load_config, parse_config
+from tirefit.fitting.problem.likelihood import root_deviance, row_moments
+from tirefit.fitting.solve.multistart import laid_out
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.curves import fit_curve

@@ -7,10 +7,11 @@ import pytest
 from recipes import ESTIMATED, GIVEN, STD, curve, table
 from recipes import solved as least_squares
 
-from tirefit.fitting import condense, posterior
-from tirefit.fitting.condense import cells_of, condensed
-from tirefit.fitting.inference import deviance
-from tirefit.fitting.posterior import sample
+from tirefit.fitting.solve import condense
+from tirefit.fitting.solve.condense import cells_of, condensed
+from tirefit.fitting.solve.inference import deviance
+from tirefit.fitting.uncertainty import posterior
+from tirefit.fitting.uncertainty.posterior import sample
 from tirefit.models import MODELS
 from tirefit.results import Outcome
 

@@ -7,9 +7,9 @@ import pytest
 from recipes import ESTIMATED, FZ, STD, curve, solved
 
 from tirefit.data.table import Source
-from tirefit.fitting.config import FitConfig, load_config, parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.problem import build
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import FitConfig, load_config, parse_config
 from tirefit.results import DataError, UsageError
 
 # content, what the message must name, what the remedy must name

@@ -9,15 +9,15 @@ from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, table
 from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.stats import norm
 
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.derived import derived_channel, derived_values, quantities
 from tirefit.fitting.estimate import fit, with_fixed
-from tirefit.fitting.extremes import _bowl
-from tirefit.fitting.inference import deviance
-from tirefit.fitting.layout import FreeParameter, Layout
-from tirefit.fitting.posterior import sample
-from tirefit.fitting.problem import build
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.result import Estimate
+from tirefit.fitting.solve.inference import deviance
+from tirefit.fitting.uncertainty.derived import derived_channel, derived_values, quantities
+from tirefit.fitting.uncertainty.extremes import _bowl
+from tirefit.fitting.uncertainty.posterior import sample
 from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.report.fit_tables import derived_by_run

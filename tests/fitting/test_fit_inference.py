@@ -6,8 +6,8 @@ from recipes import FZ, GIVEN, STD, TRUTH, VAGUE_NOISE, brush_force, curve, solv
 from scipy import optimize, stats
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.inference import _of_squares, deviance, threshold
-from tirefit.fitting.likelihood import Rule
+from tirefit.fitting.problem.likelihood import Rule
+from tirefit.fitting.solve.inference import _of_squares, deviance, threshold
 
 
 def test_threshold_of_given_noise_is_chi_squared():

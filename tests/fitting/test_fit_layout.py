@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from recipes import FZ, STD, brush_force, curve, table
 
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.inference import linearise, minima, residuals
-from tirefit.fitting.layout import FreeParameter, Layout, Tie, choose_layout
-from tirefit.fitting.least_squares import least_squares
-from tirefit.fitting.likelihood import root_deviance
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import laid_out
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie, choose_layout
+from tirefit.fitting.problem.likelihood import root_deviance
+from tirefit.fitting.solve.inference import linearise, minima, residuals
+from tirefit.fitting.solve.least_squares import least_squares
+from tirefit.fitting.solve.multistart import laid_out
 from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import UsageError

@@ -7,11 +7,11 @@ from recipes import STD, TRUTH, brush_force, curve, solved, table
 from scipy.integrate import trapezoid
 from scipy.special import erfcx, ndtr
 
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.latent_slip import _erfcx, _normal_part
-from tirefit.fitting.likelihood import LOSSES, root_deviance, row_moments
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import laid_out
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.problem.latent_slip import _erfcx, _normal_part
+from tirefit.fitting.problem.likelihood import LOSSES, root_deviance, row_moments
+from tirefit.fitting.solve.multistart import laid_out
 
 OFF = {"cpa2": 4.6e4, "mu": 0.97}
 TAU = 0.004

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tirefit.fitting.latent_slip import OFFSETS, slips_of_nodes
-from tirefit.fitting.noise import autocorrelation_time, effective_inflation, robust_scale
-from tirefit.fitting.slip_noise import slip_density, slip_distribution, slip_knots
+from tirefit.fitting.problem.latent_slip import OFFSETS, slips_of_nodes
+from tirefit.fitting.problem.noise import autocorrelation_time, effective_inflation, robust_scale
+from tirefit.fitting.problem.slip_noise import slip_density, slip_distribution, slip_knots
 
 
 def autoregressive(rho, n, seed):

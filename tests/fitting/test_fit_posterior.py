@@ -7,11 +7,11 @@ import pytest
 import xarray as xr
 from recipes import GIVEN, STD, curve
 
-from tirefit.fitting import posterior
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.posterior import CHUNK, sample, split_rhat
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.store import posterior_content
+from tirefit.fitting.uncertainty import posterior
+from tirefit.fitting.uncertainty.posterior import CHUNK, sample, split_rhat
 from tirefit.results import Outcome, UsageError
 
 LABELS = ("cpa2", "mu")
@@ -112,7 +112,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path, sampl
 
 
 def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch):
-    from tirefit.fitting import posterior
+    from tirefit.fitting.uncertainty import posterior
 
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from tirefit.fitting.marginals import (
+from tirefit.fitting.problem.noise import autocorrelation
+from tirefit.fitting.uncertainty.marginals import (
     bin_edges,
     dense_profile,
     enclosing,
@@ -12,8 +13,7 @@ from tirefit.fitting.marginals import (
     marginal_density,
     near_level,
 )
-from tirefit.fitting.noise import autocorrelation
-from tirefit.fitting.residuals import means_by, means_over, ordered_correlation
+from tirefit.fitting.verdict.residuals import means_by, means_over, ordered_correlation
 
 
 def test_autocorrelation_of_a_known_series_is_right():

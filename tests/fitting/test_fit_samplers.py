@@ -10,10 +10,10 @@ import xarray as xr
 from recipes import GIVEN, brush_force, curve, table
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.importance import draw_weighted, smoothed
-from tirefit.fitting.nuts import nuts_chunk, nuts_start
-from tirefit.fitting.posterior import _density, _whitening, sample
 from tirefit.fitting.store import posterior_content
+from tirefit.fitting.uncertainty.importance import draw_weighted, smoothed
+from tirefit.fitting.uncertainty.nuts import nuts_chunk, nuts_start
+from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
 from tirefit.report.fit_figures import save_figures
 from tirefit.report.fit_report import fit_report
 from tirefit.results import Outcome, UsageError
@@ -178,7 +178,7 @@ def test_importance_is_reproduced_by_its_seed_alone(given, weighted, tmp_path):
 
 
 def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, chunk, monkeypatch):
-    from tirefit.fitting import posterior
+    from tirefit.fitting.uncertainty import posterior
 
     real = draw_weighted
 
@@ -198,7 +198,7 @@ def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, chun
 
 
 def test_importance_interrupted_before_any_point_is_reported(given, monkeypatch):
-    from tirefit.fitting import posterior
+    from tirefit.fitting.uncertainty import posterior
 
     def interrupted(u):
         raise KeyboardInterrupt

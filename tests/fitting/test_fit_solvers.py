@@ -12,8 +12,14 @@ from recipes import STD, TRUTH, brush_force, curve, magic_force, solved
 from scipy import optimize
 
 from tirefit import fit
-from tirefit.fitting.config import FitConfig
-from tirefit.fitting.least_squares import SOLVERS, Normal, NormalEquations, least_squares, on_host
+from tirefit.fitting.problem.config import FitConfig
+from tirefit.fitting.solve.least_squares import (
+    SOLVERS,
+    Normal,
+    NormalEquations,
+    least_squares,
+    on_host,
+)
 from tirefit.params import constrain
 from tirefit.results import UsageError
 

@@ -8,10 +8,10 @@ import pytest
 from recipes import FZ, STD, TRUTH, brush_force, curve, table
 
 from tirefit.door import sealed
-from tirefit.fitting.derived import derived_from_draws, quantities
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
+from tirefit.fitting.uncertainty.derived import derived_from_draws, quantities
 from tirefit.params import constrain
 from tirefit.results import DataError, UsageError
 

@@ -8,12 +8,12 @@ from recipes import GIVEN, brush_force, curve, solved, table
 
 import tirefit
 from tirefit.data.table import Source
-from tirefit.fitting.bands import fitted_force
-from tirefit.fitting.batch import fit_many
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.far_rows import settle
 from tirefit.fitting.predict import predict
-from tirefit.fitting.problem import build
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.batch import fit_many
+from tirefit.fitting.solve.far_rows import settle
+from tirefit.fitting.uncertainty.bands import fitted_force
 from tirefit.models import MODELS, Brush, Tabulated, TireInputs
 from tirefit.results import DataError, UsageError
 

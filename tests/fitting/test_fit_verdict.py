@@ -19,10 +19,10 @@ from recipes import (
 from scipy import optimize
 
 from tirefit.data.read import read_frame
-from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.problem import build
-from tirefit.fitting.verdict import disagreements, judge
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.verdict.judge import disagreements, judge
 from tirefit.report.fit_report import fit_report
 from tirefit.results import DataError, Outcome, UsageError
 

@@ -9,11 +9,11 @@ import pytest
 from rig import MF52, Plan, sweeps, tire_of
 
 from tirefit.data.read import read_frame
-from tirefit.data.tir import read_tir
-from tirefit.fitting.config import parse_config
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import tir_of
+from tirefit.fitting.problem.config import parse_config
 from tirefit.models import TireInputs
 from tirefit.params import with_values
 from tirefit.results import DataError, UsageError

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from tirefit.data.read import read_frame
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.identifiability import MODELS_ASKED, identifiability
+from tirefit.fitting.verdict.identifiability import MODELS_ASKED, identifiability
 from tirefit.results import UsageError
 from tirefit.sim.simulate import simulate
 

@@ -11,12 +11,12 @@ from rig import MF52, MF61, measured
 from scipy.optimize import least_squares
 
 from tirefit.data.read import read_frame
-from tirefit.data.tir_keys import COEFFICIENTS, ONLY_IN
+from tirefit.data.tir.tir_keys import COEFFICIENTS, ONLY_IN
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.parts import NEVER_FITTED, PARTS, VERSIONS, coefficients_of, influences
 from tirefit.fitting.mf.priors import normal_form, published_priors
 from tirefit.fitting.mf.solve import Problem, blocks_of, minimise, row_gradients
-from tirefit.fitting.noise import NoiseLaw, noise_law
+from tirefit.fitting.problem.noise import NoiseLaw, noise_law
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import with_values
@@ -167,7 +167,7 @@ def test_constant_and_growing_noise_are_distinguished():
 
 def test_pure_lateral_rows_recover_their_coefficients():
     """Compared with the file that made them, in standard errors."""
-    from tirefit.data.tir import read_tir
+    from tirefit.data.tir.tir import read_tir
 
     table = columns(MF61, ("fy",))
     nominal = {"FNOMIN": {"value": 6752.0}, "NOMPRES": {"value": 2.6e5}}

@@ -9,8 +9,7 @@ from rig import MF61
 from scipy.stats import t
 
 from tirefit.data.read import read_frame
-from tirefit.data.tir import read_tir
-from tirefit.fitting.config import FitConfig, parse_config
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf.fit import fit_magic_formula, nominal_of, problem_from
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import beyond_of
@@ -18,8 +17,9 @@ from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows, Group, cells_of, groups_of
 from tirefit.fitting.mf.solve import curvature_at
 from tirefit.fitting.mf.stages import problem_of, search
-from tirefit.fitting.noise import NoiseLaw, beyond_loads, design_effect
 from tirefit.fitting.predict import predict
+from tirefit.fitting.problem.config import FitConfig, parse_config
+from tirefit.fitting.problem.noise import NoiseLaw, beyond_loads, design_effect
 from tirefit.fitting.store import load_fit
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import curvatures, mf_tire

@@ -13,7 +13,7 @@ import pytest
 from rig import MF52, MF61, NOISE, TIRES, Plan, family_of, measured, points, sweeps, tire_of
 
 from tirefit.data.read import read_frame
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.fitting.mf import fit as fit_module
 from tirefit.fitting.mf.convert import converted

@@ -8,8 +8,8 @@ import pytest
 from rig import MF52, MF61, MF62, Plan, sweeps, tire_of
 
 from tirefit.data.read import read_frame
-from tirefit.data.tir import read_tir
-from tirefit.data.tir_keys import PRESSURE_TERMS
+from tirefit.data.tir.tir import read_tir
+from tirefit.data.tir.tir_keys import PRESSURE_TERMS
 from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import save_magic_formula, tir_of

@@ -6,8 +6,8 @@ from recipes import TRUTH, brush_force, curve, table
 from scipy.optimize import nnls
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.noise import noise_std, non_negative
 from tirefit.fitting.predict import predict
+from tirefit.fitting.problem.noise import noise_std, non_negative
 from tirefit.fitting.store import load_fit
 
 N = 600

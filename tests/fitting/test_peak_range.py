@@ -10,11 +10,17 @@ from recipes import FULL_SLIDING, FZ, STD, TRUTH, brush_force, curve, magic_forc
 
 import tirefit
 from tirefit.data.read import read
-from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.family import family_of, probabilities, reached, shape_in_doubt, solved_as
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import solve_problem
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.multistart import solve_problem
+from tirefit.fitting.verdict.family import (
+    family_of,
+    probabilities,
+    reached,
+    shape_in_doubt,
+    solved_as,
+)
 from tirefit.report.fit_report import fit_report
 from tirefit.results import ExitCode, Outcome, exit_code
 

@@ -7,7 +7,7 @@ import pytest
 
 import tirefit
 from tirefit.data.accept import as_data
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.predict import outside_fit
 from tirefit.fitting.store import load_fit
 from tirefit.fitting.tir import tire_of

@@ -9,10 +9,10 @@ from scipy.stats import binom
 from slip_bound import smallest_scatter
 
 from tirefit.data.read import read_frame
-from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import _noise_record, fit
-from tirefit.fitting.far_rows import settle
-from tirefit.fitting.posterior import _density, _whitening, sample
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.far_rows import settle
+from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
 from tirefit.report.fit_tables import noise_text
 from tirefit.results import DataError
 

@@ -9,11 +9,11 @@ from scipy.optimize import curve_fit
 
 import tirefit
 from tirefit.data.read import read
-from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import solve_problem
-from tirefit.fitting.trials import candidate, errors_left_out, tried
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.multistart import solve_problem
+from tirefit.fitting.verdict.trials import candidate, errors_left_out, tried
 
 SAMPLE = Path(tirefit.__file__).parent / "samples" / "circles.csv"
 

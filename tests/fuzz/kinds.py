@@ -180,7 +180,7 @@ def _read_diagnosis(path: Path):
 
 @cache
 def _chain() -> bytes:
-    from tirefit.fitting.chains import Chain, save_chain
+    from tirefit.fitting.uncertainty.chains import Chain, save_chain
 
     random = np.random.default_rng(0)
     samples = random.normal(size=(4, 30, 8, 2))
@@ -192,7 +192,7 @@ def _chain() -> bytes:
 
 
 def _read_fit_toml(path: Path):
-    from tirefit.fitting.config import load_config
+    from tirefit.fitting.problem.config import load_config
 
     return load_config(path)
 
@@ -204,8 +204,8 @@ def log_toml() -> bytes:
 
 def _read_vehicle(path: Path):
     """The vehicle, and a short log derived with it."""
-    from tirefit.data.derive import derive
-    from tirefit.data.vehicle import load_vehicle
+    from tirefit.data.vehicle.derive import derive
+    from tirefit.data.vehicle.vehicle import load_vehicle
 
     vehicle = load_vehicle(path)
     log = path.with_suffix(".csv")
@@ -215,8 +215,8 @@ def _read_vehicle(path: Path):
 
 
 def _read_log(path: Path):
-    from tirefit.data.derive import derive
-    from tirefit.data.vehicle import load_vehicle
+    from tirefit.data.vehicle.derive import derive
+    from tirefit.data.vehicle.vehicle import load_vehicle
 
     return derive(path, load_vehicle(_LOG / "vehicle.toml"))
 
@@ -228,7 +228,7 @@ def _read_rig(path: Path):
 
 
 def _read_tir(path: Path):
-    from tirefit.data.tir import notes_on, read_tir
+    from tirefit.data.tir.tir import notes_on, read_tir
     from tirefit.models.mf import mf_tire
 
     tir = read_tir(path)
@@ -260,7 +260,7 @@ def _points():
 
 
 def _read_chain(path: Path):
-    from tirefit.fitting.chains import load_chain
+    from tirefit.fitting.uncertainty.chains import load_chain
 
     return load_chain(path, "identity")
 

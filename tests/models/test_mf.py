@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tirefit.data.tir import read_tir
-from tirefit.data.tir_keys import COEFFICIENTS, NEUTRAL
+from tirefit.data.tir.tir import read_tir
+from tirefit.data.tir.tir_keys import COEFFICIENTS, NEUTRAL
 from tirefit.models import TireForces, TireInputs, forces
 from tirefit.models.mf import MAGIC_FORMULAS, Mirrored, curvatures, mf_tire
 from tirefit.params import parameter_values, specs, with_values

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import Mirrored, mf_tire
 from tirefit.params import parameter_values, with_values

@@ -9,7 +9,7 @@ import pytest
 from pages import PHONE, browse, in_browser, width_on_phone
 
 import tirefit
-from tirefit.fitting.bands import force_band
+from tirefit.fitting.uncertainty.bands import force_band
 from tirefit.models import TireInputs
 from tirefit.results import DataError
 

@@ -15,8 +15,8 @@ from pages import PHONE, Page, browse, in_browser, width_on_phone, without_pictu
 import tirefit
 from tirefit.data.table import Source, TireData
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.far_rows import FarRow
 from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
+from tirefit.fitting.solve.far_rows import FarRow
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.curves import overlay_of

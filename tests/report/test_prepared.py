@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tirefit.data.prepare.prepare import prepare
 from tirefit.data.read import read_frame
+from tirefit.data.rig.prepare import prepare
 from tirefit.report.prepared import prepared_figure, view_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data"))

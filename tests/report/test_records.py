@@ -10,13 +10,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import tirefit
-from tirefit.data.vehicle import Filter, Keep, Steering, Vehicle
+from tirefit.data.vehicle.vehicle import Filter, Keep, Steering, Vehicle
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
-from tirefit.fitting.batch import BatchFit
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.result import FitResult, Verdict
+from tirefit.fitting.solve.batch import BatchFit
 from tirefit.fitting.source import given_tire
 from tirefit.models import Brush
 from tirefit.online.result import Estimates

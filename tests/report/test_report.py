@@ -14,8 +14,8 @@ from pages import without_pictures
 from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.summary.compare import compare
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.predict import predict_forces
+from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import Spec, with_values

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.store import StoredFit
 from tirefit.models import MODELS
 from tirefit.params import specs, with_values

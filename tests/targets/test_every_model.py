@@ -7,7 +7,7 @@ import pytest
 
 import tirefit
 from tests.targets.support import WHOLE
-from tirefit.fitting.layout import Layout
+from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.store import StoredFit
 from tirefit.models import MODELS, modelled
 from tirefit.params import parameter_values

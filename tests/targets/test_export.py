@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 import tirefit
 from tirefit.cli.commands import app
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import parameter_values

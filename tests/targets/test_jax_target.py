@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tirefit
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.slip import sigma_from_kappa

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import tirefit
 from tirefit.cli.commands import app
-from tirefit.data.tir import read_tir, reduced_tir
+from tirefit.data.tir.tir import read_tir, reduced_tir
 from tirefit.fitting.mf import convert
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import save_magic_formula

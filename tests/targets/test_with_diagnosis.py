@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import tirefit
 from tirefit.cli.commands import app
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.models import CombinedMagicFormula, MagicFormula
 from tirefit.params import parameter_values
 from tirefit.results import DataError, UsageError

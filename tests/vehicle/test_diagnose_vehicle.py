@@ -15,7 +15,7 @@ import tirefit
 from fits.withheld_vehicle import exact
 from fits.withheld_vehicle.drives import LISTED, Trial, trial, written
 from tirefit.cli.commands import app
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis.effects import EFFECTS, Atom
 from tirefit.diagnosis.extended import read_document
 from tirefit.diagnosis.summary.case import Concluded

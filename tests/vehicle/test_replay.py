@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import tirefit
 from tirefit.cli.commands import app
-from tirefit.data.tir import read_tir
+from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.source import axle_tire
 from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
@@ -148,7 +148,7 @@ def test_linear_tires_that_predict_as_well_are_said(exact):
 
 def exact_start(result):
     """Time of the first start, which the settling of the filter determines."""
-    return tirefit.data.vehicle.Filter(cutoff=15.0).settling
+    return tirefit.data.vehicle.vehicle.Filter(cutoff=15.0).settling
 
 
 def test_a_steering_delay_is_detected_and_can_be_declared(drive):

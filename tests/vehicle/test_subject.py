@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from fits.formulas import brush
 from fits.withheld_vehicle.drives import LISTED, Trial, drive, trial, written
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.fitting.source import axle_tire
 from tirefit.models import Brush

@@ -15,7 +15,7 @@ from fits.formulas import brush
 from tirefit import fit_trajectory, replay
 from tirefit.cli.commands import app
 from tirefit.data.read import read_frame
-from tirefit.data.vehicle import load_vehicle
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.models import Brush
 from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of

@@ -140,15 +140,15 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
 
 def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     """Fit the model to the curve, print the result and save it in the folder."""
-    from tirefit.data.tir import read_tir
+    from tirefit.data.tir.tir import read_tir
 
     tir = None if file is None else read_tir(file)
     start_jax()
     from tirefit.data.table import Source
-    from tirefit.fitting.config import FitConfig, NoiseConfig
     from tirefit.fitting.convert import curve, misfit_by_load
-    from tirefit.fitting.likelihood import CHANNEL_SLIP
-    from tirefit.fitting.problem import find_model
+    from tirefit.fitting.problem.build import find_model
+    from tirefit.fitting.problem.config import FitConfig, NoiseConfig
+    from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
     from tirefit.fitting.tir import check_gives, own_tire, remarks, tire_of
     from tirefit.models import AbstractTire
 

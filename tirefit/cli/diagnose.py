@@ -43,8 +43,8 @@ from tirefit.cli.output import (
     names_of,
     write_result,
 )
-from tirefit.data.remote import expanded
-from tirefit.data.tire_file import tire_kind
+from tirefit.data.readers.remote import expanded
+from tirefit.data.tir.tire_file import tire_kind
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
@@ -243,7 +243,7 @@ def _read(path: Path, how: dict, rig=None):
 def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
     """Arguments of ``tirefit.diagnose`` that all files share."""
     from tirefit.diagnosis.rows.rig import load_rig
-    from tirefit.fitting.problem import find_model
+    from tirefit.fitting.problem.build import find_model
 
     if model and not tire_kind(model) and model not in MAGIC_FORMULA_NAMES:
         find_model(model)

@@ -116,7 +116,7 @@ def _say_masked(table) -> None:
 
 def _follow(names, chosen, how) -> None:
     """Print estimates as CSV, one row at once for every row received."""
-    from tirefit.data.stream import RowReader
+    from tirefit.data.readers.stream import RowReader
     from tirefit.online.estimate import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}

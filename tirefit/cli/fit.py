@@ -30,7 +30,7 @@ from tirefit.cli.options import (
     takes_data_options,
 )
 from tirefit.cli.output import check_results, is_page, names_of
-from tirefit.data.remote import expanded
+from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError
 
@@ -147,7 +147,7 @@ def fit(
     """Fit a model to measurements: parameters with intervals, figures, report."""
     with errors_to_exit():
         sharing, files = Sharing(jobs, scheduler), expanded(files)
-        from tirefit.fitting.config import FitConfig
+        from tirefit.fitting.problem.config import FitConfig
 
         if vehicle is not None:
             refuse_besides(_OF_VEHICLE)
@@ -177,7 +177,7 @@ def fit(
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         start_jax()
-        from tirefit.fitting.problem import find_model
+        from tirefit.fitting.problem.build import find_model
 
         find_model(settings.model or "brush")
         # The page of several fits needs all of them, also those done before.

@@ -137,7 +137,7 @@ def _save(result, directory: Path, also: Also) -> list[str]:
 
 
 def _sampled(result, directory: Path, settings, resume: bool):
-    from tirefit.fitting.posterior import sample
+    from tirefit.fitting.uncertainty.posterior import sample
 
     chosen = settings.posterior
     with progress_bar("posterior") as progress:

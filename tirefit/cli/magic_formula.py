@@ -58,7 +58,7 @@ def fit_whole(
     ``options`` are arguments of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
     """
     from tirefit.data.read import read
-    from tirefit.data.tir import notes_on, read_tir
+    from tirefit.data.tir.tir import notes_on, read_tir
 
     check_results(_files(out), files)
     if like := options.get("like"):
@@ -82,7 +82,7 @@ def fit_whole(
 def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict):
     """Fit a version of the Magic Formula to the forces of a file of another version."""
     from tirefit.data.table import CANONICAL
-    from tirefit.data.tir import read_tir
+    from tirefit.data.tir.tir import read_tir
 
     check_results(_files(out))
     tir = read_tir(file)

@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import typer
 
 from tirefit.cli import silence
-from tirefit.data.remote import file_at
+from tirefit.data.readers.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
@@ -402,6 +402,6 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
 def read_config(path: Path | None):
     if path is None:
         return None
-    from tirefit.fitting.config import load_config
+    from tirefit.fitting.problem.config import load_config
 
     return load_config(path)

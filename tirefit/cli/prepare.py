@@ -20,7 +20,7 @@ from tirefit.cli.options import (
     takes_data_options,
 )
 from tirefit.cli.output import check_results, claimed, names_of, write_result
-from tirefit.data.remote import expanded, file_at
+from tirefit.data.readers.remote import expanded, file_at
 from tirefit.results import ExitCode
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
@@ -91,7 +91,7 @@ def prepare(
 
 
 def _settings(base, changes: dict[str, Any]):
-    from tirefit.data.prepare.settings import PrepareConfig
+    from tirefit.data.rig.settings import PrepareConfig
     from tirefit.settings import parse_settings
 
     below = {} if base is None else base.prepare.model_dump()
@@ -100,8 +100,8 @@ def _settings(base, changes: dict[str, Any]):
 
 def _one(out: Path, how: dict[str, Any], config, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     """Prepare one file into a folder; ``how`` are arguments of ``tirefit.read``."""
-    from tirefit.data.prepare.prepare import prepare as prepare_data
     from tirefit.data.read import read
+    from tirefit.data.rig.prepare import prepare as prepare_data
 
     file, name = piece
     # Recordings have bad rows, which are cut out.

@@ -7,7 +7,7 @@ import typer
 
 from tirefit.cli.options import Folder, Seed, errors_to_exit, progress_bar, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
-from tirefit.data.remote import file_at
+from tirefit.data.readers.remote import file_at
 from tirefit.results import InputProblem, UsageError
 
 _TIRE = "FIT.json|FILE.tir|MODEL"

@@ -33,8 +33,8 @@ from tirefit.cli.options import (
     takes_data_options,
 )
 from tirefit.cli.output import check_inputs_kept, check_results, check_table
-from tirefit.data.remote import expanded
-from tirefit.data.tire_file import tire_kind
+from tirefit.data.readers.remote import expanded
+from tirefit.data.tir.tire_file import tire_kind
 from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, UsageError
 
@@ -110,7 +110,7 @@ def inspect(
 def _identified(data, models):
     """How well the data determine the parameters of the models."""
     start_jax()
-    from tirefit.fitting.identifiability import identifiability
+    from tirefit.fitting.verdict.identifiability import identifiability
 
     return identifiability(data, models)
 
@@ -140,7 +140,7 @@ def derive(
     ] = False,
 ) -> None:
     """Compute slip angle and lateral force of an axle from vehicle logs."""
-    from tirefit.data.derive import derive_files
+    from tirefit.data.vehicle.derive import derive_files
 
     with errors_to_exit():
         units = pairs("--unit", unit)
@@ -186,7 +186,7 @@ def predict(
             reason = f"{own} apply to .tir files only"
             raise UsageError(reason, f"leave them out with {source}")
         values = _checked_request(kind == "fit", out, parameter)
-        from tirefit.data.tir import read_tir
+        from tirefit.data.tir.tir import read_tir
 
         tir = read_tir(source) if kind == "tir" else None
         start_jax()

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.cells import Column, all_grouped, may_hold, parsed
 from tirefit.data.columns import is_number
-from tirefit.data.own_tables import own_table
+from tirefit.data.readers.cells import Column, all_grouped, may_hold, parsed
+from tirefit.data.readers.own_tables import own_table
 from tirefit.data.signs import evidence_of, fitting_conventions
 from tirefit.data.units import base_column
-from tirefit.data.vehicle_log import vehicle_log
+from tirefit.data.vehicle.vehicle_log import vehicle_log
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 

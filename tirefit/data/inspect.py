@@ -9,7 +9,7 @@ import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.far import FarValue, far_values, problem_at, why_far
-from tirefit.data.levels import levels
+from tirefit.data.rig.levels import levels
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.units import base_column
 from tirefit.files import json_safe

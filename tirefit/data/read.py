@@ -13,18 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tirefit.data import check, missing, signs
-from tirefit.data.cells import words_of
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options, Signs, declared
 from tirefit.data.doubtful_units import doubt_units
-from tirefit.data.findings import findings
-from tirefit.data.kinds import read_table
-from tirefit.data.quaternion import with_headings
-from tirefit.data.remote import Place, file_at
+from tirefit.data.readers.cells import words_of
+from tirefit.data.readers.kinds import read_table
+from tirefit.data.readers.quaternion import with_headings
+from tirefit.data.readers.remote import Place, file_at
+from tirefit.data.readers.text import Table, table_of_frame
+from tirefit.data.readers.ttc import recognised
 from tirefit.data.table import CANONICAL, FORCES, SlipCheck, Source, TireData
-from tirefit.data.text import Table, table_of_frame
-from tirefit.data.ttc import recognised
 from tirefit.data.units import (
     SPINNING,
     base_column,
@@ -33,7 +32,8 @@ from tirefit.data.units import (
     slip_from_speeds,
     slip_to_sigma,
 )
-from tirefit.data.vehicle_log import IS_VEHICLE_LOG
+from tirefit.data.vehicle.findings import findings
+from tirefit.data.vehicle.vehicle_log import IS_VEHICLE_LOG
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import LOCKED, SLIP_DEFINITIONS
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.data.extras import extra
+from tirefit.data.readers.extras import extra
 from tirefit.files import replacing
 
 FAILED = "failed"

@@ -33,7 +33,7 @@ from tirefit.diagnosis.summary.readings import readings_of
 from tirefit.diagnosis.summary.result import Diagnosis, Settings
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import TireLike
-from tirefit.fitting.problem import find_model
+from tirefit.fitting.problem.build import find_model
 from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import Values

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.table import Source, TireData
-from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.predict import predict
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.result import FitResult
 from tirefit.models import AbstractTire
 

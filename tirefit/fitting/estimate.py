@@ -10,25 +10,25 @@ import numpy as np
 from tirefit.compiled import release_programs
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
-from tirefit.fitting.config import FitConfig, parse_config
-from tirefit.fitting.derived import derived_from_profile, reference_points
-from tirefit.fitting.family import peak_ranges
-from tirefit.fitting.far_rows import FarRow, Settled, settle
-from tirefit.fitting.identified import (
+from tirefit.fitting.problem.config import FitConfig, parse_config
+from tirefit.fitting.problem.layout import Tie
+from tirefit.fitting.problem.likelihood import FitProblem
+from tirefit.fitting.problem.noise import noise_by_row
+from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
+from tirefit.fitting.solve.far_rows import FarRow, Settled, settle
+from tirefit.fitting.solve.least_squares import Solver, solver_name
+from tirefit.fitting.solve.multistart import Solved
+from tirefit.fitting.uncertainty.derived import derived_from_profile, reference_points
+from tirefit.fitting.uncertainty.identified import (
     at_bound,
     independent_intervals,
     minus_two_log_likelihood,
     profile_estimates,
 )
-from tirefit.fitting.layout import Tie
-from tirefit.fitting.least_squares import Solver, solver_name
-from tirefit.fitting.likelihood import FitProblem
-from tirefit.fitting.noise import noise_by_row
-from tirefit.fitting.profile import profile_all
-from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
-from tirefit.fitting.solve import Solved
-from tirefit.fitting.trials import tried
-from tirefit.fitting.verdict import effects_to_try, is_noise, judge
+from tirefit.fitting.uncertainty.profile import profile_all
+from tirefit.fitting.verdict.family import peak_ranges
+from tirefit.fitting.verdict.judge import effects_to_try, is_noise, judge
+from tirefit.fitting.verdict.trials import tried
 from tirefit.models import TireInputs
 from tirefit.params import constrain, parameter_values, specs
 from tirefit.precision import require_x64

@@ -13,17 +13,17 @@ from tirefit.compiled import BRIEF
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import CANONICAL, TireData
-from tirefit.data.tir import read_tir
-from tirefit.data.tire_file import tire_kind
-from tirefit.fitting.layout import Layout
-from tirefit.fitting.likelihood import row_forces
+from tirefit.data.tir.tir import read_tir
+from tirefit.data.tir.tire_file import tire_kind
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.result import MagicFormulaFit, magic_formula_forces
-from tirefit.fitting.noise import noise_std
-from tirefit.fitting.problem import find_model
+from tirefit.fitting.problem.build import find_model
+from tirefit.fitting.problem.layout import Layout
+from tirefit.fitting.problem.likelihood import row_forces
+from tirefit.fitting.problem.noise import noise_std
+from tirefit.fitting.problem.time_series import check_time_series
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
-from tirefit.fitting.time_series import check_time_series
 from tirefit.fitting.tir import TIR_SIGNS, beyond, tire_of
 from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire

@@ -14,10 +14,10 @@ from tirefit.data.table import TireData
 from tirefit.display import ByName, Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
-from tirefit.fitting.far_rows import FarRow
-from tirefit.fitting.layout import Layout
-from tirefit.fitting.likelihood import FitProblem
-from tirefit.fitting.solve import Solved
+from tirefit.fitting.problem.layout import Layout
+from tirefit.fitting.problem.likelihood import FitProblem
+from tirefit.fitting.solve.far_rows import FarRow
+from tirefit.fitting.solve.multistart import Solved
 from tirefit.models import AbstractTire
 from tirefit.params import parameter_values
 from tirefit.results import Outcome, UsageError

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tirefit.data.tir import TirFile, read_tir
-from tirefit.data.tire_file import tire_kind
-from tirefit.fitting.layout import Layout
+from tirefit.data.tir.tir import TirFile, read_tir
+from tirefit.data.tir.tire_file import tire_kind
+from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.tir import tire_of
 from tirefit.models import AbstractTire, modelled
 from tirefit.models.mf import MFTire, Mirrored, Pair
@@ -90,7 +90,7 @@ def given_tire(
     if signs:
         raise UsageError("--signs applies to .tir files only", "leave it out")
     if isinstance(source, AbstractTire) or text and not kind:
-        from tirefit.fitting.problem import find_model
+        from tirefit.fitting.problem.build import find_model
 
         name = text or type(source).__name__
         tire = source if isinstance(source, AbstractTire) else find_model(text)

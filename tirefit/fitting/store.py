@@ -21,8 +21,8 @@ from tirefit.data.records import FileRecord, Row
 from tirefit.data.units import SPINNING
 from tirefit.door import outrageous, read_record
 from tirefit.files import write_texts
-from tirefit.fitting.layout import FreeParameter, Layout, Tie
-from tirefit.fitting.problem import find_model
+from tirefit.fitting.problem.build import find_model
+from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import specs, with_values

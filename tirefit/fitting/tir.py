@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.data.tir import TirFile, notes_on
-from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
+from tirefit.data.tir.tir import TirFile, notes_on
+from tirefit.data.tir.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.models.base import AbstractTire, TireInputs
 from tirefit.models.mf import OTHER_SIDE, WEIGHTS, MFTire, Mirrored, curvatures, mf_tire
 from tirefit.models.mf.fields import Nominal

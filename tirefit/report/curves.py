@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.data.levels import levels
+from tirefit.data.rig.levels import levels
 from tirefit.data.run_names import run_names
-from tirefit.fitting.bands import fitted_force, force_band
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.noise import noise_std
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
+from tirefit.fitting.problem.noise import noise_std
 from tirefit.fitting.result import FitResult
+from tirefit.fitting.uncertainty.bands import fitted_force, force_band
 from tirefit.models import TireInputs
 from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma

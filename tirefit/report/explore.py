@@ -5,7 +5,7 @@ from pathlib import Path
 import jinja2
 
 from tirefit import __version__
-from tirefit.data.extras import extra
+from tirefit.data.readers.extras import extra
 from tirefit.files import json_safe, write_texts
 from tirefit.report.page import template
 from tirefit.results import UsageError

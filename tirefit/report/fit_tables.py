@@ -9,9 +9,9 @@ import numpy as np
 
 from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
 from tirefit.data.table import CANONICAL, FORCES
-from tirefit.fitting.derived import derived_channel, quantities, quantity_of
-from tirefit.fitting.likelihood import row_moments
+from tirefit.fitting.problem.likelihood import row_moments
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
+from tirefit.fitting.uncertainty.derived import derived_channel, quantities, quantity_of
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 from tirefit.report.page import Rows
 

@@ -15,10 +15,10 @@ from tirefit.data.merged import merged
 from tirefit.data.records import FAILED, FileRecord, ResultsTable, dates_of
 from tirefit.data.run_names import run_names
 from tirefit.files import write_text_atomic
-from tirefit.fitting.across_files import AcrossFiles, across_files
-from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import record_of_fit
+from tirefit.fitting.uncertainty.derived import quantity_of
+from tirefit.fitting.verdict.across_files import AcrossFiles, across_files
 from tirefit.report.canvas import WIDE, Panel, images_of, panel_title
 from tirefit.report.curves import overlay_of
 from tirefit.report.fit_figures import curve_panel

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.marginals import (
+from tirefit.fitting.result import FitResult
+from tirefit.fitting.uncertainty.marginals import (
     bin_edges,
     dense_profile,
     enclosing,
@@ -15,7 +16,6 @@ from tirefit.fitting.marginals import (
     marginal_density,
     near_level,
 )
-from tirefit.fitting.result import FitResult
 from tirefit.report.canvas import BLUE, COLORS, DARK, ORANGE, RED, WIDE, WIDTH, Panel, tidy
 from tirefit.report.fit_tables import short_label, short_run, value_text
 from tirefit.report.numbers import plain_text

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from tirefit import __version__
-from tirefit.data.prepare.prepare import Prepared
-from tirefit.data.prepare.set_points import SHOWN
-from tirefit.data.prepare.slips import LEAST, swept_range
+from tirefit.data.rig.prepare import Prepared
+from tirefit.data.rig.set_points import SHOWN
+from tirefit.data.rig.slips import LEAST, swept_range
 from tirefit.data.units import slip_from_sigma
 from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, WIDE, Picture, frame, tidy
 

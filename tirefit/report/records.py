@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tirefit.data.table import CANONICAL
-from tirefit.fitting.batch import BatchFit
+from tirefit.fitting.solve.batch import BatchFit
 from tirefit.report.canvas import BLUE, GREY, Picture, axes_panel, drawn, together
 from tirefit.report.numbers import format_number
 from tirefit.report.page import table

@@ -8,9 +8,14 @@ from scipy.special import ndtri
 
 from tirefit.data.run_names import clipped, run_names
 from tirefit.data.table import TireData
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.residuals import means_by, means_over, ordered_correlation, standardised
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
+from tirefit.fitting.verdict.residuals import (
+    means_by,
+    means_over,
+    ordered_correlation,
+    standardised,
+)
 from tirefit.report.canvas import BLUE, DARK, GREY, ORANGE, WIDE, Panel, dots, drawn, tidy
 from tirefit.report.curves import slip_axis
 from tirefit.report.numbers import plain_text

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.fitting.problem import find_model
+from tirefit.fitting.problem.build import find_model
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import check_names, check_values, with_values
 from tirefit.precision import require_x64

@@ -14,8 +14,8 @@ from tirefit import __version__
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
 from tirefit.display import Record
-from tirefit.fitting.inference import half_width_95
 from tirefit.fitting.mf.result import TireLike
+from tirefit.fitting.solve.inference import half_width_95
 from tirefit.fitting.source import GivenTire, given_tire
 from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.models.mf import MFTire

@@ -10,7 +10,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tirefit.data.vehicle import Vehicle
+from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.door import read_toml
 from tirefit.results import InputProblem, UsageError
 from tirefit.settings import parse_settings

@@ -13,9 +13,9 @@ from textwrap import wrap
 
 import numpy as np
 
-from tirefit.data.tir import new_tir, parse_tir, reduced_tir
-from tirefit.data.tir_file import TirFile
-from tirefit.data.tir_keys import LIMITS
+from tirefit.data.tir.tir import new_tir, parse_tir, reduced_tir
+from tirefit.data.tir.tir_file import TirFile
+from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.files import json_text
 from tirefit.fitting.tir import TIR_SIGNS, USUAL_SHARES, USUAL_SLIP, own_tire, remarks
 from tirefit.models import AbstractTire, TireInputs, forces

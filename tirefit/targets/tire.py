@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
-from tirefit.data.tir import TirFile
-from tirefit.data.tir_keys import LIMITS
+from tirefit.data.tir.tir import TirFile
+from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.fitting.source import GivenTire, given_tire
 from tirefit.fitting.tir import TIR_SIGNS, remarks
 from tirefit.models import AbstractTire, CombinedMagicFormula, MagicFormula, TireInputs, modelled

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import model_validator
 
-from tirefit.data.motion import Motion
-from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.data.vehicle.motion import Motion
+from tirefit.data.vehicle.vehicle import POSE, Vehicle
 from tirefit.diagnosis.effects import effects_by_id
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.extended import AnyDocument, read_checked

@@ -9,7 +9,7 @@ angles, in the axes of ISO 8855 (x forward, y left, yaw counter-clockwise),
    \dot x &= v_x \cos\psi - v_y \sin\psi, \quad
    \dot y = v_x \sin\psi + v_y \cos\psi
 
-:math:`v_x` and :math:`\delta` are given by the log. :mod:`tirefit.data.derive` solves the
+:math:`v_x` and :math:`\delta` are given by the log. :mod:`tirefit.data.vehicle.derive` solves the
 same equations for the forces.
 """
 
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.data.vehicle import Vehicle
+from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.models import AbstractTire, TireForces, TireInputs
 from tirefit.params import Values
 

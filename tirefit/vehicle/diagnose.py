@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data.merged import merged
-from tirefit.data.vehicle import Vehicle
+from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.diagnosis.effects import Effect, atoms_of
 from tirefit.diagnosis.engine.search import Effort, Search, searched
 from tirefit.diagnosis.summary.case import Concluded

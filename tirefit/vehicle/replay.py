@@ -21,10 +21,10 @@ import numpy as np
 
 from tirefit import __version__
 from tirefit.data.merged import merged
-from tirefit.data.motion import Motion, road_wheel, with_noise
 from tirefit.data.records import Row, frame
-from tirefit.data.track import Track
-from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.data.vehicle.motion import Motion, road_wheel, with_noise
+from tirefit.data.vehicle.track import Track
+from tirefit.data.vehicle.vehicle import POSE, Vehicle
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
 from tirefit.files import listed

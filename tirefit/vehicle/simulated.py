@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tirefit.data.read import read_table
-from tirefit.data.remote import file_at
-from tirefit.data.vehicle import Vehicle
+from tirefit.data.readers.remote import file_at
+from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.engine.search import MOST_EFFECTS

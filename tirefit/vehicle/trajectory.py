@@ -22,22 +22,22 @@ from scipy.special import stdtrit
 
 from tirefit import __version__
 from tirefit.data.table import TireData
-from tirefit.data.vehicle import Steering, Vehicle, vehicle_toml
+from tirefit.data.vehicle.vehicle import Steering, Vehicle, vehicle_toml
 from tirefit.display import Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
-from tirefit.fitting.config import FitConfig
 from tirefit.fitting.estimate import data_record
-from tirefit.fitting.family import NEAR_PEAK
-from tirefit.fitting.identified import limited
-from tirefit.fitting.layout import Layout
 from tirefit.fitting.mf.result import TireLike
-from tirefit.fitting.problem import build
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import FitConfig
+from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
 from tirefit.fitting.result import Estimate, layout_record
-from tirefit.fitting.solve import solve_problem
+from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.store import at_estimate
+from tirefit.fitting.uncertainty.identified import limited
+from tirefit.fitting.verdict.family import NEAR_PEAK
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import Values, constrain, with_values
 from tirefit.precision import require_x64

@@ -13,18 +13,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.data.contradictions import compare
-from tirefit.data.derive import name_problems, names_of_runs, run_name
-from tirefit.data.motion import Motion, not_ahead, read_motion, road_wheel, slip_and_force
 from tirefit.data.read import read_frame
-from tirefit.data.remote import file_at
+from tirefit.data.readers.remote import file_at
 from tirefit.data.table import TireData
-from tirefit.data.track import Track
-from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
+from tirefit.data.vehicle.contradictions import compare
+from tirefit.data.vehicle.derive import name_problems, names_of_runs, run_name
+from tirefit.data.vehicle.motion import Motion, not_ahead, read_motion, road_wheel, slip_and_force
+from tirefit.data.vehicle.track import Track
+from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
 from tirefit.files import listed
-from tirefit.fitting import least_squares as law
-from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
+from tirefit.fitting.solve import least_squares as law
+from tirefit.fitting.solve.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
 from tirefit.fitting.source import GivenTire
 from tirefit.models import TireInputs
 from tirefit.params import Values
@@ -43,7 +43,7 @@ class CutLog(NamedTuple, Generic[Piece]):
     motion: Motion
     windows: Piece
     runs: tuple[str, ...]
-    missing: tuple[str, ...] = ()  # see :class:`tirefit.data.track.Track`
+    missing: tuple[str, ...] = ()  # see :class:`tirefit.data.vehicle.track.Track`
     path: str = ""
     sha256: str = ""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tirefit.data.findings import error_of_point
+from tirefit.data.vehicle.findings import error_of_point
 from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     PER_MILLE,

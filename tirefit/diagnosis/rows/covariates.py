@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.findings import point_confirmed
 from tirefit.data.table import TireData
+from tirefit.data.vehicle.findings import point_confirmed
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.engine import FLAT, ROUNDING
 from tirefit.diagnosis.rows.rig import STANDS

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tirefit.data.levels import Levels, levels
+from tirefit.data.rig.levels import Levels, levels
 from tirefit.diagnosis.effects.state import State
 from tirefit.diagnosis.engine import FLAT, ROUNDING, UNSEEN
 from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, Wave, places_of

@@ -19,13 +19,13 @@ from tirefit.diagnosis.rows.rig import Rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given
 from tirefit.diagnosis.rows.slips import slip_nodes
 from tirefit.diagnosis.rows.structure import structures_of
-from tirefit.fitting.across_files import HUBER
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.inference import REACH
-from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, advanced
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import starting_points
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.solve.inference import REACH
+from tirefit.fitting.solve.least_squares import MAX_STEPS, Normal, NormalEquations, advanced
+from tirefit.fitting.solve.multistart import starting_points
+from tirefit.fitting.verdict.across_files import HUBER
 from tirefit.models import TireInputs
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size

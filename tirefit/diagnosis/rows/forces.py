@@ -23,7 +23,7 @@ from tirefit.diagnosis.effects.state import (
     with_offsets,
 )
 from tirefit.diagnosis.rows.prepared import Prepared
-from tirefit.fitting.layout import Layout
+from tirefit.fitting.problem.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values

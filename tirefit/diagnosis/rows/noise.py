@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtrc
 from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
 from tirefit.diagnosis.rows.discrepancy import waves_within
-from tirefit.fitting.noise import MAD, autocorrelation_time
+from tirefit.fitting.problem.noise import MAD, autocorrelation_time
 from tirefit.params import Values
 
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.data.levels import levels
+from tirefit.data.rig.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.rows import covariates as table
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck, check_data, check_slip, unfit
 from tirefit.diagnosis.rows.slips import AHEAD, slip_law, slip_rate
-from tirefit.fitting.problem import check_slip_noise
-from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
+from tirefit.fitting.problem.build import check_slip_noise
+from tirefit.fitting.problem.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
 from tirefit.params import Values
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.data.levels import levels
+from tirefit.data.rig.levels import levels
 from tirefit.diagnosis.effects.measurement import RELATIVE, RUN_OFFSETS
 from tirefit.diagnosis.effects.record import PER_MILLE
 from tirefit.diagnosis.engine import NONZERO, UNSEEN

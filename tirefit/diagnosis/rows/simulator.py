@@ -14,19 +14,19 @@ import jax
 import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
-from tirefit.data.tir import read_tir
-from tirefit.data.tire_file import tire_kind
+from tirefit.data.tir.tir import read_tir
+from tirefit.data.tir.tire_file import tire_kind
 from tirefit.data.units import sign_of
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.rows.forces import Tire
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import unfit
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.predict import predict
-from tirefit.fitting.problem import find_model
+from tirefit.fitting.problem.build import find_model
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.problem.layout import FreeParameter, Layout, choose_layout
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, remarks, tire_of

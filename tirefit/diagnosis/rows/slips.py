@@ -8,8 +8,8 @@ from scipy.special import comb, softmax
 
 from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
-from tirefit.fitting.noise import MAD
-from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
+from tirefit.fitting.problem.noise import MAD
+from tirefit.fitting.problem.slip_noise import SlipDistribution, slip_distribution
 from tirefit.params import Values
 
 _WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas

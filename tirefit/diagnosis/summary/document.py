@@ -48,7 +48,7 @@ from tirefit.diagnosis.summary.views import (
     residual_map,
     shown_rows,
 )
-from tirefit.fitting.noise import effective_inflation
+from tirefit.fitting.problem.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Largest number of candidates; smallest probability of the unknown to be one."""

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from tirefit.data.tir_keys import LIMITS
+from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.source import GivenTire
 from tirefit.fitting.tir import TIR_SIGNS

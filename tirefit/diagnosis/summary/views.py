@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc, stdtr
 
-from tirefit.data.levels import cells, levels
+from tirefit.data.rig.levels import cells, levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.vehicle import said_of_motion
 from tirefit.diagnosis.engine import NONZERO, ROUNDING

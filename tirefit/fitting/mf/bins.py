@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from tirefit.data.levels import levels
+from tirefit.data.rig.levels import levels
 from tirefit.fitting.mf.parts import NEARLY_PURE, SLIPS_OF
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.models import TireInputs

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.table import Source, TireData
-from tirefit.data.tir import TirFile
-from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
-from tirefit.fitting.config import FitConfig
+from tirefit.data.tir.tir import TirFile
+from tirefit.data.tir.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.parts import NEVER_FITTED, VERSIONS, coefficients_of
 from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.tir import own_tire, remarks, tire_of, turned_by
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf.moments import Overturning, Rolling

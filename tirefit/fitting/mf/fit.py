@@ -12,8 +12,7 @@ import numpy as np
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
-from tirefit.data.tir import TirFile, read_tir
-from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
+from tirefit.data.tir.tir import TirFile, read_tir
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.bins import binned, rig_settings
 from tirefit.fitting.mf.guards import check_guards
@@ -43,6 +42,7 @@ from tirefit.fitting.mf.rows import ForceRows, groups_of, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, search
 from tirefit.fitting.mf.temperature import UNUSED, at_reference
+from tirefit.fitting.problem.config import FitConfig, ParameterConfig, parse_config
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.fitting.inference import half_width_95
 from tirefit.fitting.mf.bins import Setting, labels_of
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
 from tirefit.fitting.mf.stages import Search, without
-from tirefit.fitting.noise import NoiseLaw, beyond_loads, noise_law
+from tirefit.fitting.problem.noise import NoiseLaw, beyond_loads, noise_law
+from tirefit.fitting.solve.inference import half_width_95
 
 LEAVE_OUT = ("three", "load", "bin", "none")
 """Parts that are left out in turn: the bins of three loads (smallest, middle, largest),

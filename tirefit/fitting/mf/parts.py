@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.data.tir_keys import ONLY_IN
-from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.data.tir.tir_keys import ONLY_IN
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
 from tirefit.models.mf import MFTire
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.params import check_names, specs

@@ -18,10 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.tir import TirFile
-from tirefit.fitting.config import FitConfig, ParameterConfig
+from tirefit.data.tir.tir import TirFile
 from tirefit.fitting.mf.parts import NEVER_FITTED, PARTS, SLIPS_OF, coefficients_of
 from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.problem.config import FitConfig, ParameterConfig
 from tirefit.fitting.tir import own_tire
 from tirefit.models import forces
 from tirefit.models.mf import MFTire

@@ -10,12 +10,11 @@ import numpy as np
 
 from tirefit.data.accept import DataLike
 from tirefit.data.records import Row, frame
-from tirefit.data.tir import new_tir
-from tirefit.data.tir_file import TirFile
+from tirefit.data.tir.tir import new_tir
+from tirefit.data.tir.tir_file import TirFile
 from tirefit.display import ByName, Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text, write_texts
-from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.mf.bins import SlipBins
 from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
@@ -23,7 +22,8 @@ from tirefit.fitting.mf.parts import VERSIONS, coefficients_of
 from tirefit.fitting.mf.solve import Problem, blocks_of, propagated
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.mf.temperature import FrictionTemperature
-from tirefit.fitting.noise import NoiseLaw
+from tirefit.fitting.problem.layout import FreeParameter, Layout
+from tirefit.fitting.problem.noise import NoiseLaw
 from tirefit.fitting.result import SCHEMA, FitResult, layout_record
 from tirefit.fitting.store import StoredFit
 from tirefit.models import AbstractTire, TireInputs

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tirefit.data.table import TireData, join
-from tirefit.data.tir import PRESSURES
-from tirefit.fitting.config import FitConfig
+from tirefit.data.tir.tir import PRESSURES
 from tirefit.fitting.mf.parts import MOMENTS, PARTS, SLIPS_OF, is_pure, parts_named
-from tirefit.fitting.noise import NoiseLaw, noise_law
-from tirefit.fitting.problem import force_scale
+from tirefit.fitting.problem.build import force_scale
+from tirefit.fitting.problem.config import FitConfig
+from tirefit.fitting.problem.noise import NoiseLaw, noise_law
 from tirefit.models import TireInputs
 from tirefit.results import DataError
 

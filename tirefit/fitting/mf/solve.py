@@ -19,8 +19,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.compiled import BRIEF
-from tirefit.fitting.least_squares import MAX_STEPS, Normal, NormalEquations, Solution, on_host
 from tirefit.fitting.mf.parts import influences
+from tirefit.fitting.solve.least_squares import (
+    MAX_STEPS,
+    Normal,
+    NormalEquations,
+    Solution,
+    on_host,
+)
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, curvatures
 from tirefit.padding import pad_rows

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.least_squares import Solution
 from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
 from tirefit.fitting.mf.rows import Group
 from tirefit.fitting.mf.solve import (
@@ -26,7 +25,8 @@ from tirefit.fitting.mf.solve import (
     row_gradients,
     row_values,
 )
-from tirefit.fitting.noise import autocorrelation_time, design_effect, noise_law
+from tirefit.fitting.problem.noise import autocorrelation_time, design_effect, noise_law
+from tirefit.fitting.solve.least_squares import Solution
 
 _ENOUGH = 2048
 """Number of cells, evenly taken, by which the best of several starts is chosen."""

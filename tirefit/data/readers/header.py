@@ -1,0 +1,219 @@
+"""Find the header of a text, its delimiter and its units; read the words of white-space tables."""
+
+import csv
+import itertools
+import re
+from collections.abc import Callable, Collection, Sequence
+
+from tirefit.data.columns import guess, is_number
+from tirefit.data.readers.cells import SPACES
+from tirefit.data.units import known_unit
+
+_BELOW = 3
+"""The first row of numbers is at most this many lines below the header, after units or a ruling."""
+
+_DELIMITERS = "\t;|,"
+_LONGEST = 10  # largest number of lines of a header with quoted line ends
+
+_TOKEN = re.compile(r'"[^"]*"|\S+')
+_WIDE_GAP = re.compile(r"\s{2,}|\t")
+
+Header = tuple[int, list[str]]
+"""Index of a header's line, and its cells."""
+
+
+def _header_above_numbers(
+    lines: Sequence[str], searched: Sequence[int], is_known: Callable[[str], bool]
+) -> Header | None:
+    """The header: a line with as many words as the row of numbers below it has numbers.
+
+    Args:
+        lines: of the file; a blank line is only a line end.
+        searched: indices of the lines with content to search, in order.
+        is_known: whether a word is the name of a known column. A title may have as many
+            words as a row has numbers, so the line with the most known ones is taken.
+    """
+    headers = []
+    for index in searched:
+        width = _numbers_below(lines, index)
+        for cells in (_WIDE_GAP.split(lines[index].strip()), _words(lines[index])):
+            if width > 1 and len(cells) == width and not any(map(is_number, cells)):
+                headers.append((index, cells))
+                break
+    return max(headers, key=lambda it: sum(map(is_known, it[1])), default=None)
+
+
+def _words(line: str) -> list[str]:
+    return [word.strip('"').strip() for word in _TOKEN.findall(line)]
+
+
+def _numbers_below(lines: Sequence[str], index: int) -> int:
+    """Number of values in the first row below that has only numbers; 0 without one."""
+    content = (line for line in lines[index + 1 :] if line.strip())
+    for line in itertools.islice(content, _BELOW):
+        words = line.split()
+        if all(map(_is_cell, words)):
+            return len(words)
+    return 0
+
+
+def _is_cell(word: str) -> bool:
+    """Whether a word is a number with point or comma, or the text of a missing value."""
+    return is_number(word.replace(",", ".", 1)) or word.casefold() == "nan"
+
+
+def commented_header(
+    lines: Sequence[str], is_known: Callable[[str], bool]
+) -> tuple[int, str] | None:
+    """The header of a file whose header is a comment, as NumPy and MATLAB write it.
+
+    Args:
+        lines: of the file.
+        is_known: whether a word is the name of a known column.
+
+    Returns:
+        Index and text without the mark of the last comment above the first line of
+        numbers with as many cells, of which two are known; None without one.
+    """
+    first = next((i for i, line in enumerate(lines) if not _is_comment(line)), 0)
+    splits: list[Callable[[str], list[str]]] = [
+        *(re.compile(mark).split for mark in ",;\t"),
+        _words,
+    ]
+    for split in splits:
+        width = len(split(lines[first].strip())) if lines else 0
+        if width < 2 or not all(_is_cell(c.strip()) for c in split(lines[first])):
+            continue
+        for index in range(first - 1, -1, -1):
+            text = lines[index].strip().lstrip("#%").strip()
+            cells = [cell.strip() for cell in split(text)]
+            if len(cells) != width or any(map(is_number, cells)):
+                continue
+            if sum(map(is_known, cells)) >= 2:
+                return index, text + "\n"
+    return None
+
+
+def _is_comment(line: str) -> bool:
+    return not line.strip() or line.lstrip()[0] in "#%"
+
+
+def spaced_head(lines: Sequence[str], header: list[str]) -> list[str]:
+    """The first lines from the header, with each of its cells in quotation marks and each
+    unit below it one word."""
+    head = [" ".join(f'"{cell}"' for cell in header) + "\n"]
+    for line in lines[1 : 1 + _BELOW]:
+        words = _TOKEN.findall(line)
+        head.append(" ".join(_joined_units(words, len(header))) + "\n")
+    return head
+
+
+def _joined_units(words: list[str], width: int) -> list[str]:
+    """Words of a row of units; ``deg C`` counts as one word if that gives ``width``."""
+    joined: list[str] = []
+    for word in words:
+        if joined and known_unit(joined[-1] + word) and len(word) < 3:
+            joined[-1] += word
+        else:
+            joined.append(word)
+    return joined if len(joined) == width else words
+
+
+def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
+    """Index of the line of names in the export of a logger: the last one above the numbers
+    that is as wide as they are and no row of units; else the line below the first blank one."""
+    for delimiter in _DELIMITERS:
+        try:
+            split = [next(csv.reader([lines[i]], delimiter=delimiter)) for i in searched]
+        except csv.Error:
+            continue
+        cells = [[cell.strip(' "') for cell in row] for row in split]
+        rows = dict(zip(searched, cells, strict=True))
+        found = [i for i, row in rows.items() if _is_numeric(row) and not counts_up(row)]
+        names = [
+            i
+            for i, row in rows.items()
+            if found and i < found[0] and len(row) == len(rows[found[0]])
+            if row[0] and not counts_up(row) and known_unit(row[0]) is None
+        ]
+        if names:
+            return names[-1]
+    return lines.index("\n") + 1 if "\n" in lines else 1
+
+
+def _is_numeric(row: Sequence[str]) -> bool:
+    """Whether a row has several cells, all numbers or empty."""
+    cells = [cell.replace(",", ".", 1) for cell in row if cell]
+    return len(cells) > 1 and all(map(is_number, cells))
+
+
+def find_header(
+    lines: Sequence[str], searched: Sequence[int], declared: Collection[str]
+) -> tuple[int, str, list[str]]:
+    """Index of the header line, the delimiter, and its words if white space separates.
+
+    Some systems write a title first: the header is the first of the searched lines with
+    two recognised columns, or else the first as wide as the rows of numbers below it.
+    White space separates if no delimiter gives columns and white space gives as many as
+    the rows of numbers have.
+    """
+    declared = {header.strip().casefold() for header in declared}
+
+    def is_known(name: str) -> bool:
+        return name.casefold() in declared or guess(name) is not None
+
+    def split(index: int, delimiter: str) -> tuple[int, int]:
+        """Recognised columns and all columns of a line, which quotes may extend."""
+        some = lines[index : index + _LONGEST]
+        try:
+            names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
+        except csv.Error:  # too long for one cell
+            return 0, 0
+        return sum(is_known(name.strip()) for name in names), len(names)
+
+    first = searched[0]
+    best = {}
+    for index in searched:
+        widths = {delimiter: split(index, delimiter) for delimiter in _DELIMITERS}
+        best[index] = max(_DELIMITERS, key=widths.__getitem__)
+        if widths[best[index]][0] < 2:
+            continue
+        is_title = split(first, best[index])[1] < widths[best[index]][1]
+        header = index if is_title else first
+        words = _spaced_under_tabs(lines, header, best[header], is_known)
+        return header, SPACES if words else best[header], words
+    below = _header_above_numbers(lines, searched, is_known)
+    if below and (below[0] != first or split(first, best[first])[1] == 1):
+        return below[0], SPACES, below[1]
+    for delimiter in _DELIMITERS:
+        columns = [split(index, delimiter)[1] for index in searched]
+        header = searched[columns.index(columns[-1])]
+        cells = lines[header].split(delimiter)
+        if columns[-1] > columns[0] > 0 and not any(map(is_number, cells)):
+            return header, delimiter, []
+    return first, best[first], []
+
+
+def _spaced_under_tabs(
+    lines: Sequence[str], header: int, delimiter: str, is_known: Callable[[str], bool]
+) -> list[str]:
+    """Words of a header that has tabs while the rows below have none; else empty."""
+    tabs = any("\t" in line for line in lines[header + 1 : header + _LONGEST])
+    below = _header_above_numbers(lines, [header], is_known)
+    return below[1] if delimiter == "\t" and below and not tabs else []
+
+
+def counts_up(row: list[str]) -> bool:
+    """Whether a row holds the channel numbers 1, 2, 3, ..."""
+    cells = [cell.strip() for cell in row if cell.strip()]
+    return len(cells) > 1 and cells == [str(k + 1) for k in range(len(cells))]
+
+
+def is_units_row(row: list[str], width: int, common: float) -> bool:
+    """Whether a row has no numbers and at least the share ``common`` of known units."""
+    cells = [cell.strip() for cell in row]
+    stated = [cell for cell in cells if cell not in ("", "-")]
+    if len(row) != width or not stated or any(map(is_number, cells)):
+        return False
+    known = sum(known_unit(cell) is not None for cell in stated)
+    return known >= common * len(stated)

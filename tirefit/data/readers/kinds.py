@@ -1,0 +1,172 @@
+"""Detect the kind of a file from its content and read it: :func:`read_table`."""
+
+import hashlib
+import re
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+
+from tirefit.data.columns import guess
+from tirefit.data.readers import logs, tables, tydex
+from tirefit.data.readers.loggers import VBO, is_vbo
+from tirefit.data.readers.mat import Channels, channels_of_mat, is_mat
+from tirefit.data.readers.remote import Place
+from tirefit.data.readers.text import (
+    Table,
+    decoded,
+    gunzipped,
+    read_bytes,
+    stem_of,
+    table_of_rows,
+    table_of_text,
+    table_of_vbo,
+)
+from tirefit.data.table import Layout
+from tirefit.data.tir.tire_file import describes_tir, other_tire
+from tirefit.door import COLUMNS, JSON_GAP
+from tirefit.results import DataError, InputProblem
+
+_AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
+_IN_PYTHON = (
+    "in Python: columns = {}; data = tirefit.read_frame(columns); tirefit.fit(data)."
+    " For a command: pandas.DataFrame(columns).to_csv('run.csv', index=False)"
+)
+_NPZ = _IN_PYTHON.format("dict(numpy.load('{file}'))")
+_NPY = "dict(zip(['kappa', 'fx', 'fz'], numpy.load('{file}').T))"
+_PICKLE = _IN_PYTHON.format("pandas.read_pickle('{file}')")
+_UNREADABLE = {
+    rb"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
+    rb"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
+    rb"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),
+    rb"(?s)PK\x03\x04.{26}[^\0]{1,200}\.npy": ("a file of NumPy arrays (.npz)", _NPZ),
+    rb"\x93NUMPY": ("a NumPy array (.npy)", _IN_PYTHON.format(_NPY)),
+    rb"\x80[\x02-\x05]|\((dp|lp)\d+\n": ("a pickle, which could run code", _PICKLE),
+}
+"""Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
+_OF_TIRE = 2**17  # characters in which a file of a tire shows its kind
+_JSON = re.compile(
+    rb"%b(\{%b[\"}]|\[%b([{\]]|\[%b[\[{\]\"\d-]))" % ((JSON_GAP,) * 4)
+)  # [[name]] begins a table of TOML
+_OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
+
+
+def read_table(path: Place, declared: Collection[str]) -> Table:
+    """Read a file of any kind into cells; ``declared`` headers help to find columns.
+
+    Raises:
+        DataError: the file does not exist, is damaged, of unknown kind, or has no table,
+            or more columns than :data:`~tirefit.door.COLUMNS`.
+    """
+    table = _read(path, declared)
+    if len(table.headers) > COLUMNS:
+        reason = f"it has {len(table.headers)} columns, more than {COLUMNS}"
+        raise DataError(reason, "keep the columns of slips, load and forces", str(path))
+    return table
+
+
+def _read(path: Place, declared: Collection[str]) -> Table:
+    is_known = _knower(declared)
+    # The folder of a ROS 2 bag.
+    if isinstance(path, Path) and (path / "metadata.yaml").is_file():
+        channels = logs.channels_of_bag(path, b"", is_known)
+        return _of_channels(channels, path, _digest(path), "stated in the file")
+    raw = read_bytes(path)
+    content, file = gunzipped(raw, path), str(path)
+    for start, (kind, remedy) in _UNREADABLE.items():
+        if re.match(start, content):
+            reason = f"this is {kind}, which is not read"
+            raise DataError(reason, remedy.replace("{file}", Path(file).name), file)
+    if _JSON.match(content):
+        raise DataError(_of_json(content, file))
+    digest = hashlib.sha256(raw).hexdigest()
+    if is_mat(content):
+        channels = channels_of_mat(content, file, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if logs.is_mdf(content):
+        channels = logs.channels_of_mdf(path, content, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if logs.bag_suffix(content):
+        channels = logs.channels_of_bag(path, content, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if tables.is_arrow(content):
+        channels = tables.channels_of_arrow(content, file)
+        return _of_channels(channels, path, digest, "metadata of the column")
+    if tables.is_excel(content):
+        sheet = tables.sheet_of_excel(content, file, is_known)
+        rows = zip(sheet.numbers, sheet.rows, strict=True)
+        return table_of_rows(rows, path, digest, list(sheet.notes))
+    if VBO.search(content):
+        text, notes = decoded(content, path)
+        if is_vbo(text):
+            return table_of_vbo(text, path, digest, notes)
+    text, notes = decoded(content, path)
+    above = text[:_OF_TIRE]
+    DataError.raise_for(other_tire(above, file))
+    if describes_tir(above):
+        raise DataError(_of_tire("a file of Magic Formula coefficients", file))
+    if file.lower().endswith(".toml"):
+        reason = "this is a file of settings, and no table of measurements"
+        raise DataError(reason, "give the measurements here, and this file as --config", file)
+    if tydex.is_tydex(text):
+        return tydex.table_of_tydex(text, path, digest, notes)
+    return table_of_text(text, path, digest, declared, notes)
+
+
+def _of_json(content: bytes, file: str) -> InputProblem:
+    """The error for a JSON file, from which no command reads measurements."""
+    if _OUR_FIT.search(content):
+        return _of_tire("the JSON of a fit", file)
+    if other := other_tire(content.decode("latin-1"), file):
+        return other[0]
+    reason = "this is JSON, which is not read as a table of measurements"
+    remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns"
+    return InputProblem(reason, f"{remedy} or a frame (pandas.read_json)", file)
+
+
+def _of_tire(what: str, file: str) -> InputProblem:
+    """The error for a tire in the place of measurements."""
+    reason = f"this is {what}, which describes a tire and is no table of measurements"
+    remedy = "give the measurements here, and this file as the tire: --model"
+    remedy += f" {file} of diagnose, or `tirefit predict {file} DATA.csv`"
+    return InputProblem(reason, remedy, file)
+
+
+def _digest(folder: Path) -> str:
+    """SHA-256 of the files of a folder, in the order of their names."""
+    digest = hashlib.sha256()
+    for inside in sorted(folder.iterdir()):
+        digest.update(read_bytes(inside))
+    return digest.hexdigest()
+
+
+def _knower(declared: Collection[str]) -> Callable[[str], bool]:
+    folded = {header.strip().casefold() for header in declared}
+
+    def is_known(name: str) -> bool:
+        return name.strip().casefold() in folded or guess(name) is not None
+
+    return is_known
+
+
+def _of_channels(channels: Channels, path: Place, digest: str, units_from: str) -> Table:
+    """A table of columns without lines; rows are counted from 1."""
+    headers = list(channels.columns)
+    cells = list(channels.columns.values())
+    n = len(cells[0]) if cells else 0
+    if not n:
+        reason = "the file has no columns" if not cells else "there are no data rows"
+        raise DataError(reason, "give at least as many rows as parameters", str(path))
+    units = [channels.units.get(header, "") for header in headers]
+    return Table(
+        str(path),
+        stem_of(path),
+        headers,
+        cells,
+        np.arange(1, n + 1),
+        np.zeros(n, bool),
+        units_row=units if any(units) else None,
+        sha256=digest,
+        notes=channels.notes,
+        layout=Layout(units_from=units_from),
+    )

@@ -1,0 +1,272 @@
+"""Read logs of vehicles as tables: MDF by asammdf, MCAP and ROS bags by rosbags.
+
+The channels have different clocks. The table uses the clock that has most of the known
+channels. Other channels are interpolated to it, and are NaN in gaps and beyond their
+ends. A column ``time`` [s] counts from the first sample.
+"""
+
+import logging
+import re
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.readers.extras import extra
+from tirefit.data.readers.mat import Channels
+from tirefit.data.readers.remote import Place
+from tirefit.results import DataError
+
+_BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
+_LARGEST_MESSAGE = 4096
+"""Largest message [bytes] that is read; larger ones are images or point clouds."""
+_LONGEST_ARRAY = 16
+_GAP = 5.0
+"""Largest gap between two samples, in periods of their channel, that is interpolated."""
+
+
+class Signal(NamedTuple):
+    """A channel on its own clock: (n,) times [s] and values, and its unit."""
+
+    time: np.ndarray
+    values: np.ndarray
+    unit: str = ""
+
+
+def is_mdf(content: bytes) -> bool:
+    """Whether these are the bytes of a finished MDF file (.mf4, .mdf)."""
+    return content.startswith(b"MDF     ")
+
+
+def bag_suffix(content: bytes) -> str:
+    """The file ending for these bytes: that of MCAP or a ROS bag, else ""."""
+    fits = (end for start, end in _BAGS.items() if content.startswith(start))
+    return next(fits, "")
+
+
+def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
+    """The numeric channels of an MDF file on one clock, conversions applied.
+
+    Args:
+        path: of the file.
+        content: its bytes.
+        is_known: whether a name is that of a known column.
+
+    Raises:
+        DataError: asammdf is missing, or the file is damaged or empty.
+    """
+    asammdf = extra("asammdf", "MDF files", str(path), "logs")
+    # Suppress what asammdf logs on a damaged file: the error below reports it.
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
+    signals: dict[str, Signal] = {}
+    left = []
+    try:
+        with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
+            warnings.simplefilter("ignore")
+            copy = Path(folder) / "log.mf4"  # asammdf maps the file that it reads
+            copy.write_bytes(content)
+            with asammdf.MDF(copy) as mdf:
+                for channel in mdf.iter_channels():
+                    values = np.asarray(channel.samples)
+                    if values.ndim != 1 or values.dtype.kind not in "fiub":
+                        left.append(f"{channel.name!r} (no numbers)")
+                    elif channel.name in signals:
+                        left.append(f"{channel.name!r} (again)")
+                    elif len(values):
+                        time = np.array(channel.timestamps, float)
+                        signal = Signal(time, values.astype(float), channel.unit or "")
+                        signals[channel.name] = signal
+    except Exception as error:  # asammdf raises many kinds on damaged files
+        raise _damaged("MDF file", path, error) from error
+    channels = on_one_clock(signals, is_known, str(path))
+    notes = ["read as a log of MDF", *channels.notes]
+    if left:
+        notes.append(f"channels not read: {', '.join(left)}")
+    return channels._replace(notes=tuple(notes))
+
+
+def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
+    """The numeric fields of the messages of a bag on one clock, as ``/topic.field``.
+
+    Args:
+        path: of the file, or of the folder of a ROS 2 bag.
+        content: its bytes; empty for a folder.
+        is_known: whether a name is that of a known column.
+
+    The clock of a topic is that of the stamps in its headers if it has them, else that
+    of the recording. Messages are decoded by the definitions in the bag; a topic that
+    cannot be decoded is left out, with a note.
+
+    Raises:
+        DataError: rosbags is missing, or the bag is damaged or empty.
+    """
+    extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            place = Path(str(path))
+            if content:
+                place = Path(folder) / f"log{bag_suffix(content)}"
+                place.write_bytes(content)
+            signals, left = _signals_of(place)
+    except Exception as error:  # rosbags raises many kinds on damaged files
+        raise _damaged("bag", path, error) from error
+    unread = f"topics not read: {', '.join(left)}"
+    if left and not signals:
+        remedy = "record messages with numbers, and their definitions"
+        raise DataError(unread, remedy, str(path))
+    channels = on_one_clock(signals, is_known, str(path))
+    notes = ["read as a bag of ROS messages", *channels.notes]
+    if left:
+        notes.append(unread)
+    return channels._replace(notes=tuple(notes))
+
+
+def _damaged(kind: str, path: Place, error: Exception) -> DataError:
+    reason = f"the {kind} cannot be read: {type(error).__name__}: {error}"
+    remedy = "close the recording properly, or export it as CSV"
+    return DataError(reason, remedy, str(path))
+
+
+def _signals_of(place: Path) -> tuple[dict[str, Signal], list[str]]:
+    """Fields of all topics of a bag, and the topics that are not read, with the reason."""
+    from rosbags import rosbag1, rosbag2
+
+    is_ros1 = place.suffix == ".bag"
+    signals: dict[str, Signal] = {}
+    left = []
+    with (rosbag1 if is_ros1 else rosbag2).Reader(place) as reader:
+        for topic in sorted({connection.topic for connection in reader.connections}):
+            connections = [c for c in reader.connections if c.topic == topic]
+            try:
+                found = _topic(reader.messages(connections), topic, is_ros1)
+            except Exception as error:  # rosbags raises many kinds
+                kinds = " or ".join({c.msgtype for c in connections})
+                why = f"{type(error).__name__}: {error}"
+                left.append(f"{topic!r} (no {kinds} by its definition: {why})")
+                continue
+            signals |= found if isinstance(found, dict) else {}
+            left += [f"{topic!r} ({found})"] if isinstance(found, str) else []
+    return signals, left
+
+
+def _topic(messages, topic: str, is_ros1: bool) -> dict[str, Signal] | str:
+    """Fields of the messages of a topic, or the reason why it has none to read."""
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    recorded: list[float] = []
+    stamped: list[float] = []
+    rows: list[dict[str, float]] = []
+    for connection, nanoseconds, raw in messages:
+        if len(raw) > _LARGEST_MESSAGE:
+            return f"messages of {len(raw)} bytes"
+        if connection.id not in decoders:
+            decoders[connection.id] = _decoder(connection, is_ros1)
+        message = decoders[connection.id](raw)
+        recorded.append(nanoseconds / 1e9)
+        stamped.append(_stamp(message))
+        rows.append(dict(_fields(message)))
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    time = np.array(stamped if min(stamped, default=0) > 0 else recorded)
+    columns = {n: np.array([row.get(n, np.nan) for row in rows]) for n in names}
+    named = {f"{topic}.{name}": Signal(time, x) for name, x in columns.items()}
+    return named or ("no numbers" if rows else "no messages")
+
+
+def _decoder(connection, is_ros1: bool) -> Callable[[bytes], Any]:
+    """A function from bytes to a message. It uses the definition of the type in the bag,
+    or that of ROS 2 if the bag has none."""
+    from rosbags import typesys
+
+    text, name = connection.msgdef.data, connection.msgtype
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    if text:
+        store = typesys.get_typestore(typesys.Stores.EMPTY)
+        if connection.msgdef.format.name == "IDL":
+            types: dict[str, Any] = {}
+            for part in re.split(r"=+\nIDL: .*\n", text):
+                types |= typesys.get_types_from_idl(part)
+        else:
+            types = typesys.get_types_from_msg(text, name)
+        store.register(types)
+    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+    return lambda raw: decode(raw, name)
+
+
+def _stamp(message) -> float:
+    """Time of a header, or of a message's own header [s]; 0 without one."""
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    return 0.0 if stamp is None else stamp.sec + stamp.nanosec / 1e9
+
+
+def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
+    """Numbers of a message by the path to each; short arrays by their index."""
+    for name in getattr(message, "__dataclass_fields__", {}):
+        value: Any = getattr(message, name)
+        path = f"{place}.{name}" if place else name
+        if path == "header.stamp":
+            yield path, _stamp(message)
+        elif isinstance(value, bool | int | float | np.number):
+            yield path, float(value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+            if value.size <= _LONGEST_ARRAY:
+                flat = enumerate(value.reshape(-1))
+                yield from ((f"{path}[{i}]", float(one)) for i, one in flat)
+        elif hasattr(value, "__dataclass_fields__") and name != "stamp":
+            yield from _fields(value, path)
+
+
+def on_one_clock(
+    signals: dict[str, Signal], is_known: Callable[[str], bool], file: str
+) -> Channels:
+    """Signals as columns, on the clock that most of the known ones have.
+
+    Args:
+        signals: by name.
+        is_known: whether a name is that of a known column.
+        file: named in the problems.
+
+    Raises:
+        DataError: there are no signals.
+    """
+    if not signals:
+        reason, remedy = "the log holds no channels of numbers", "record some"
+        raise DataError(reason, remedy, file)
+    clocks: dict[bytes, float] = {}
+    for name, signal in signals.items():
+        weight = 1 + 1000 * is_known(name) + 1e-9 * len(signal.time)
+        key = signal.time.tobytes()
+        clocks[key] = clocks.get(key, 0.0) + weight
+    best = max(clocks, key=clocks.__getitem__)
+    base = np.frombuffer(best, float)
+    columns = {"time": base - base[0]}
+    units = {"time": "s"}
+    moved = []
+    for name, signal in signals.items():
+        if name == "time":
+            continue
+        is_base = signal.time.tobytes() == best
+        columns[name] = signal.values if is_base else _moved(signal, base)
+        units[name] = signal.unit
+        moved += [] if is_base else [repr(name)]
+    notes = [f"time counts from {base[0]:.9g} s of the log"]
+    if moved:
+        notes.append(
+            f"interpolated to the clock of the others, no further than {_GAP:g} of"
+            f" their own samples apart: {', '.join(moved)}"
+        )
+    return Channels(columns, {n: text for n, text in units.items() if text}, (*notes,))
+
+
+def _moved(signal: Signal, base: np.ndarray) -> np.ndarray:
+    """Values at the times ``base`` (n,), NaN beyond the ends and within gaps."""
+    order = np.argsort(signal.time, kind="stable")
+    time, values = signal.time[order], signal.values[order]
+    moved = np.interp(base, time, values, left=np.nan, right=np.nan)
+    if len(time) < 2:
+        return np.where(base == time[0], moved, np.nan)
+    steps = np.diff(time)
+    after = np.clip(np.searchsorted(time, base), 1, len(time) - 1)
+    in_gap = steps[after - 1] > _GAP * np.median(steps)
+    return np.where(in_gap & ~np.isin(base, time), np.nan, moved)

@@ -1,0 +1,294 @@
+"""Read MATLAB files as tables: version 5 to 7 by SciPy, version 7.3 (HDF5) by h5py.
+
+Columns are vectors of the same length: variables, fields of a struct (nested or not),
+the columns of a matrix with a cell array of their names, or a struct with ``Time``,
+``Value`` and ``Units`` for each channel, as data loggers export them. Units come from
+those, from a struct ``channel`` with ``name`` and ``units`` (Tire Test Consortium), or
+from a struct ``units`` with a text for each column.
+"""
+
+import io
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.readers.mat_sound import check_sound
+from tirefit.results import DataError, InputProblem
+
+_V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+
+_HOW_TO_SAVE = (
+    "save its columns as vectors: S = table2struct(T, 'ToScalar', true);"
+    " save('file.mat', '-struct', 'S') (of a timetable: T = timetable2table(TT) first)"
+)
+
+
+class Channels(NamedTuple):
+    """Columns of a file that has no lines."""
+
+    columns: dict[str, Any]  # name -> (n,) numbers or n texts
+    units: dict[str, str]  # stated units, by name
+    notes: tuple[str, ...]  # assumptions, and what was left out
+
+
+class _Opaque(NamedTuple):
+    """An object of a MATLAB class, which no other program can read."""
+
+    kind: str
+
+
+def is_mat(content: bytes) -> bool:
+    """Whether these are the bytes of a MATLAB file of version 5 or later."""
+    return content.startswith((_V5, _V73))
+
+
+def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) -> Channels:
+    """The columns of a MATLAB file.
+
+    Args:
+        content: bytes of the file.
+        file: named in the problems.
+        is_known: whether a name is that of a known column; the struct with most of them is read.
+
+    Raises:
+        DataError: the file is damaged, has no vectors, or has several structs with as
+            many known columns.
+    """
+    is_hdf5 = content.startswith(_V73)
+    try:
+        contents = _of_hdf5(content) if is_hdf5 else _of_v5(content)
+    except Exception as error:  # the readers raise many kinds on damaged files
+        reason = f"the MATLAB file cannot be read: {error}"
+        remedy = "save it again, or as version 7: save('file.mat', ..., '-v7')"
+        raise DataError(reason, remedy, file) from error
+    place, channels = _best(contents, file, is_known)
+    version = "7.3" if is_hdf5 else "5"
+    where = f", struct {place!r}" if place else ""
+    notes = (f"read as a MATLAB file of version {version}{where}", *channels.notes)
+    return channels._replace(units=_stated(contents) | channels.units, notes=notes)
+
+
+# --- the two formats, as plain values ----------------------------------------------
+
+
+def _of_v5(content: bytes) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    check_sound(content)
+    with warnings.catch_warnings():  # of objects, which are refused by name below
+        warnings.simplefilter("ignore")
+        raw = loadmat(io.BytesIO(content), chars_as_strings=True)
+    named = [(_name(key, value), value) for key, value in raw.items()]
+    return {key: _plain(value) for key, value in named if key[:2] != "__"}
+
+
+def _name(key: str, value: Any) -> str:
+    """The name of a variable that contains an object."""
+    if type(value).__name__ != "MatlabOpaque":
+        return key
+    return value.reshape(-1)[0]["s0"].decode()
+
+
+def _plain(value: Any) -> Any:
+    """A value from SciPy as array, text, list (cell, struct array) or dict (struct)."""
+    kind = type(value).__name__
+    if kind in ("MatlabOpaque", "MatlabFunction"):
+        inside = value.reshape(-1)[0]
+        return _Opaque(inside["s2"].decode() if value.dtype.names else "function")
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.dtype.names:
+        items = [
+            {name: _plain(one[name]) for name in value.dtype.names} for one in value.reshape(-1)
+        ]
+        return items[0] if len(items) == 1 else items
+    if value.dtype.kind == "O":
+        return [_plain(one) for one in value.reshape(-1)]
+    if value.dtype.kind == "U":
+        texts = [str(text).rstrip() for text in value.reshape(-1)]
+        return texts[0] if len(texts) == 1 else texts
+    return value
+
+
+def _of_hdf5(content: bytes) -> dict[str, Any]:
+    import h5py  # 0.1 s
+
+    with h5py.File(io.BytesIO(content), "r") as file:
+        return {key: _of_item(item, file) for key, item in file.items() if not key.startswith("#")}
+
+
+def _of_item(item, file) -> Any:
+    """A variable of version 7.3 in the form of :func:`_plain`; arrays are transposed."""
+    kind = item.attrs.get("MATLAB_class", b"")
+    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    if hasattr(item, "items"):
+        return {key: _of_item(part, file) for key, part in item.items()}
+    if "MATLAB_object_decode" in item.attrs and kind not in ("char", "logical"):
+        return _Opaque(kind)
+    if "MATLAB_empty" in item.attrs:
+        return np.empty(0)
+    values = item[()]
+    if values.dtype == object:  # of references
+        return [_of_item(file[ref], file) for ref in values.T.reshape(-1)]
+    if kind == "char":
+        rows = ["".join(map(chr, row)).rstrip() for row in np.atleast_2d(values.T)]
+        return rows[0] if len(rows) == 1 else rows
+    return values.T
+
+
+# --- find the columns -----------------------------------------------------------------
+
+
+def _best(contents, file: str, is_known) -> tuple[str, Channels]:
+    """The struct ("" for the variables) with the most known columns, and its columns."""
+    read = {
+        place: channels
+        for place, struct in _structs(contents)
+        if (channels := _channels(struct, is_known)).columns
+    }
+    scores = {place: sum(map(is_known, read[place].columns)) for place in read}
+    best = [place for place in scores if scores[place] == max(scores.values())]
+    if not best:
+        raise _nothing(contents, file)
+    if len(best) > 1 and scores[best[0]] and best[0]:
+        listed = ", ".join(map(repr, best))
+        reason = f"several structs hold columns that are known: {listed}"
+        remedy = "save each to a file of its own: save('one.mat', '-struct', 'one')"
+        raise DataError(reason, remedy, file)
+    others = [p for p in best[1:] + [p for p in read if p not in best] if p]
+    others = [place for place in others if place != "channel"]
+    channels = read[best[0]]
+    if others:
+        note = f"structs not read: {', '.join(map(repr, others))}"
+        channels = channels._replace(notes=(*channels.notes, note))
+    return best[0], channels
+
+
+def _structs(contents, place: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    yield place, contents
+    for name, value in contents.items():
+        if isinstance(value, dict):
+            yield from _structs(value, f"{place}.{name}" if place else name)
+
+
+def _channels(struct: Mapping[str, Any], is_known) -> Channels:
+    """Columns of one struct, of the length that most of the known columns have."""
+    logged = _logged(struct)
+    if logged is not None:
+        return logged
+    columns: dict[str, Any] = {}
+    for name, value in struct.items():
+        if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+            flat = value.reshape(-1)
+            if value.size == max(value.shape, default=0) and value.size > 1:
+                columns[name] = flat.astype(float) if flat.dtype.kind == "b" else flat
+        elif isinstance(value, list) and len(value) > 1 and _are_texts(value):
+            columns[name] = value
+    numbers = [k for k in columns if isinstance(columns[k], np.ndarray)]
+    if not numbers:
+        columns = _of_matrix(struct)
+        numbers = list(columns)
+    weights = Counter[int]()
+    for name in numbers:
+        weights[len(columns[name])] += 1 + 1000 * is_known(name)
+    length = max(weights, key=weights.__getitem__, default=0)
+    kept = {name: values for name, values in columns.items() if len(values) == length}
+    return Channels(kept if numbers else {}, {}, tuple(_left_out(struct, kept)))
+
+
+def _are_texts(values: list) -> bool:
+    return all(isinstance(value, str) for value in values)
+
+
+def _of_matrix(struct: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns of the only matrix with a list of as many names."""
+    names = [v for v in struct.values() if isinstance(v, list) and _are_texts(v)]
+    inner = struct.get("channel")
+    if isinstance(inner, dict) and isinstance(inner.get("name"), list):
+        names.append(inner["name"])
+    for value in struct.values():
+        if isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[0] > 1:
+            for headers in names:
+                if len(set(headers)) == len(headers) == value.shape[1] > 1:
+                    return dict(zip(headers, value.T, strict=True))
+    return {}
+
+
+def _logged(struct: Mapping[str, Any]) -> Channels | None:
+    """Channels that are structs with Time, Value and Units; None if they are not."""
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in struct.items():
+        if isinstance(value, dict):
+            folded = {key.casefold(): part for key, part in value.items()}
+            if {"time", "value"} <= folded.keys():
+                parts[name] = folded
+    if len(parts) < 2:
+        return None
+    times = {name: np.ravel(part["time"]) for name, part in parts.items()}
+    clock = Counter(time.tobytes() for time in times.values()).most_common(1)[0][0]
+    kept = [name for name in parts if times[name].tobytes() == clock]
+    columns = {"Time": times[kept[0]]}
+    columns |= {name: np.ravel(parts[name]["value"]) for name in kept}
+    units = {name: parts[name].get("units", "") for name in kept}
+    others = [name for name in parts if name not in kept]
+    notes = ["each channel a struct with Time and Value"]
+    if others:
+        listed = ", ".join(map(repr, others))
+        notes.append(f"channels not read, sampled at other times: {listed}")
+    texts = {name: unit for name, unit in units.items() if isinstance(unit, str)}
+    return Channels(columns, {"Time": "s"} | texts, tuple(notes))
+
+
+def _left_out(struct: Mapping[str, Any], kept) -> list[str]:
+    """Notes on the other content of a struct; texts in full."""
+    others = {n: value for n, value in struct.items() if n not in kept}
+    texts = [f"{n} = {value!r}" for n, value in others.items() if _is_text(value)]
+    left = [
+        f"{n!r} ({_described(value)})"
+        for n, value in others.items()
+        if not isinstance(value, dict) and not _is_text(value)
+    ]
+    return [*texts, *([f"variables not read: {', '.join(left)}"] if left else [])]
+
+
+def _is_text(value) -> bool:
+    return isinstance(value, str)
+
+
+def _described(value) -> str:
+    if isinstance(value, _Opaque):
+        return f"MATLAB {value.kind}"
+    if isinstance(value, np.ndarray):
+        return " x ".join(map(str, value.shape))
+    if hasattr(value, "nnz"):
+        return "sparse matrix"
+    return "text" if _is_text(value) else f"{type(value).__name__} of {len(value)}"
+
+
+def _stated(contents: Mapping[str, Any]) -> dict[str, str]:
+    """Units that a struct ``channel`` or ``units`` of the file states, by column."""
+    units: dict[str, str] = {}
+    for place, struct in _structs(contents):
+        folded = {key.casefold(): value for key, value in struct.items()}
+        if place.split(".")[-1].casefold() == "units":
+            units |= {n: text for n, text in struct.items() if _is_text(text)}
+        names, texts = folded.get("name"), folded.get("units")
+        if isinstance(names, list) and isinstance(texts, list):
+            if len(names) == len(texts) and _are_texts(names + texts):
+                units |= dict(zip(names, texts, strict=True))
+    return units
+
+
+def _nothing(contents: Mapping[str, Any], file: str) -> DataError:
+    listed = ", ".join(f"{name!r} ({_described(value)})" for name, value in contents.items())
+    reason = f"no columns in this MATLAB file: {listed or 'it is empty'}"
+    problem = InputProblem(reason, _HOW_TO_SAVE, file)
+    objects = [n for n, value in contents.items() if isinstance(value, _Opaque)]
+    if objects:
+        kinds = ", ".join(f"{n!r} is a {contents[n].kind}" for n in objects)
+        reason = f"{kinds}, which only MATLAB can read"
+        problem = InputProblem(reason, _HOW_TO_SAVE, file)
+    return DataError(problem)

@@ -1,0 +1,86 @@
+"""Compute headings from the quaternions of a table: :func:`with_headings`."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tirefit.data.check import has_decimal_comma, read_numbers
+from tirefit.data.columns import guess
+from tirefit.data.readers.text import Table
+
+_PART = re.compile(
+    r"(?P<stem>(?:(?:.*[\W_])?(?:q|quat|quaternion|ori|rot|attitude)"
+    r"|.*orientation|.*rotation)[\W_]*)(?P<part>[xyzw])\W*(?:[\[({].*)?",
+    re.IGNORECASE,
+)
+"""``qx``, ``field.pose.pose.orientation.x``, ``/tf/rotation/w``, ``quat_z [-]``."""
+
+_NORM = 0.1  # largest error of a norm, as with components rounded to one decimal place
+
+
+def heading(x, y, z, w):
+    """Heading [rad] of a quaternion of any norm."""
+    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def with_headings(table: Table, stated: Sequence[str] = ()) -> tuple[Table, dict[str, str]]:
+    """The table with a column ``...yaw`` [rad] for each quaternion, and a map from the
+    headers that name a quaternion (its components, their common beginning) to it.
+
+    Rows without a component, or with a norm that is not 1, are NaN and are counted in
+    the notes. If no header means a heading, the column of a single quaternion does.
+
+    Args:
+        stated: headers of x, y, z, w of one more quaternion.
+    """
+    found: dict[str, dict[str, int]] = {}
+    for place, header in enumerate(table.headers):
+        if match := _PART.fullmatch(header.strip()):
+            parts = found.setdefault(match["stem"], {})
+            parts[match["part"].lower()] = place
+    whole = {stem: parts for stem, parts in found.items() if len(parts) == 4}
+    if stated and set(stated) <= set(table.headers):
+        places = [table.headers.index(header) for header in stated]
+        whole[f"{stated[3]} "] = dict(zip("xyzw", places, strict=True))
+    known = any((g := guess(header)) and g.name == "heading" for header in table.headers)
+    named: dict[str, str] = {}
+    for stem, parts in whole.items():
+        name = re.sub(r"(^|[\W_])q$", r"\1", stem, flags=re.IGNORECASE) + "yaw"
+        if name in table.headers:
+            continue
+        values, note = _values(table, parts)
+        layout = table.layout
+        if len(whole) == 1 and not known:
+            layout = layout._replace(names={**layout.names, name: "heading"})
+        table = replace(
+            table,
+            headers=[*table.headers, name],
+            cells=[*table.cells, values],
+            units_row=table.units_row and [*table.units_row, "rad"],
+            notes=(*table.notes, f"column {name!r} computed {note}"),
+            layout=layout,
+        )
+        components = [table.headers[place] for place in parts.values()]
+        named |= dict.fromkeys([*components, stem, stem.rstrip("_./- ["), name], name)
+    return table, named
+
+
+def _values(table: Table, parts: dict[str, int]) -> tuple[np.ndarray, str]:
+    """Heading (n,) [rad], and a note on its columns and on the rows without one."""
+    cells = {part: table.cells[place] for part, place in parts.items()}
+    commas = table.delimiter not in ("", ",") and has_decimal_comma(cells.values())
+    numbers = {
+        part: read_numbers(column, part, table.ragged, commas, True)[0]
+        for part, column in cells.items()
+    }
+    norm = np.sqrt(np.sum([values**2 for values in numbers.values()], axis=0))
+    missing = np.isnan(norm) & ~table.ragged
+    odd = np.abs(norm - 1) > _NORM
+    note = f"from the quaternion {', '.join(table.headers[parts[k]] for k in 'xyzw')}"
+    note += f"; {missing.sum()} rows lack it" if missing.any() else ""
+    if odd.any():
+        note += f"; {odd.sum()} rows masked, whose norm is not 1"
+        note += f" ({np.sum(norm == 0)} of them 0)"
+    return np.where(odd, np.nan, heading(**numbers)), note

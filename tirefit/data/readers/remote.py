@@ -1,0 +1,133 @@
+"""Files at an address (``s3://``, ``http://``, ...), used like paths."""
+
+import glob
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from tirefit.data.readers.extras import extra
+from tirefit.results import DataError
+
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+(::[a-z][a-z0-9+.-]+)*://", re.IGNORECASE)
+_PATTERN = re.compile(r"[*?\[]")
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """An address with the methods of :class:`~pathlib.Path` that readers use.
+
+    It may be any address of fsspec, also a chain such as ``gzip::s3://...``. Libraries
+    (``s3fs``) and credentials that fsspec needs must be installed.
+    """
+
+    address: str
+
+    def __str__(self) -> str:
+        return self.address
+
+    @property
+    def name(self) -> str:
+        """The last part of the path; for a chain, that of its file."""
+        paths = (part.partition("://")[2] for part in self.address.split("::"))
+        path = next(filter(None, paths), self.address).split("?")[0]
+        return path.rstrip("/").rsplit("/", 1)[-1]
+
+    @property
+    def parent(self) -> "RemoteFile":
+        return RemoteFile(self.address.rstrip("/").rsplit("/", 1)[0])
+
+    def exists(self) -> bool:
+        """False, as results cannot replace a remote file."""
+        return False
+
+    def iterdir(self) -> Iterable["RemoteFile"]:
+        """Empty: listing the folder would need another request to the server."""
+        return ()
+
+    def open(self, mode: str = "rb") -> Any:
+        """Open the file for reading bytes.
+
+        Raises:
+            OSError: it cannot be read; its text has the reason.
+            DataError: fsspec, or a library that it needs for this address, is missing.
+        """
+        fsspec = _fsspec(self.address)
+        try:
+            return fsspec.open(self.address, mode).open()
+        except ImportError as error:
+            raise _lacks(self.address, error) from error
+        except (OSError, DataError):
+            raise
+        except Exception as error:  # each server has errors of its own
+            raise OSError(f"{type(error).__name__}: {error}") from error
+
+
+Place = Path | RemoteFile
+"""The place of a file: a path or an address."""
+
+
+def file_at(place: str | os.PathLike | RemoteFile) -> Place:
+    """A path, or a file at an address."""
+    if isinstance(place, RemoteFile):
+        return place
+    text = os.fspath(place)
+    is_address = isinstance(text, str) and _ADDRESS.match(text)
+    return RemoteFile(text) if is_address else Path(text)
+
+
+def expanded(files: Iterable[Place]) -> list[Any]:
+    """Replace patterns (``s3://rig/2024-*/*.csv``) by all files that match, sorted by name.
+
+    Patterns serve for lists that are too long for a command line, and for addresses,
+    which shells do not expand. A file with exactly that name has precedence.
+
+    Raises:
+        DataError: a pattern without a match, or a server that does not list files.
+    """
+    every: list[Place] = []
+    for file in files:
+        text = str(file)
+        is_pattern = bool(_PATTERN.search(text))
+        if isinstance(file, RemoteFile):
+            # A question mark in an address begins a query.
+            every += _listed(file) if "*" in text else [file]
+        elif is_pattern and not file.exists():
+            fitting = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
+            every += _some(fitting, text)
+        else:
+            every.append(file)
+    return every
+
+
+def _listed(file: RemoteFile) -> list[Place]:
+    fsspec = _fsspec(file.address)
+    try:
+        system, path = fsspec.core.url_to_fs(file.address)
+        names = sorted(system.glob(path))
+    except ImportError as error:
+        raise _lacks(file.address, error) from error
+    except Exception as error:  # each server has errors of its own
+        reason = f"the addresses cannot be listed: {type(error).__name__}: {error}"
+        raise DataError(reason, "name the files", file.address) from error
+    return _some([file_at(system.unstrip_protocol(n)) for n in names], file.address)
+
+
+def _some(files: Sequence[Place], pattern: str) -> list[Place]:
+    if not files:
+        reason, remedy = "no file matches this pattern", "check the path"
+        raise DataError(reason, remedy, pattern)
+    return list(files)
+
+
+def _fsspec(address: str) -> ModuleType:
+    return extra("fsspec", "files behind an address", address, "cluster")
+
+
+def _lacks(address: str, error: ImportError) -> DataError:
+    scheme = address.split("://")[0]
+    reason = f"files at {scheme}:// need a library that is not installed: {error}"
+    return DataError(reason, "install it beside fsspec", address)

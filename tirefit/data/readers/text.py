@@ -1,0 +1,399 @@
+"""Read text files and frames as tables of cells: bytes, encoding, delimiter, header."""
+
+import codecs
+import csv
+import gzip
+import io
+import itertools
+import re
+import zlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.check import BadRows
+from tirefit.data.columns import guess, is_number
+from tirefit.data.declared import stated_convention
+from tirefit.data.readers.cells import Column, Lines, split
+from tirefit.data.readers.header import (
+    commented_header,
+    counts_up,
+    find_header,
+    is_units_row,
+    names_of_export,
+    spaced_head,
+)
+from tirefit.data.readers.loggers import exported_by, vbo_table
+from tirefit.data.readers.remote import Place
+from tirefit.data.table import Layout
+from tirefit.door import DATA, too_large
+from tirefit.results import DataError, did_you_mean
+
+Row = tuple[int, list[str]]
+"""Line in the file, and cells."""
+_Columns = tuple[list[Column], np.ndarray, np.ndarray, tuple[BadRows, ...]]
+"""Columns, line of each row (n,), which are ragged (n,) bool, and their fault."""
+
+_END = "\0"
+_OF_TEXT = bytes([*range(0x20, 0x7F), *b"\n\r\t"])
+_CONSTANT = re.compile(r"([A-Za-z_]+)=(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
+"""A constant of the tire in the first line of a table that this package wrote."""
+_SEARCHED = 60  # first lines with content, which must contain the header
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of a file or frame before their meaning is known."""
+
+    file: str
+    name: str
+    headers: list[str]
+    cells: list  # per column n strings or an (n,) number array
+    lines: np.ndarray  # (n,) lines of the rows
+    ragged: np.ndarray  # (n,) bool, rows without the header's number of fields
+    header_line: int | None = None
+    delimiter: str = ""
+    units_row: list[str] | None = None
+    units_line: int | None = None
+    sha256: str = ""
+    notes: tuple[str, ...] = ()  # assumptions
+    faults: tuple[BadRows, ...] = ()
+    layout: Layout = field(default_factory=Layout)
+    doubts: tuple[str, ...] = ()  # warnings on content that may have another meaning
+    constants: Mapping[str, float] = field(default_factory=dict)  # see ``Source``
+
+
+def read_bytes(path: Place) -> bytes:
+    """Bytes of a file. If it does not exist, the DataError suggests a similar name."""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(DATA + 1)
+    except FileNotFoundError:
+        if isinstance(path, Path) and path.is_symlink():
+            reason = f"it is a link to {path.readlink()}, which does not exist"
+            raise _refusal(reason, "correct the link", path) from None
+        try:
+            beside = [other.name for other in path.parent.iterdir()]
+        except OSError:
+            beside = []
+        remedy = did_you_mean(path.name, beside).strip() or "check the path"
+        raise _refusal("the file does not exist", remedy, path) from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        cause = getattr(error, "strerror", None) or error
+        reason = f"the file cannot be read: {cause}"
+        raise _refusal(reason, "check the path and its permissions", path) from error
+    if len(raw) > DATA:
+        raise too_large(path, DATA)
+    return raw
+
+
+def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
+    return DataError(reason, remedy, str(path), row)
+
+
+def gunzipped(raw: bytes, path: Place) -> bytes:
+    """The bytes themselves, or the content of a gzip file."""
+    if not raw.startswith(b"\x1f\x8b"):
+        return raw
+    try:
+        with gzip.open(io.BytesIO(raw)) as packed:
+            content = packed.read(DATA + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = f"the gzip file is damaged: {error}"
+        raise _refusal(reason, "copy or compress it again", path) from error
+    if len(content) > DATA:
+        raise too_large(path, DATA)
+    return content
+
+
+def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
+    """Text of the file, and notes on its encoding."""
+    export = "give a text file: CSV, semicolon- or tab-separated, also gzipped (.gz)"
+    if raw.startswith(b"PK\x03\x04"):
+        reason = "not a text file but a zip archive or spreadsheet"
+        raise _refusal(reason, "export the sheet as CSV", path)
+    try:
+        if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            text, notes = raw.decode("utf-16"), ["read as UTF-16"]
+        else:
+            text, notes = raw.decode("utf-8"), []
+    except UnicodeDecodeError as error:
+        if error.encoding.startswith("utf-16"):
+            raise _refusal("not a text file: broken UTF-16", export, path) from error
+        raw = raw.removeprefix(codecs.BOM_UTF8)
+        text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
+    # Joined files have byte order marks inside; DOS ends a text with \x1a.
+    text = text.replace("\ufeff", "").removesuffix("\x1a")
+    # Bytes of text are deleted first, as the search of a large text is slow.
+    holds_others = raw.translate(None, _OF_TEXT)
+    binary = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text) if holds_others else None
+    if binary:
+        row = len(re.findall(r"\r\n?|\n", text[: binary.start()])) + 1
+        reason = "not a text file: it holds binary data"
+        if text.count("\0") > len(text) / 3:
+            reason = "it looks like UTF-16 or UTF-32 without a byte order mark"
+            export = "save it as UTF-8"
+        raise _refusal(reason, export, path, row)
+    return text, notes
+
+
+def table_of_text(
+    text: str, path: Place, digest: str, declared: Collection[str], notes: list[str]
+) -> Table:
+    """Cells of a text; ``declared`` headers help to find the header."""
+    # A StringIO would take four bytes for each character.
+    raw = list(io.TextIOWrapper(io.BytesIO(text.encode()), "utf-8", newline=""))
+    lines = _content_lines(raw, "#" in text)
+    if header := commented_header(raw, lambda name: guess(name) is not None):
+        lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
+        notes.append(f"header read from the comment in line {header[0] + 1}")
+    content = (i for i, line in enumerate(lines) if line != "\n")
+    searched = list(itertools.islice(content, _SEARCHED))
+    if not searched:
+        raise _refusal("the file is empty", "give a header line and data rows", path)
+    if logger := exported_by(raw[0]):
+        start = names_of_export(lines, searched)
+        searched = [index for index in searched if index >= start] or searched
+    start, delimiter, words = find_header(lines, searched, declared)
+    if words:
+        notes.append("columns separated by white space")
+        head = spaced_head(lines[start : start + _LEAD], words)
+        lines[start : start + len(head)] = head
+    if start != searched[0]:
+        notes.append(f"lines before the header in line {start + 1} skipped")
+    if logger:
+        notes.append(f"export of {logger}")
+    table = _table(lines, start, path, digest, notes, delimiter, bool(logger))
+    layout, doubts = stated_convention(raw[:start], str(path))
+    above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
+    stated = re.findall(r".*, constants (.*)", above)
+    constants = {k: float(v) for k, v in _CONSTANT.findall("".join(stated))}
+    return replace(table, layout=layout, doubts=doubts, constants=constants)
+
+
+def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table:
+    """Cells of a .vbo file of Racelogic."""
+    found = vbo_table(text, str(path))
+    notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
+    rows = zip(found.numbers, found.rows, strict=True)
+    table = table_of_rows(rows, path, digest, notes)
+    layout = Layout(units_from="[channel units], or standard in .vbo files")
+    return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
+
+
+def _content_lines(lines: list[str], comments: bool) -> list[str]:
+    """The same lines, with those without content (such as comments) reduced to line ends."""
+    if not comments:
+        return ["\n" if line.isspace() else line for line in lines]
+    return ["\n" if line.lstrip()[:1] in ("", "#") else line for line in lines]
+
+
+def table_of_rows(rows: Iterable[Row], path: Place, digest: str, notes: list[str]) -> Table:
+    """A table of rows of cells, the header first."""
+    rows = list(rows)
+    head = _head(rows[:2], path, notes, False)
+    cells = _columns([rows[head.rows :]], len(head.headers))
+    return head.table(cells, path, digest, notes, "")
+
+
+class _Head(NamedTuple):
+    """The header of a table."""
+
+    headers: list[str]
+    header_line: int
+    units_row: list[str] | None
+    units_line: int | None
+    rows: int  # rows before the first of data
+
+    def table(
+        self, columns: _Columns, path: Place, digest: str, notes: list[str], delimiter: str
+    ) -> Table:
+        """The table with these columns of cells."""
+        cells, lines, ragged, faults = columns
+        if not len(lines):
+            reason = "there are no data rows below the header"
+            raise _refusal(reason, "give at least as many rows as parameters", path)
+        return Table(
+            str(path), stem_of(path), self.headers, cells, lines, ragged, self.header_line,
+            delimiter, self.units_row, self.units_line, digest, tuple(notes), faults,
+        )  # fmt: skip
+
+
+def _head(rows: list[Row], path: Place, notes: list[str], is_export: bool) -> _Head:
+    """The header among the first rows of a file; those below it may be units and, in an
+    export of a logger, channel numbers."""
+    header_line, header = rows[0]
+    headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in header]
+    if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
+        reason = "the first line holds numbers, not column names"
+        remedy = "add a header line such as kappa,fx,fz, without a # before it"
+        raise _refusal(reason, remedy, path, header_line)
+    units_row = units_line = None
+    count = 1
+    for number, row in rows[1:]:
+        if units_row is None and is_units_row(row, len(headers), 0.0 if is_export else 0.5):
+            notes.append(f"row {number} read as units")
+            units_row, units_line = row, number
+        elif not (is_export and counts_up(row)):
+            break
+        count += 1
+    return _Head(headers, header_line, units_row, units_line, count)
+
+
+_LEAD = 4  # rows of header, units and channel numbers, and one of data
+
+_BLOCK = 2**14  # lines that are converted at once
+
+
+class _Plain(NamedTuple):
+    """A block of lines that NumPy reads: their numbers in the file, rows, and values."""
+
+    lines: Sequence[int]
+    rows: Lines
+    values: list[np.ndarray | None]  # (n,) of each column
+    mark: str  # decimal mark
+
+
+def _table(
+    lines: list[str],
+    start: int,
+    path: Place,
+    digest: str,
+    notes: list[str],
+    delimiter: str,
+    is_export: bool,
+) -> Table:
+    """The table of the lines from the header's, at ``start``."""
+    rows = _split_rows(lines[start:], delimiter, start, path)
+    lead = list(itertools.islice(rows, _LEAD))
+    head = _head(lead, path, notes, is_export)
+    width, data = len(head.headers), lead[head.rows :]
+    first = data[0][0] - 1 if data else len(lines)
+    blocks: Iterable[_Plain | list[Row]]
+    if '"' in "".join(lines[first:]):
+        blocks = [[*data, *rows]]
+    else:
+        blocks = _blocks(lines, first, width, delimiter, path)
+    return head.table(_columns(blocks, width), path, digest, notes, delimiter)
+
+
+def _blocks(
+    lines: list[str], start: int, width: int, delimiter: str, path: Place
+) -> Iterator[_Plain | list[Row]]:
+    """Lines without quotation marks in blocks: read by NumPy, or rows of cells."""
+    for first in range(start, len(lines), _BLOCK):
+        block = lines[first : first + _BLOCK]
+        rows = Lines(block, delimiter)
+        known = rows.numbers()
+        if known is None or len(known[0]) != width:
+            yield list(_split_rows(block, delimiter, first, path))
+        else:
+            places: Sequence[int] = range(first + 1, first + 1 + len(block))
+            if len(rows) < len(block):
+                places = [first + 1 + k for k, line in enumerate(block) if line != "\n"]
+            yield _Plain(places, rows, *known)
+
+
+def _columns(blocks: Iterable[_Plain | list[Row]], width: int) -> _Columns:
+    """The columns of blocks of rows. Rows of another length become NaN; delimiters at the end
+    of a line do not count."""
+    columns = [Column() for _ in range(width)]
+    lines: list[int] = []
+    wrong: list[tuple[int, str]] = []
+    for block in blocks:
+        if isinstance(block, _Plain):
+            lines += block.lines
+            for k, column in enumerate(columns):
+                column.add_lines(block.rows, k, block.values[k], block.mark)
+            continue
+        first, whole = len(lines), [row for _, row in block]
+        lines += [number for number, _ in block]
+        for k, row in enumerate(whole):
+            if len(row) == width:
+                continue
+            if len(row) > width and not any(cell.strip() for cell in row[width:]):
+                whole[k] = row[:width]
+                continue
+            inside = sum(cell.count("\n") for cell in row)
+            until = f" in rows {lines[first + k]} to {lines[first + k] + inside}"
+            wrong.append((first + k, f"{len(row)} fields{until if inside else ''}"))
+            whole[k] = ["nan"] * width
+        for column, cells in zip(columns, zip(*whole, strict=True), strict=bool(whole)):
+            column.add(cells)
+    ragged = np.zeros(len(lines), bool)
+    if not wrong:
+        return columns, np.array(lines), ragged, ()
+    places, shown = zip(*wrong, strict=True)
+    ragged[list(places)] = True
+    fault = BadRows(None, places, shown, f"where the header has {width}")
+    return columns, np.array(lines), ragged, (fault,)
+
+
+def stem_of(path: Place) -> str:
+    """Name of the data of a file: the file name without its endings."""
+    return Path(path.name.removesuffix(".gz")).stem
+
+
+def _split_rows(lines: list[str], delimiter: str, start: int, path: Place) -> Iterator[Row]:
+    """Line in the file and cells of each row that is not blank."""
+    # An added last line shows whether an open quotation mark includes the end.
+    reader = split([*lines, _END], delimiter)
+    number, last = start + 1, 0
+    try:
+        for row in reader:
+            if row == [_END] and last:
+                return
+            if row:
+                last = number
+                yield number, row
+            number = start + reader.line_num + 1
+    except csv.Error as error:
+        reason = f"the line cannot be split: {error}"
+        remedy = "look for a quotation mark that is not closed"
+        raise _refusal(reason, remedy, path, number) from error
+    reason = "a quotation mark is not closed"
+    raise _refusal(reason, "close or remove it", path, last)
+
+
+def table_of_frame(frame, name: str) -> Table:
+    """A table of a frame, a structured array or a mapping of arrays; rows are counted
+    from 0. Dates and times become seconds since the first."""
+    if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
+        frame = frame.collect()  # a lazy frame of polars
+    fields = getattr(getattr(frame, "dtype", None), "names", None)
+    names = list(fields or getattr(frame, "columns", frame))
+    headers = [str(header) for header in names]
+    if hasattr(frame, "iloc"):
+        values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
+    else:
+        values = [_shown(frame[name]) for name in names]
+    values = [_seconds(value) if value.dtype.kind in "mM" else value for value in values]
+    lengths = {value.shape for value in values}
+    if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
+        shapes = ", ".join(f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True))
+        reason = f"columns must be one-dimensional, equally long and not empty ({shapes})"
+        raise _refusal(reason, "give arrays of shape (n,)", name)
+    cells = [
+        value if value.dtype.kind in "fiub" else ["" if x is None else str(x) for x in value]
+        for value in values
+    ]
+    n = len(values[0])
+    return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+
+
+def _shown(values) -> np.ndarray:
+    """An array; masked elements become missing values."""
+    if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiub":
+        return np.ma.filled(values.astype(float), np.nan)
+    return np.asarray(values)
+
+
+def _seconds(values: np.ndarray) -> np.ndarray:
+    """Durations in seconds; dates and times in seconds since the first one."""
+    if values.dtype.kind == "M":
+        known = values[~np.isnat(values)]
+        values = values - (known.min() if len(known) else np.datetime64(0, "s"))
+    return values / np.timedelta64(1, "s")

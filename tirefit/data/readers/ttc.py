@@ -1,0 +1,96 @@
+"""Files of the FSAE Tire Test Consortium (Calspan), recognised by their layout.
+
+Columns ``ET V N SA IA RL RE P FX FY FZ MX MZ ...``, text or MATLAB, in metric or in
+imperial units, in the signs of SAE J670: z down, so that F_z is negative.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tirefit.data.check import read_numbers
+from tirefit.data.readers.text import Table
+from tirefit.data.table import Layout
+
+_MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
+_SLIPS = {"SA", "SL", "SR"}
+
+_METRIC = {
+    "ET": "s", "V": "km/h", "N": "rpm", "SA": "deg", "IA": "deg", "P": "kPa",
+    "FX": "N", "FY": "N", "FZ": "N", "MX": "N m", "MZ": "N m",
+    "TSTC": "degC", "SL": "-", "SR": "-",
+}  # fmt: skip
+_IMPERIAL = _METRIC | {
+    "V": "mph",
+    "P": "psi",
+    "FX": "lbf",
+    "FY": "lbf",
+    "FZ": "lbf",
+    "MX": "ft-lb",
+    "MZ": "ft-lb",
+    "TSTC": "degF",
+}
+
+_MOST_PSI = 35.0
+"""Pressures below this number are in psi, above in kPa; racing tires have 8 to 14 psi."""
+
+
+def recognised(table: Table) -> Table:
+    """The table with signs, meanings and, unless stated, units by its layout.
+
+    A table of another layout is returned unchanged. Signs are those of SAE if F_z is
+    negative; those of a file converted to z up follow from its slip angle and force.
+    """
+    names = set(table.headers)
+    if not ("FZ" in names and names & _SLIPS and names & _MARKS):
+        return table
+    own = table.layout
+    convention, reason = _convention(table)
+    if own.convention:
+        convention, reason = own.convention, f"signs stated in line {own.stated_in}"
+    notes = [f"laid out as Tire Test Consortium files are: {reason}"]
+    meant = {"N": "omega"}
+    if {"SL", "SR"} <= names:
+        meant |= {"SL": "kappa", "SR": ""}
+        notes.append("slip from 'SL', which is 0 where FX is 0; 'SR' uses another radius")
+    elif "SL" in names:
+        meant |= {"SL": "kappa"}
+    units, units_from = table.units_row, table.layout.units_from
+    if units is None:
+        pressure = _median(table, "P")
+        is_imperial = pressure is not None and pressure < _MOST_PSI
+        by = _IMPERIAL if is_imperial else _METRIC
+        units = [by.get(header, "") for header in table.headers]
+        units_from = "as in Tire Test Consortium files"
+        if pressure is not None:
+            system = "psi: imperial" if is_imperial else "kPa: metric"
+            notes.append(f"no units stated: P of {pressure:.4g} is {system} units")
+    layout = Layout(meant, units_from, convention, own.stated_in)
+    return replace(table, layout=layout, units_row=units, notes=(*table.notes, *notes))
+
+
+def _convention(table: Table) -> tuple[str, str]:
+    """The convention of the signs, and a sentence with the reason."""
+    load = _median(table, "FZ")
+    if load is None or load < 0:
+        return "sae", "signs read as 'sae', as FZ is negative"
+    turned = "FZ is positive, so the file was converted"
+    slip, force = _numbers(table, "SA"), _numbers(table, "FY")
+    usable = np.isfinite(slip + force) if len(slip) and len(force) else []
+    if np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
+        return "adapted-sae", f"{turned}: signs read as 'adapted-sae', by SA and FY"
+    return "iso-w", f"{turned}: signs read as 'iso-w'"
+
+
+def _numbers(table: Table, header: str) -> np.ndarray:
+    """A column (n,), NaN for cells without a number; (0,) without such a column."""
+    if header not in table.headers:
+        return np.empty(0)
+    cells = table.cells[table.headers.index(header)]
+    return read_numbers(cells, header, table.ragged)[0]
+
+
+def _median(table: Table, header: str) -> float | None:
+    values = _numbers(table, header)
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if len(values) else None

@@ -1,0 +1,159 @@
+"""Segments of a rig test: stretches of one kind, such as a sweep or a hold."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tirefit.data.rig.series import Series, runs_of
+from tirefit.data.rig.set_points import Settings
+from tirefit.data.rig.slips import SWEPT, Leg
+
+_PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Rows ``begin`` to ``end`` (exclusive) of one kind."""
+
+    kind: str  # a key of ``settings.KINDS``
+    begin: int
+    end: int
+    channel: str = ""  # the channel that was swept or changed
+    direction: str = ""  # of a sweep: "up" or "down"
+    level: Mapping[str, int] = field(default_factory=dict)  # settings of held conditions
+    first: int = 0  # to ``last`` (exclusive): rows without settling times at the ends
+    last: int = 0
+    bin: str = ""  # name of the settings
+
+    @property
+    def is_held(self) -> bool:
+        """Whether its conditions are held."""
+        return self.kind in ("sweep", "steady", "warm-up")
+
+
+def segments_of(
+    series: Series,
+    bad: np.ndarray,
+    conditions: Mapping[str, Settings],
+    legs: Mapping[str, list[Leg]],
+    slips: Mapping[str, np.ndarray],
+    shortest: int,
+) -> list[Segment]:
+    """All rows of the file as segments, in order.
+
+    Args:
+        series: clock and pieces.
+        bad: (n,) bool, rows that cannot be read.
+        conditions: settings of the channels that are held, by name.
+        legs: legs of each slip, by name.
+        slips: (n,) smoothed, by name.
+        shortest: smallest number of rows of a hold.
+    """
+    names = list(conditions)
+    codes = np.stack([conditions[c].code for c in names], axis=1) if names else None
+    moving = np.zeros(len(bad), int)
+    if codes is not None:
+        moving = (codes < 0) @ (1 << np.arange(len(names)))
+    key = [_piece_of(series, len(bad)), _lasting(bad, shortest), moving]
+    still = moving == 0
+    if codes is not None:
+        key += list((codes * still[:, None]).T)
+    for name in legs:
+        key.append(_number_of(legs[name], len(bad)) * still)
+    here = []
+    for begin, end in runs_of(np.stack(key, axis=1)):
+        level = {name: int(conditions[name].code[begin]) for name in names}
+        if key[1][begin]:
+            here.append(Segment("unusable", begin, end))
+        elif moving[begin]:
+            ways = [name for name in names if conditions[name].code[begin] < 0]
+            here.append(Segment("transition", begin, end, "+".join(ways)))
+        else:
+            here.append(_held(begin, end, level, legs, slips, shortest))
+    return _merged(here, key[0])
+
+
+def _piece_of(series: Series, n: int) -> np.ndarray:
+    piece = np.zeros(n, int)
+    for number, rows in enumerate(series.pieces):
+        piece[rows] = number
+    return piece
+
+
+def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
+    """Stretches of bad rows, except those that only interrupt a segment."""
+    out = np.zeros(len(bad), int)
+    for begin, end in runs_of(bad):
+        out[begin:end] = bad[begin] and end - begin >= shortest
+    return out
+
+
+def _number_of(legs: list[Leg], n: int) -> np.ndarray:
+    number = np.zeros(n, int)
+    for k, leg in enumerate(legs):
+        number[leg.begin : leg.end] = k + 1
+    return number
+
+
+def _leg_at(legs: list[Leg], row: int) -> Leg:
+    begins = [leg.begin for leg in legs]
+    return legs[int(np.searchsorted(begins, row, side="right")) - 1]
+
+
+def _held(begin, end, level, legs, slips, shortest: int) -> Segment:
+    """A sweep or a steady state, or a transition if it is too short."""
+    swept = {}
+    for name, its in legs.items():
+        leg = _leg_at(its, begin)
+        if leg.how == SWEPT:
+            swept[name] = leg
+        elif leg.how != "held":
+            return Segment("transition", begin, end, name)
+    if not swept:
+        kind = "steady" if end - begin >= shortest else "transition"
+        return Segment(kind, begin, end, level=level if kind == "steady" else {})
+    parts = []
+    for name, leg in swept.items():
+        slip = slips[name]
+        there = abs(slip[end - 1] - slip[begin])
+        parts.append(there / max(abs(slip[leg.end - 1] - slip[leg.begin]), 1e-300))
+    if max(parts) < _PART or end - begin < 3:
+        return Segment("transition", begin, end, "+".join(swept))
+    leg = next(iter(swept.values()))
+    direction = "up" if leg.direction > 0 else "down"
+    return Segment("sweep", begin, end, "+".join(swept), direction, level)
+
+
+def _merged(parts: list[Segment], piece: np.ndarray) -> list[Segment]:
+    """The segments with consecutive transitions joined."""
+    out: list[Segment] = []
+    for part in parts:
+        last = out[-1] if out else None
+        if (
+            last is not None
+            and last.kind == part.kind == "transition"
+            and piece[last.begin] == piece[part.begin]
+        ):
+            ways = dict.fromkeys([*last.channel.split("+"), *part.channel.split("+")])
+            channel = "+".join(way for way in ways if way)
+            out[-1] = replace(last, end=part.end, channel=channel)
+        else:
+            out.append(part)
+    return out
+
+
+def trimmed(parts: list[Segment], margin: int, piece_ends: set[int]) -> list[Segment]:
+    """The segments with ``first`` and ``last``: ``margin`` rows next to a change settle,
+    but not at the end of a series or where only the slip turns."""
+    out = []
+    for k, part in enumerate(parts):
+        first, last = part.begin, part.end
+        if part.is_held:
+            if first not in piece_ends and k and not parts[k - 1].is_held:
+                first = min(first + margin, last)
+            if last not in piece_ends and k + 1 < len(parts):
+                if not parts[k + 1].is_held:
+                    last = max(last - margin, first)
+        out.append(replace(part, first=first, last=last))
+    return out

@@ -1,0 +1,1 @@
+"""Tire property files."""

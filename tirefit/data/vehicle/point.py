@@ -1,0 +1,331 @@
+"""Estimate the tracked point of a log from the rear axle's force against its slip.
+
+A point x further ahead lowers the slip angle by :math:`x r / v_x` and the lateral
+acceleration by :math:`x \\dot r`. At moderate slip
+:math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
+c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
+:mod:`tirefit.data.vehicle.agreement`, values before and after a row are its instruments, and
+standard errors use the effective number of rows. The fit is repeated with signals below a
+fifth of the filter's cutoff, as noise of a pose that is differentiated twice may hide the
+force (:func:`_point`). A wrong yaw inertia, a delay and
+another place of the accelerometer act alike: the message names them.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.vehicle.agreement import (
+    AROUND,
+    EACH,
+    FEWEST,
+    Fit,
+    around,
+    instrumented,
+    surrounded,
+)
+from tirefit.data.vehicle.faults import ALIKE, CHANGED, SURE
+from tirefit.data.vehicle.findings import point_words
+from tirefit.data.vehicle.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
+from tirefit.data.vehicle.vehicle import POSE, Vehicle
+from tirefit.results import InputProblem
+
+
+def zero_of_alpha(
+    vehicle: Vehicle, axle: str, alpha: np.ndarray, fy: np.ndarray
+) -> tuple[str, float | None]:
+    """A sentence on the offset of the slip angle, and alpha at zero side force [rad],
+    None if it is not known.
+
+    A symmetric axle has no side force at zero slip angle. Alpha where fy = 0 is therefore
+    the error of the yaw that was used, at the front plus that of the steering.
+    """
+    pose = vehicle.columns.motion == POSE
+    what, logged, key, turns = "sideslip", "sideslip", "sideslip_offset", "raises"
+    if pose:
+        what, logged, key, turns = "heading", "yaw", "yaw_offset", "lowers"
+    given = getattr(vehicle, key)
+    added = f"{given:g} rad were added to the logged {logged}" if given else "none assumed"
+    message = f"{what} offset: {added}; a {key} that is added {turns} alpha by as much"
+    strong = np.percentile(abs(fy), 95)
+    weak = abs(fy) < _MODERATE * strong
+    share = fy[weak] / strong
+    if axle != "rear" or not turns_both_ways(share):
+        return message, None
+    terms = np.column_stack([np.ones(len(share)), share, share**3])
+    left = float(np.linalg.lstsq(terms, alpha[weak])[0][0])
+    takes_out = given + left if pose else given - left
+    return (
+        f"{message}; estimated from these data: alpha is {left:+.4f} rad where fy = 0;"
+        f" for a symmetric tire, {key} = {takes_out:.4f} corrects it"
+    ), left
+
+
+def turns_both_ways(share: np.ndarray) -> bool:
+    """Whether more than a tenth of the samples are turns to the rarer side.
+
+    Args:
+        share: (n,) lateral force over the strong force.
+    """
+    rarer = min(np.count_nonzero(share > 0.05), np.count_nonzero(share < -0.05))
+    return bool(rarer > 0.1 * len(share))
+
+
+_MODERATE = 0.5
+"""Largest force in the fit over the strong force (95th percentile), where the cubic is valid."""
+
+_ZERO = 0.02
+"""Zero error [rad] of heading or mounting that is assumed if a log turns to one side
+only: 1 deg, twice the errors found in measured logs."""
+
+_ON_CAR = (-0.5, 1.5)
+"""Smallest and largest position on a car [wheelbases ahead of the rear axle]."""
+
+_KNOWN = 0.15
+"""Largest standard error [wheelbases] of an estimate that is reported: a quarter of
+the distance from the centre of gravity to an axle, about."""
+
+_ONE_POINT = 0.05
+"""Standard deviation of the force over the strong force below which the log has one
+operating point and its slope is undefined."""
+
+_BETTER = 2.0
+"""Ratio of the standard errors above which the fit below a fifth of the cutoff counts: the cube
+of a filtered force biases it by 1 % of the wheelbase in simulated drives."""
+
+_MOST_ROWS, _ROUNDS = 20_000, 8
+
+
+class PointCheck(NamedTuple):
+    """The estimate of the tracked point."""
+
+    line: str  # sentence for the summary
+    estimate: tuple[float, float] | None  # [m ahead of the rear axle], standard error
+    problems: tuple[InputProblem, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+class _Point(NamedTuple):
+    """The point, fitted."""
+
+    at: float = 0.0  # [m] ahead of the rear axle
+    ahead: float = 0.0  # of the stated point [m]
+    std: float = math.inf  # its standard error
+    effect: float = 0.0  # of the distance on the slip angle (rms over rms)
+    misfit: float = 0.0  # rms of the slip angle that is not explained [rad]; infinite if the
+    # fits of the filtered and of the slower signals contradict each other
+    known: bool = False  # whether a stable tire at this point on the car explains the force
+    slope: float = 0.0  # slip angle over force at the stated point, in its standard errors
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the stated point is wrong by more than the error, with an effect."""
+        return self.known and abs(self.ahead) > SURE * self.std and self.effect > CHANGED
+
+
+def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck:
+    """Estimate the tracked point; refuse a force in the direction of the axle's slip.
+
+    Args:
+        kept: (n,) bool, the samples that will be written.
+    """
+    found = _point(motion, vehicle, kept)
+    check = PointCheck("tracked point: this log does not determine it", None)
+    if found.known:
+        line = f"tracked point: {point_words(found.ahead, found.std)}"
+        check = PointCheck(line, (found.at, found.std))
+    against = found.slope <= -SURE
+    if (found.is_off or not found.known) and _fits_mirrored(motion, vehicle, kept, found):
+        other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
+        unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
+        words = f"v_y or {other} has the wrong sign"
+        remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
+    elif found.is_off:
+        words, remedy = _words(found, vehicle)
+    elif against:
+        words = "no point on the car explains it"
+        remedy = "check tracked_point, the signs of the channels and yaw_inertia, which is"
+        remedy += f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
+    else:
+        return check
+    if not against:
+        return check._replace(warnings=(f"lateral force against slip angle: {words}; {remedy}",))
+    reason = "channels contradict each other: the lateral force acts in the direction"
+    reason += f" of the axle's slip ({-found.slope:.0f} standard errors): {words}"
+    return check._replace(problems=(InputProblem(reason, remedy, file),))
+
+
+def _words(found: _Point, vehicle: Vehicle) -> tuple[str, str]:
+    """Reason and remedy of a wrong point."""
+    stated, left = found.at - found.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
+    reason = f"the tracked point is {found.at:.3g} ± {found.std:.1g} m ahead of the rear axle,"
+    reason += f" not {stated:.3g} m"
+    if not vehicle.tracked_point:
+        reason += " (the centre of gravity, which is assumed, as tracked_point is not stated)"
+    remedy = f"set tracked_point = [{found.at:.3g}, {left:g}] in vehicle.toml"
+    remedy += "" if vehicle.tracked_point else " (or correct l_r)"
+    sensor = "the place of the a_y sensor, " if "a_y" in vehicle.columns.motion else ""
+    return reason, (
+        f"{remedy}, unless one of these is wrong, which acts alike: the time of a channel,"
+        f" {sensor}yaw_inertia ({vehicle.inertia_ratio:.2g} mass l_f l_r)"
+    )
+
+
+def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept, found: _Point) -> bool:
+    """Whether the stated point fits the other sign of v_y of the tracked point (and of the a_y
+    that follows from it where none is logged) better than the point that was found. If neither
+    sign determines a point, whether the force is in the direction of the slip only as stated."""
+    if vehicle.columns.motion == POSE:
+        return False
+    v_y = 2 * vehicle.cg_from_tracked[0] * motion.yaw_rate - motion.v_y
+    a_y = motion.a_y
+    if vehicle.columns.a_y_follows:
+        a_y = a_y + motion.rate_of(v_y - motion.v_y)
+    other = _point(replace(motion, v_y=v_y, a_y=a_y), vehicle, kept)
+    if not other.known:
+        return not found.known and found.slope <= -SURE < other.slope
+    return not other.is_off and (not found.known or other.misfit * ALIKE < found.misfit)
+
+
+# --- fit ------------------------------------------------------------------------
+
+
+class _Lines(NamedTuple):
+    """Tangent of the slip angle and force [N], which are lines over the position x [m ahead of
+    the stated point] of the tracked point: (n,) each."""
+
+    slip: np.ndarray
+    force: np.ndarray
+    slip_x: np.ndarray  # change over x
+    force_x: np.ndarray
+    every: np.ndarray  # the rows to use
+    step: int  # distance of the instruments [rows]
+
+    def moderate(self, x: float) -> tuple[np.ndarray, float, float]:
+        """The rows of moderate force at a point, or all if they are too few; the strong force
+        [N]; and the prior standard deviation of alpha_0: infinite if it is fitted, else 0."""
+        force = np.abs(self.force + x * self.force_x)[self.every]
+        strong = max(float(np.percentile(force, 95)), 1e-300)
+        weak = force <= _MODERATE * strong
+        weak |= weak.sum() < FEWEST
+        rows = self.every[weak]
+        both = turns_both_ways((self.force + x * self.force_x)[rows] / strong)
+        return rows, strong, math.inf if both else 0.0
+
+    def at(self, x: float, strong: float) -> tuple[np.ndarray, np.ndarray]:
+        """Slip angle (n,) at a point, and force over the strong force and its cube (n, 2)."""
+        share = (self.force + x * self.force_x) / strong
+        return np.arctan(self.slip + x * self.slip_x), np.column_stack([share, share**3])
+
+    def solved(self, alpha, sides, rows, offset: float) -> Fit:
+        """The fit of alpha by the sides (n, k), with standard errors that include a zero error
+        that is not fitted."""
+        near = around(sides, rows, self.step)
+        fit = instrumented(alpha[rows], sides[rows], near, lambda _: offset)
+        other = fit if offset else instrumented(alpha[rows] + _ZERO, sides[rows], near, lambda _: 0)
+        if fit is None or other is None:
+            raise np.linalg.LinAlgError
+        return fit._replace(std=np.hypot(fit.std, other.theta - fit.theta))
+
+
+def _point(motion: Motion, vehicle: Vehicle, kept) -> _Point:
+    """The point by the filtered signals, or by the slower ones if only these determine it or, of a
+    pose, if these determine it better or contradict it."""
+    each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
+    known = [one for one in each if one.known]
+    best = known[-1] if known else _Point()
+    if len(known) > 1:
+        apart = abs(known[0].at - best.at) > SURE * math.hypot(known[0].std, best.std)
+        better = apart or _BETTER * best.std < known[0].std
+        if not (better and vehicle.columns.motion == POSE):  # rates are differentiated less
+            best = known[0]
+        best = best._replace(misfit=math.inf if apart else best.misfit)
+    effect = max((one.effect for one in known), default=0.0)
+    return best._replace(effect=effect, slope=min((one.slope for one in each), default=0.0))
+
+
+def _lines(motion: Motion, vehicle: Vehicle, kept):
+    """The lines of the filtered signals and of those below a fifth of the cutoff."""
+    small = 0.01 * vehicle.wheelbase
+    alpha, force, _ = slip_and_force(motion, vehicle)
+    alphas, forces, _ = slip_and_force(*further_ahead(motion, vehicle, small))
+    slopes = (np.tan(alphas) - np.tan(alpha)) / small, (forces - force) / small
+    signals = np.stack([np.tan(alpha), force, *slopes], axis=1)
+    if kept.any():  # values of other rows, as at standstill, are arbitrary
+        low, high = np.nanmin(signals[kept], axis=0), np.nanmax(signals[kept], axis=0)
+        signals = np.clip(signals, low, high)
+    for slower in (1.0, SLOWER):
+        if slower > 1:
+            signals = slowed(signals, motion, vehicle)
+            kept = kept & (motion.within >= slower * vehicle.filter.settling)
+        step = max(1, round(slower * vehicle.filter.sample_rate / vehicle.filter.cutoff))
+        known = np.isfinite(signals).all(axis=1)
+        every = surrounded(motion.part, kept & known, known, 2 * step + 1)
+        every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
+        if len(every) >= FEWEST:
+            slip, force, slip_x, force_x = np.nan_to_num(signals.T)
+            yield _Lines(slip, force, slip_x, force_x, every, step)
+
+
+def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
+    """Fit of the tracked point; starts at the best point of a grid."""
+    stated = vehicle.l_r - vehicle.cg_from_tracked[0]
+    none = _Point(slope=_slope(lines))
+    start, misfit = 0.0, math.inf
+    for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
+        x = float(share) * vehicle.wheelbase - stated
+        rows, strong, offset = lines.moderate(x)
+        alpha, sides = (values[rows] for values in lines.at(x, strong))
+        sides = np.hstack([sides, np.ones((len(rows), 1 if offset else 0))])
+        theta = np.linalg.lstsq(sides, alpha)[0]
+        variance = float(np.var(alpha - sides @ theta))
+        if theta[0] > 0 and variance < misfit:
+            start, misfit = x, variance
+    rows, strong, offset = lines.moderate(start)
+    x, fit = start, None
+    try:
+        for _ in range(_ROUNDS):
+            alpha, sides = lines.at(x, strong)
+            theta = lines.solved(alpha, sides, rows, offset).theta
+            bend = (theta[0] + 3 * theta[1] * sides[:, 0] ** 2) * lines.force_x / strong
+            turn = lines.slip_x * np.cos(alpha) ** 2
+            sides = np.column_stack([sides, turn - bend])
+            fit = lines.solved(alpha, sides, rows, offset)
+            x -= float(fit.theta[2])
+            if abs(fit.theta[2]) < 0.05 * fit.std[2]:
+                break
+    except np.linalg.LinAlgError:
+        return none
+    assert fit is not None  # the loop has at least one round
+    size = max(float(np.mean(alpha[rows] ** 2)), 1e-300)
+    effect = abs(x) * math.sqrt(np.mean(sides[rows, 2] ** 2) / size)
+    # With instruments, the bias of least squares over their F statistic remains: Bound,
+    # Jaeger, Baker, JASA 1995, eq. 7.
+    share, count = fit.seen[2], sides.shape[1] * len(AROUND)
+    strength = share / max(1 - share, 1e-9) * fit.effective / count
+    std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9))
+    on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
+    stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
+    known = on_car and stable and std < _KNOWN * vehicle.wheelbase
+    misfit = math.sqrt(np.mean(fit.error**2))
+    return _Point(stated + x, x, std, effect, misfit, known, none.slope)
+
+
+def _slope(lines: _Lines) -> float:
+    """Slope of the slip angle over the force at the stated point, in its standard errors: the
+    smaller one, without and with a zero error."""
+    rows, strong, offset = lines.moderate(0.0)
+    alpha, sides = lines.at(0.0, strong)
+    share, slopes = sides[rows, :1], [0.0]
+    if np.std(share) < _ONE_POINT:
+        return 0.0
+    for free in {offset, math.inf}:
+        try:
+            fit = lines.solved(alpha, sides[:, :1], rows, free)
+        except np.linalg.LinAlgError:
+            continue
+        if fit.effective * np.mean(share**2) ** 2 / np.mean(share**4) >= SURE**2:  # enough rows
+            slopes.append(float(fit.theta[0] / max(fit.std[0], 1e-300)))
+    return min(slopes)

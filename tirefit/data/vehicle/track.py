@@ -1,0 +1,377 @@
+"""Read the usable samples of a vehicle log, in SI: :func:`read_track`."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tirefit.data.check import (
+    INFINITE,
+    NO_VALUE,
+    BadRows,
+    has_decimal_comma,
+    list_problems,
+    read_numbers,
+)
+from tirefit.data.columns import guess, stated_unit
+from tirefit.data.missing import excluded
+from tirefit.data.read import Table, read_table
+from tirefit.data.readers.cells import words_of
+from tirefit.data.readers.loggers import ARC, NO_UNIT
+from tirefit.data.readers.quaternion import with_headings
+from tirefit.data.readers.remote import Place
+from tirefit.data.units import known_unit, units_of
+from tirefit.data.vehicle.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
+from tirefit.results import DataError, InputProblem
+
+_CORRECT = "correct the cell, or name another column in [columns] of vehicle.toml"
+_CLOSEST = 0.3
+"""Samples closer than this share of the sampling period are repeats of one sample."""
+
+_LASTING = 1.0
+"""A new run begins if time stamps go back and stay back for this time [s]; rows that a
+recorder wrote late end sooner."""
+
+_HELD, _COARSE = 0.02, 1e-3
+"""Smallest share of samples that repeat the one before, and smallest half step over the
+standard deviation of a channel, for a note on its quantisation."""
+
+_JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
+
+_SI = {
+    "time": "s",
+    "length": "m",
+    "angle": "rad",
+    "speed": "m/s",
+    "angular speed": "rad/s",
+    "acceleration": "m/s2",
+}
+_MEANT = {"yaw": "heading", "v_x": "v"}
+"""Quantity of a log -> its canonical column, if that has another name."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A column of a log, and the unit in which it is read."""
+
+    quantity: str  # of :data:`tirefit.data.vehicle.vehicle.QUANTITIES`, or ``steering``
+    header: str
+    unit: str  # as written; "" for the steering command, which has a map instead
+    factor: float  # from that unit to SI, negative for a channel of opposite sign
+    named: bool  # whether ``[columns]`` names it; else it was recognised by its header
+
+
+@dataclass(frozen=True)
+class Track:
+    """Usable samples of a log. ``signals`` (n, k) in SI are those of the motion, then the
+    steering command if any, then channels to compare, which may be NaN."""
+
+    time: np.ndarray  # increasing, (n,) [s] from the first one
+    signals: np.ndarray
+    channels: tuple[Channel, ...]  # the column that each signal comes from
+    active: np.ndarray  # (n,) bool, whether the vehicle was driven
+    max_gap: float  # longest time between two samples that is interpolated [s]
+    epoch: float  # the log's time [s] at time 0
+    rows: int  # in the file
+    dropped: Mapping[str, int]  # reason -> rows that were not used
+    sha256: str  # of the file
+    notes: tuple[str, ...]  # assumptions in reading the file
+    run: np.ndarray  # (n,) int, number of the run of each sample
+    runs: tuple[str, ...]  # names of the runs; "" if the log is one run
+    missing: tuple[str, ...] = ()  # sentences on what the file lacks: units, values of rows
+
+
+def read_track(path: Place, vehicle: Vehicle) -> Track:
+    """Read the rows with finite values, a stamp later than all before, and a new pose.
+
+    Raises:
+        DataError: unreadable file, missing column, text, or too low a rate.
+    """
+    table, vehicle = _read(path, vehicle)
+    notes = list(table.notes)
+    clock, *channels = _channels(table, vehicle, notes)
+    columns = _numbers(table, [clock, *channels], vehicle.keep.active)
+    time = columns[clock.header] * clock.factor
+    signals = np.column_stack([columns[c.header] * c.factor for c in channels])
+    active = np.ones(len(time), bool)
+    if vehicle.keep.active:
+        active = columns[vehicle.keep.active] == vehicle.keep.active_value
+    label = _labels(table, vehicle, notes)
+    needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
+    finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
+    if not finite.any():
+        raise DataError(_no_row(table.file, [clock, *channels[:needed]], columns))
+    lacking = _lacking(table, [clock, *channels[:needed]], columns)
+    time, signals, active = time[finite], signals[finite], active[finite]
+    period = _period(time, vehicle, table.file)
+    max_gap = vehicle.filter.max_gap or 3.5 * period
+    time, run, runs = _in_runs(time, label[finite], period, max_gap, notes)
+    later = _later(time, period)
+    fresh = later.copy()
+    if vehicle.columns.motion == POSE:
+        # A tracker that loses its target repeats the last pose with new stamps.
+        fresh[1:] &= np.any(np.diff(signals[:, :3], axis=0) != 0, axis=1)
+    dropped = {
+        "a value is missing": int(np.count_nonzero(~finite)),
+        "repeated or backward time": int(np.count_nonzero(~later)),
+        "repeated pose": int(np.count_nonzero(later & ~fresh)),
+    }
+    signals = signals[fresh]
+    notes += _steps(channels, signals)
+    for place, channel in enumerate(channels):
+        if channel.quantity == "yaw":
+            signals[:, place] = _unwrapped(signals[:, place]) + vehicle.yaw_offset
+    return Track(
+        time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
+        max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
+        tuple(notes), run[fresh], runs, (*table.doubts, *lacking),
+    )  # fmt: skip
+
+
+def _lacking(table: Table, channels: Sequence[Channel], columns) -> tuple[str, ...]:
+    """A sentence that names the rows without a value in one of the channels, if any."""
+    absent = {c.header: np.flatnonzero(~np.isfinite(columns[c.header])) for c in channels}
+    faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items()]
+    warning, _ = excluded([f for f in faults if len(f.rows)], table.lines, table.file, False)
+    return (warning,) if warning else ()
+
+
+def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
+    """The run of each row (n,) as text, from the named column or the one recognised by
+    its header; all "" without one."""
+    headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
+    header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
+    if header is None:
+        return np.full(len(table.lines), "")
+    notes.append(f"column {header!r} read as the run")
+    return np.array(words_of(table.cells[table.headers.index(header)]))
+
+
+def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
+    """Time (n,) continued where it restarts, the number of the run of each row (n,), and
+    the names of the runs.
+
+    Args:
+        label: (n,) the names; if they are all the same, runs are found by time only.
+    """
+    lasting = round(_LASTING / period)
+    again, shift = np.zeros(len(time), int), np.zeros(len(time))
+    first, latest = 0, -np.inf
+    for k in np.flatnonzero(np.diff(time) < -max_gap) + 1:
+        if k + lasting <= len(time) and np.all(time[k : k + lasting] < time[k - 1]):
+            # Later samples are shifted by the sum of all steps, added up at the end.
+            latest = max(latest, np.max(time[first:k]) + shift[first])
+            shift[k] = latest - time[k] + 2 * max_gap
+            again[k], first = 1, int(k)
+    time = time + shift[np.maximum.accumulate(np.where(again, np.arange(len(time)), 0))]
+    if again.any():
+        notes.append(
+            f"time restarts {again.sum()} times: it is continued {2 * max_gap:.3g} s"
+            " after the previous sample, as after a gap"
+        )
+    if len(set(label)) < 2:
+        label = (1 + np.cumsum(again)).astype(str)
+    names = tuple(dict.fromkeys(label.tolist()))
+    codes = {name: code for code, name in enumerate(names)}
+    run = np.array([codes[name] for name in label.tolist()], int)
+    return time, run, names if len(names) > 1 else ("",)
+
+
+def _unwrapped(yaw: np.ndarray) -> np.ndarray:
+    """Yaw (n,) without steps of a full turn; NaN stays NaN."""
+    there = np.isfinite(yaw)
+    whole = yaw.copy()
+    whole[there] = np.unwrap(yaw[there])
+    return whole
+
+
+# --- the file -------------------------------------------------------------------
+
+
+def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
+    """Read the file and check that it has the columns of the vehicle; returns both.
+
+    If the yaw of the vehicle is a quaternion, it is replaced by the column of its heading.
+    """
+    given = vehicle.columns.model_dump(exclude={"yaw"}).values()
+    stated = vehicle.columns.yaw or ""
+    parts = stated if isinstance(stated, list) else []
+    yaw = stated if isinstance(stated, str) else stated[0]
+    wanted = [n for n in (*given, *(parts or [yaw]), vehicle.keep.active) if n]
+    table, headings = with_headings(read_table(path, wanted), parts)
+    if yaw in headings:
+        columns = vehicle.columns.model_copy(update={"yaw": headings[yaw]})
+        vehicle = vehicle.model_copy(update={"columns": columns})
+        wanted = [headings[name] if name == yaw else name for name in wanted]
+    absent = [name for name in dict.fromkeys(wanted) if name not in table.headers]
+    if absent:
+        known = ", ".join(table.headers)
+        remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
+        remedy += "".join(f"; {note}" for note in table.notes if "not read" in note)
+        raise DataError(
+            [
+                InputProblem("the column is missing", remedy, table.file, column=name)
+                for name in absent
+            ]
+        )
+    return table, vehicle
+
+
+def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]:
+    """The columns to read: time, those of the motion, steering command, comparisons."""
+    names, problems = vehicle.columns, list[InputProblem]()
+    channels = []
+    for quantity in ("time", *names.motion):
+        header = getattr(names, quantity)
+        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
+    if names.steering:
+        channels.append(Channel("steering", names.steering, "", 1.0, True))
+    for quantity in names.beyond:
+        header = getattr(names, quantity)
+        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
+    DataError.raise_for(problems)
+    taken = {channel.header for channel in channels}
+    for quantity in CHECKS:
+        if quantity in (channel.quantity for channel in channels):
+            continue
+        meant = _MEANT.get(quantity, quantity)
+        headers = [h for h in table.headers if (g := guess(h)) and g.name == meant]
+        if len(headers) == 1 and headers[0] not in taken:
+            # A column that the vehicle does not name may have any content: skip odd ones.
+            odd: list[InputProblem] = []
+            channel = _channel(table, quantity, headers[0], vehicle, notes, odd, False)
+            cells = table.cells[table.headers.index(headers[0])]
+            faults = read_numbers(cells, headers[0], table.ragged, gaps=True)[1]
+            channels += [] if odd or faults else [channel]
+    return channels
+
+
+def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> Channel:
+    """The column with its unit: declared, from the header, or from the row below it."""
+    dimension = QUANTITIES[quantity]
+    text, where = vehicle.units.get(quantity), ""
+    in_header = stated_unit(header)
+    remedy = f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml'
+    remedy += f" (--unit {quantity}={_SI[dimension]})"
+    if table.units_row is not None and table.units_row[table.headers.index(header)] == ARC:
+        text, remedy = ARC, "name columns in metres; these are latitude and longitude"
+    if text is None and in_header:
+        text, where = in_header, ""
+    elif text is None and table.units_row is not None:
+        text = table.units_row[table.headers.index(header)].strip().strip("[](){}")
+        where = " (units row)"
+    elif text is not None and in_header not in (None, text):
+        where = f" (declared; the header says {in_header!r})"
+    if text == NO_UNIT:
+        remedy = f"state it: {quantity} = ... in [units] of vehicle.toml, or --unit {quantity}=..."
+        remedy += f" ({', '.join(units_of(dimension))})"
+    unit = unit_of(text, quantity) if text else None
+    # Round brackets may contain other text, as in ``W (IMU)``.
+    label = f"({in_header})" in header and text == in_header
+    label = label and known_unit(text.removeprefix("-")) is None
+    if text and text != "-" and unit is None and not label:
+        problems.append(
+            InputProblem(
+                f"unit {text!r} is not a unit of {dimension}, as {quantity} needs",
+                remedy,
+                table.file,
+                table.header_line,
+                header,
+            )
+        )
+    if unit is None:
+        where = f" ({text!r} is not a unit)" if label else " (no unit stated)"
+        text, scale = _SI[dimension], 1.0
+    else:
+        scale = unit.scale
+    if named or text != _SI[dimension]:
+        notes.append(f"column {header!r} read as {quantity} in {text}{where}")
+    return Channel(quantity, header, text, scale, named)
+
+
+def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:
+    """Header -> values (n,) of the columns that are read.
+
+    Cells without a value, infinity and rows without the header's number of cells are NaN.
+    """
+    wanted = [channel.header for channel in channels] + ([active] if active else [])
+    cells = {name: table.cells[table.headers.index(name)] for name in dict.fromkeys(wanted)}
+    commas = table.delimiter not in ("", ",") and has_decimal_comma(cells.values())
+    columns, faults = {}, []
+    for name, column in cells.items():
+        columns[name], wrong = read_numbers(column, name, table.ragged, commas, gaps=True)
+        faults += [fault._replace(remedy=_CORRECT) for fault in wrong if fault.rule != INFINITE]
+    of_rows, of_columns = list_problems(faults, table.lines, table.file)
+    DataError.raise_for([*of_rows, *of_columns])
+    return columns
+
+
+def _no_row(file: str, needed: Sequence[Channel], columns) -> list[InputProblem]:
+    """The columns without any value, or that no row has a value in all of them."""
+    remedy = "fill the column, or name another one in [columns] of vehicle.toml"
+    empty = [c for c in needed if not np.isfinite(columns[c.header]).any()]
+    if empty:
+        reason = "has no value in any row, but {} is needed"
+        return [
+            InputProblem(reason.format(c.quantity), remedy, file, None, c.header) for c in empty
+        ]
+    names = ", ".join(repr(c.header) for c in needed)
+    return [InputProblem(f"no row has a value in all of {names}", remedy, file)]
+
+
+# --- usable samples -------------------------------------------------------------
+
+
+def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
+    """Median of the positive time steps [s]."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    cutoff = vehicle.filter.cutoff
+    needed = f"a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
+    if len(steps) == 0:
+        column = vehicle.columns.time
+        reason, remedy = "holds fewer than two samples", f"give {needed}"
+        if len(time) > 1:
+            reason = "time does not rise from any sample to the next"
+            remedy = "sort the log by time, or name the right column"
+        raise DataError(reason, remedy, file, column=column)
+    period = float(np.median(steps))
+    if period > _JITTER / (4 * cutoff):
+        lower = math.floor(100 / (4 * period)) / 100
+        raise DataError(
+            f"is sampled at {1 / period:.3g} Hz only",
+            f"give {needed}, set cutoff = {max(lower, 0.001):g} in [filter] of"
+            " vehicle.toml, or check the unit of time",
+            file,
+            column=vehicle.columns.time,
+        )
+    return period
+
+
+def _steps(channels, signals: np.ndarray) -> list[str]:
+    """A note on channels whose quantisation is coarse compared with their changes."""
+    coarse = []
+    for channel, values in zip(channels, signals.T, strict=True):
+        values = values[np.isfinite(values)]
+        levels = np.unique(values)
+        if len(levels) < 3 or np.mean(np.diff(values) == 0) < _HELD:
+            continue
+        step = float(np.min(np.diff(levels)))
+        if step > _COARSE * math.sqrt(12) * float(np.std(values)):
+            text = f"{step / abs(channel.factor):.3g} {channel.unit.removeprefix('-')}"
+            coarse.append(f"{channel.quantity} {text.strip()}")
+    if not coarse:
+        return []
+    return [f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"]
+
+
+def _later(time: np.ndarray, period: float) -> np.ndarray:
+    """Which samples (n,) bool are clearly later than the last one taken."""
+    taken = np.zeros(len(time), bool)
+    last = -math.inf
+    for index, stamp in enumerate(time.tolist()):
+        if stamp - last > _CLOSEST * period:
+            taken[index] = True
+            last = stamp
+    return taken

@@ -1,0 +1,146 @@
+"""Recognise the log of a vehicle by its headers: :func:`vehicle_log`."""
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+
+from tirefit.data.columns import stated_unit
+from tirefit.data.units import known_unit
+from tirefit.results import InputProblem
+
+_ENDS = {
+    "time": "time t timestamp stamp",
+    "x": "x",
+    "y": "y",
+    "yaw": "yaw psi heading theta",
+    "v_x": "vx speedx velx velocityx vlong vlon longvel linearx groundspeed corrspeed gpsspeed"
+    " vehiclespeed velocity longitudinalspeed",
+    "v_y": "vy speedy vely velocityy vlat latvel lineary lateralvel lateralvelocity lateralspeed",
+    "yaw_rate": "r yawrate yawvelocity psidot gyroz angularz angularvelocityz",
+    "a_y": "ay accy accely latacc lateralacc lateralacceleration gforcelat accellateral",
+    "steering": "steering steer delta steeringangle steeredangle steerangle steeringwheel"
+    " steeringwheelangle swa roadwheelangle",
+}
+"""Quantity of a log -> how headers of it end, without separators."""
+
+_OF_ONE = ("yaw", "v_x", "v_y", "yaw_rate")
+_CAR = (
+    "mass = 1500         # kg",
+    "l_f = 1.2           # m, front axle ahead of the centre of gravity",
+    "l_r = 1.4           # m, rear axle behind it",
+    "yaw_inertia = 2500  # kg m2",
+    "# tracked_point = [0, 0]  # m, if the log describes another point than the centre of"
+    " gravity: ahead of the rear axle, to the left",
+    "[columns]",
+)
+IS_VEHICLE_LOG = "this is the log of a vehicle: it holds no slip and force of a tire"
+_REACH = math.radians(10)  # rad, of a road wheel: about as far as a car steers at speed
+_NO_PLACE = re.compile("^v$|acc|imu|mag|gyro|twist|linear|angular|vel|orientation|rotation")
+
+
+def _message(header: str) -> str:
+    """The topic of a channel of a bag: ``/odom`` of ``/odom.pose.position.x``."""
+    return header.partition(".")[0] if header.startswith("/") else ""
+
+
+_MANY = 2
+"""Number of quantities that no test rig measures (speeds, yaw rate, lateral acceleration,
+steering) from which on a file is a vehicle log, even if it lacks those for the slip."""
+
+
+def _incomplete(found: Mapping[str, str], file: str, headers, units) -> InputProblem | None:
+    """The problem of a log with too few channels for ``tirefit derive``, which needs them."""
+    there = [name for name in ("v_x", "v_y", "yaw_rate", "a_y", "steering") if name in found]
+    if "time" not in found or len(there) < _MANY:
+        return None
+    has = ", ".join(f"{name} ({found[name]!r})" for name in there)
+    lacks = " and ".join(name for name in ("v_x", "v_y", "yaw_rate") if name not in found)
+    remedy = (
+        "tirefit derive computes those of an axle from v_x, v_y and yaw_rate, or from the pose"
+        f" x, y and yaw (VEHICLE.md). This log has {has}, and no {lacks}: add it, as from an"
+        " optical sensor or a GPS with two antennas, or name its column in vehicle.toml:"
+    )
+    names = ("time", "v_x", "v_y", "yaw_rate", "a_y", "steering")
+    remedy += _template(found, names, headers, units)
+    remedy += f"\n      The columns of this log: {', '.join(map(repr, headers))}"
+    return InputProblem(IS_VEHICLE_LOG, remedy, file)
+
+
+def _template(found: Mapping[str, str], names, headers, units) -> str:
+    """The lines of a vehicle.toml; those of needed channels without a column are comments."""
+    lines = [*_CAR]
+    for name in names:
+        if name in found:
+            lines.append(f"{name} = {json.dumps(found[name], ensure_ascii=False)}")
+        elif name in ("v_x", "v_y", "yaw_rate"):
+            other = _ENDS[name].split()[-1]
+            lines.append(f'# {name} = "..."  # not in this log: a column such as {other!r}')
+    if "steering" in found:
+        header = found["steering"]
+        beside = units[list(headers).index(header)] if units else ""
+        lines += _steering(" ".join((stated_unit(header) or beside).split()))
+    return "".join(f"\n      {line}" for line in lines)
+
+
+def _steering(text: str) -> list[str]:
+    """Lines of the steering map of a column in a unit, as for the angle of the road wheel."""
+    unit = known_unit(text) if text else None
+    scale = unit.scale if unit and unit.dimension == "angle" else 1.0
+    reach = 1.0 if scale == 1.0 else _REACH / scale
+    angle = reach * scale
+    return [
+        "[steering]  # from the column to the road wheel angle [rad]",
+        f"command = [{-reach:.4g}, {reach:.4g}]  # {text or 'rad'}",
+        f"angle = [{-angle:.4g}, {angle:.4g}]  # of a steering wheel: divide by the steering ratio",
+    ]
+
+
+def vehicle_log(
+    headers: Sequence[str], file: str, by_pose: bool = True, units: Sequence[str] | None = None
+) -> InputProblem | None:
+    """The problem that a file is the log of a vehicle, with the command that computes
+    forces from it, or with the channels that it lacks for that; None for another file. In a
+    file with a slip, x, y and yaw may have other meanings: with ``by_pose=False`` only rates
+    count. ``units`` are those of the columns, from a row below the headers.
+
+    Example:
+        >>> found = vehicle_log(["t", "vx", "vy", "yaw_rate [deg/s]"], "log.csv")
+        >>> found.remedy.startswith("tirefit derive log.csv --vehicle vehicle.toml")
+        True
+    """
+    from tirefit.data.vehicle.vehicle import POSE, RATES  # which no other reader waits for
+
+    found: dict[str, str] = {}
+    for header in headers:
+        words = re.findall("[a-z0-9]+", re.sub(r"[\[(].*", "", header.casefold()))
+        if words[-1:] == ["data"]:  # the field of a ROS message that holds one number
+            words = words[:-1]
+        ends = {"".join(words[-count:]) for count in (1, 2, 3)}
+        for name, known in _ENDS.items():
+            if name in ("x", "y") and _NO_PLACE.search("".join(words[:-1])):
+                continue
+            if name in ("v_x", "v_y") and "angular" in words:
+                continue
+            # Heading and speeds of the message that has the place, not of another sensor.
+            message = _message(found.get("x", ""))
+            beside = _message(header) == message != _message(found.get(name, ""))
+            if ends & set(known.split()) and (name not in found or beside and name in _OF_ONE):
+                found[name] = header
+    motion = POSE if by_pose and found.keys() >= {*POSE} else RATES
+    # A message with both has measured both: speeds are differentiated once, not twice.
+    messages = {_message(found.get(name, "")) for name in ("x", *RATES)}
+    if len(messages) == 1 and messages != {""}:
+        motion = RATES
+    if not found.keys() >= {*motion}:
+        return _incomplete(found, file, headers, units)
+    # The index of a data frame often has no header; in such logs it is the time.
+    found.setdefault("time", "" if "" in headers else "HEADER")
+    names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")
+    return InputProblem(
+        IS_VEHICLE_LOG,
+        f"tirefit derive {file} --vehicle vehicle.toml --out axle.csv computes those of"
+        " an axle. Write vehicle.toml (VEHICLE.md) with the numbers of your car:"
+        + _template(found, names, headers, units),
+        file,
+    )

@@ -1,0 +1,1 @@
+"""A fit as a problem: data, model and settings, with their noise."""

@@ -1,0 +1,368 @@
+"""Build a well-posed fit from data, a model and a configuration."""
+
+import difflib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from tirefit.data.read import require
+from tirefit.data.table import TireData
+from tirefit.fitting.problem.combined_slip import slip_of_forces
+from tirefit.fitting.problem.config import FitConfig, NoiseConfig, ParameterConfig
+from tirefit.fitting.problem.layout import Layout, choose_layout
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
+from tirefit.fitting.problem.slip_noise import speed_of, std_with_speed
+from tirefit.fitting.problem.time_series import check_time_series, check_whole_series
+from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
+from tirefit.padding import pad_rows, padded_size
+from tirefit.params import parameter_values, specs
+from tirefit.results import DataError, InputProblem, UsageError
+
+
+@dataclass(frozen=True)
+class FitTask:
+    """A problem, with further data that do not enter the compiled program."""
+
+    name: str
+    problem: FitProblem
+    guess: Mapping[str, float]  # first value of every free parameter
+    time: np.ndarray | None  # (n,) orders the rows
+    notes: tuple[str, ...]  # what was assumed
+    data: TireData  # its used rows are those of the problem
+
+
+def find_model(name: str) -> AbstractTire:
+    """The registered model of this name.
+
+    Raises:
+        UsageError: no such model; names the closest ones.
+    """
+    if name in MODELS:
+        return MODELS[name]
+    from tirefit.models.mf import MAGIC_FORMULAS  # which no other model waits for
+
+    if name in MAGIC_FORMULAS:
+        reason = f"{name} is a whole Magic Formula, which is fitted in stages"
+        remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
+        remedy += " writes, fit.json and fit.tir, is a tire"
+        raise UsageError(reason, remedy)
+    if os.path.isfile(name):
+        reason = f"{name!r} is a file, not the name of a model"
+        remedy = "a file of a tire ends in .json (a fit) or .tir; `tirefit models` lists"
+        raise UsageError(reason, f"{remedy} the names")
+    close = difflib.get_close_matches(name, MODELS, 3)
+    hint = f"did you mean {', '.join(close)}? " if close else ""
+    raise UsageError(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
+
+
+def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], list]:
+    possible = [c for c, slip in CHANNEL_SLIP.items() if c in data and slip in data]
+    if config.force is not None:
+        needed = [column for name in config.force for column in (name, CHANNEL_SLIP[name])]
+        require(data, list(dict.fromkeys(needed)), f"a fit of {', '.join(config.force)}")
+        return tuple(dict.fromkeys(config.force)), []
+    varied = [c for c in possible if np.ptp(data.usable(CHANNEL_SLIP[c])) > 1e-9]
+    if not varied:
+        raise DataError(
+            "no force with a slip that varies: a fit needs fx with sigma_x (or"
+            " kappa, s), or fy with alpha",
+            "see `tirefit inspect`",
+            data.file,
+        )
+    chosen = varied[0]
+    rest = [name for name in varied if name != chosen]
+    note = f"fitted force: {chosen} against {CHANNEL_SLIP[chosen]}"
+    if rest:
+        note += f"; {', '.join(rest)} not fitted (set `force` in fit.toml to fit it)"
+    return (chosen,), [note]
+
+
+def _column_wins(name: str, noise: NoiseConfig) -> str:
+    """The note on noise from a column, and the settings that it overrides."""
+    keys = (name, f"{name}_relative", f"{name}_speed")
+    given = {key: getattr(noise, key, None) for key in keys}
+    overruled = [f"noise.{k} = {v:g}" for k, v in given.items() if v is not None]
+    rest = f"; {' and '.join(overruled)} not used beside it" if overruled else ""
+    return f"noise of {name}: column {name}_std{rest}"
+
+
+def force_scale(data: TireData, name: str, noise: NoiseConfig):
+    """(scale (n_used,), estimated?, sentence) of one force."""
+    if f"{name}_std" in data:
+        scale = data.usable(f"{name}_std")
+        return scale, False, _column_wins(name, noise)
+    absolute = getattr(noise, name, None)
+    relative = getattr(noise, f"{name}_relative", None)
+    if absolute is not None:
+        return np.full(data.n, absolute), False, f"noise of {name}: {absolute:g} given"
+    if relative is not None:
+        return (relative * data.usable("fz"), False, f"noise of {name}: {relative:g} fz given")
+    observed = data.usable(name)
+    size = 0.05 * float(np.sqrt(np.mean(observed**2))) or 1.0
+    if noise.proportional_to_load:
+        fz = data.usable("fz")
+        shape = fz / np.mean(fz)
+        return size * shape, True, f"noise of {name}: estimated, proportional to load"
+    return np.full(data.n, size), True, f"noise of {name}: estimated from the residuals"
+
+
+def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
+    given, of_speed = getattr(noise, slip), getattr(noise, f"{slip}_speed")
+    if f"{slip}_std" in data:
+        return data.usable(f"{slip}_std"), _column_wins(slip, noise)
+    if of_speed is not None:
+        std = std_with_speed(given or 0.0, of_speed, speed_of(data))
+        beside = f" and {given:g}" if given is not None else ""
+        return std, f"noise of {slip}: {of_speed:g} m/s over v{beside} given"
+    if given is not None:
+        return np.full(data.n, given), f"noise of {slip}: {given:g} given"
+    return None, f"noise of {slip}: none assumed"
+
+
+def _noise_problems(data: TireData, forces, config: FitConfig):
+    """Noise, in columns or settings, at which squared residuals overflow or vanish."""
+    given = {name: force_scale(data, name, config.noise) for name in forces}
+    stds = {name: std for name, (std, estimated, _) in given.items() if not estimated}
+    for slip in dict.fromkeys(CHANNEL_SLIP[name] for name in forces):
+        std, _ = _slip_scale(data, slip, config.noise)
+        stds |= {} if std is None else {slip: std}
+    of_columns, of_settings = [], []
+    for name, std in stds.items():
+        largest = float(np.max(np.abs(data.usable(name)))) or 1.0
+        if name not in forces:
+            # The slip of a locked wheel, and its noise, represent infinity.
+            largest, std = min(largest, 1.0), np.minimum(std, 1.0)
+        wrong = np.flatnonzero((std < 1e-9 * largest) | (std > 1e9 * largest))
+        if not len(wrong):
+            continue
+        beside = f"is not a noise level beside {name} up to {largest:.4g}"
+        if f"{name}_std" in data:
+            of_columns.append(_noise_column(data, f"{name}_std", wrong, beside))
+            continue
+        keys = (name, f"{name}_relative", f"{name}_speed")
+        key = next(k for k in keys if getattr(config.noise, k, None) is not None)
+        reason = f"noise.{key} = {getattr(config.noise, key):g} {beside}"
+        remedy = f"give the true noise of {name}, or leave noise.{key} out"
+        of_settings.append(InputProblem(reason, remedy, config.source))
+    return of_columns, of_settings
+
+
+def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProblem:
+    """``wrong`` indexes the used rows."""
+    source, row = data.source, np.flatnonzero(data.used)[wrong[0]]
+    rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
+    return InputProblem(
+        f"{data[column][row]:.3g} {beside}{rows}",
+        "correct the column or its unit, or leave it out",
+        data.file,
+        None if source.line is None else int(source.line[row]),
+        source.columns.get(column, column),
+    )
+
+
+def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
+    """Result of ``choose_layout``; its problems and those of the noise are raised together."""
+    of_columns, of_settings = _noise_problems(data, forces, config)
+    try:
+        chosen = choose_layout(model, config, data.runs, forces)
+    except UsageError as error:
+        raise UsageError([*error.problems, *of_settings]) from None
+    if of_settings:
+        raise UsageError(of_settings)
+    if of_columns:
+        raise DataError(of_columns)
+    return chosen
+
+
+def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
+    """Raises DataError if the stated noise (n,) of a slip is as large as the spread of
+    the measured slips: no slip is then known."""
+    noise, spread = float(np.median(std)), float(np.std(data.usable(slip)))
+    if noise > 0.7 * spread:
+        column = f"{slip}_std" if f"{slip}_std" in data else None
+        raise DataError(
+            f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
+            f" measured slips (standard deviation {spread:.3g}): the slip of a row is"
+            " unknown",
+            f"check the unit of the noise, {column or f'noise.{slip}'}",
+            data.file,
+            column=column,
+        )
+
+
+def _put(values: np.ndarray, size: int) -> Array:
+    """Rows padded, on the device; ``jnp.asarray`` would compile a program for each shape."""
+    return jax.device_put(pad_rows(values, size))
+
+
+def _inputs(data: TireData, size: int) -> TireInputs:
+    def column(name):
+        values = data.usable(name) if name in data else np.zeros(data.n)
+        return _put(np.nan_to_num(values), size)
+
+    return TireInputs(*(column(name) for name in TireInputs._fields))
+
+
+def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, float]:
+    """Guess from the slope of the low-slip half and from the largest force."""
+    name = "fx" if "fx" in forces else ("fy" if "fy" in forces else None)
+    guess = {p.name: float(parameter_values(model)[p.name]) for p in layout.free}
+    if name is None:
+        return guess
+    slip, force = data.usable(CHANNEL_SLIP[name]), data.usable(name)
+    fz = data.usable("fz")
+    size = np.abs(slip)
+    low = size <= max(np.quantile(size, 0.3), 0.15 * size.max())
+    stiffness = float(slip[low] @ force[low] / max(slip[low] @ slip[low], 1e-12))
+    peak = float(np.quantile(np.abs(force) / fz, 0.97))
+    load = float(np.median(fz))
+    stiffness = max(1.2 * stiffness, peak * load / max(size.max(), 1e-6))
+    peak = min(max(1.03 * peak, 0.02), 4.0)
+    of_curve = guess_from_curve(stiffness, peak, load)
+    return {name: of_curve.get(name, value) for name, value in guess.items()}
+
+
+def guess_from_curve(stiffness, peak, load) -> dict:
+    """Start values of the parameters, from slope and peak of the curve.
+
+    Args:
+        stiffness: slope of the force at small slip [N].
+        peak: largest force over load [-].
+        load: typical load [N].
+    """
+    factor = stiffness / (1.5 * peak * load)
+    return {
+        "cpa2": stiffness / 2,
+        "mu": peak,
+        "mu_peak": peak,
+        "mu_c": 0.6 * peak,
+        "mu_s": 1.5 * peak,
+        "sigma0": 10 * stiffness / load,  # 2 C / (F_z 2a), the patch 0.2 m long
+        **dict.fromkeys(("D", "Dx", "Dy"), peak),
+        **dict.fromkeys(("B", "Bx", "By"), factor),
+    }
+
+
+def _check_size(data: TireData, layout: Layout, channels, n_values: int) -> None:
+    unknowns = layout.size + sum(c.noise_estimated for c in channels)
+    if n_values <= unknowns:
+        raise DataError(
+            f"{n_values} measured values for {unknowns} unknowns"
+            f" ({', '.join(layout.labels)}"
+            + (" and the noise level)" if unknowns > layout.size else ")"),
+            "measure more points, or fix parameters in fit.toml",
+            data.file,
+        )
+
+
+def _limited(data: TireData, config: FitConfig, slip: str) -> TireData:
+    low, high = config.data.slip_min, config.data.slip_max
+    if low is None and high is None:
+        return data
+    values = data[slip]
+    inside = (values >= (-np.inf if low is None else low)) & (
+        values <= (np.inf if high is None else high)
+    )
+    return data.where(inside)
+
+
+def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> FitTask:
+    """Choose forces, noise, free parameters and a first guess.
+
+    Args:
+        least_rows: rows to pad to, at least, so that small files share one program.
+
+    Raises:
+        UsageError: unknown model or parameter, impossible bounds, ties or noise.
+        DataError: missing columns or rows, or a noise column that is not positive.
+    """
+    template = find_model(name)
+    forces, notes = _chosen_forces(data, config)
+    data = _limited(data, config, CHANNEL_SLIP[forces[0]])
+    _check_inputs(data, name, template, forces, config)
+    config, messages = _with_reference_load(data, template, config)
+    model, layout, narrowed = _settled(data, template, forces, config)
+    notes += [*messages, *narrowed]
+    size = padded_size(data.n, least_rows)
+    observed, scale, channels = {}, {}, []
+    slips = dict.fromkeys(CHANNEL_SLIP.values())
+    noisy = [s for s in slips if _slip_scale(data, s, config.noise)[0] is not None]
+    slip_of = slip_of_forces(data, template, forces, noisy)
+    for force in forces:
+        values, estimated, note = force_scale(data, force, config.noise)
+        observed[force] = _put(data.usable(force), size)
+        scale[force] = _put(values, size)
+        channels.append(Channel(force, estimated, slip_of[force]))
+        notes.append(note)
+    _check_size(data, layout, channels, data.n * len(forces))
+    slip_std = {}
+    for slip in dict.fromkeys(slip_of.values()):
+        std, note = _slip_scale(data, slip, config.noise)
+        notes.append(note)
+        if std is not None:
+            check_slip_noise(data, slip, std)
+            slip_std[slip] = _put(std, size)
+    rows = Rows(
+        inputs=_inputs(data, size),
+        run=_put(data.run[data.used].astype(int), size),
+        weight=jax.device_put((np.arange(size) < data.n).astype(float)),
+        observed=observed,
+        scale=scale,
+        slip_std=slip_std,
+        nodes={},
+    )
+    guess = _first_guess(model, data, forces, layout)
+    guess |= {k: v.value for k, v in config.parameters.items() if v.value is not None}
+    problem = FitProblem(
+        model=model,
+        rows=rows,
+        rules={force: Rule() for force in forces},
+        layout=layout,
+        channels=tuple(channels),
+        # Outliers are excluded, so that the noise of the others is normal.
+        loss="squares" if config.noise.loss == "trimmed" else config.noise.loss,
+    )
+    time = data.usable("time") if "time" in data else None
+    return FitTask(name, problem, guess, time, tuple(notes), data)
+
+
+def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
+    if config.friction_temperature:
+        reason = f"friction_temperature with the model {name}"
+        remedy = "only mf52, mf61 and mf62 have it: remove it from [model]"
+        raise UsageError(reason, remedy, config.source)
+    if missing := [force for force in forces if force not in modelled(model)]:
+        reason = f"the model {name} has no {' and no '.join(missing)}"
+        remedy = f"it has {', '.join(modelled(model))}: fit these (force), or another model"
+        raise UsageError(reason, remedy)
+    require(data, ("fz", *model.needs), f"the model {name}")
+    if model.transient:
+        slips = dict.fromkeys(CHANNEL_SLIP[force] for force in forces)
+        check_whole_series(data, name, slips, config)
+        check_time_series(data, name)
+    if data.n == 0:
+        limits = [
+            f"data.{key} = {value:g}"
+            for key, value in config.data
+            if key in ("slip_min", "slip_max") and value is not None
+        ]
+        reason, remedy = "no usable row", "see `tirefit inspect`"
+        if limits:
+            reason += f" within {' and '.join(limits)} of {config.source}"
+            remedy = "widen these limits"
+        raise DataError(reason, remedy, data.file)
+
+
+def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):
+    """The configuration with a reference load, by default chosen here, and a note."""
+    asked = config.parameters.get("fz0", ParameterConfig())
+    if "fz0" not in specs(model) or asked.value is not None:
+        return config, []
+    load = float(f"{np.median(data.usable('fz')):.6g}")
+    given = config.parameters | {"fz0": asked.model_copy(update={"value": load})}
+    message = f"reference load fz0: {load:g} N, the median (set parameters.fz0.value)"
+    return config.model_copy(update={"parameters": given}), [message]

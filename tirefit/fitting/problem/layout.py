@@ -1,0 +1,277 @@
+"""The parameters that a fit estimates, and their map from an unconstrained vector z.
+
+A parameter is free (shared by all runs, or one per run), fixed at a value, or tied to
+another one. The solver and the samplers see one unconstrained vector z; ``natural``
+turns it into named values within their bounds.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.fitting.problem.config import FitConfig, ParameterConfig
+from tirefit.models import AbstractTire
+from tirefit.params import Spec, constrain, log_jacobian, specs, unconstrain, with_values
+from tirefit.results import InputProblem, UsageError
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter to estimate: one value, or one per run where ``per_run``."""
+
+    name: str
+    spec: Spec
+    per_run: bool = False
+    prior: tuple[float, float] | None = None
+    """Mean and standard deviation of a Gaussian prior; None is flat in the bounds."""
+
+
+@dataclass(frozen=True)
+class Tie:
+    """``name = factor * other``."""
+
+    name: str
+    other: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The free parameters in order, the ties, and the runs of the data."""
+
+    free: tuple[FreeParameter, ...]
+    ties: tuple[Tie, ...] = ()
+    runs: tuple[str, ...] = field(default=("run",), compare=False, repr=False)
+    """Not compared: otherwise the names of the runs would force a new compilation."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One label per element of z: ``mu``, or ``mu[run]`` where it is per run."""
+        return tuple(label for label, _ in self.elements)
+
+    @property
+    def elements(self) -> tuple[tuple[str, FreeParameter], ...]:
+        """(label, parameter) of every element of z, in order."""
+        elements = []
+        for parameter in self.free:
+            if parameter.per_run:
+                elements += [(f"{parameter.name}[{run}]", parameter) for run in self.runs]
+            else:
+                elements.append((parameter.name, parameter))
+        return tuple(elements)
+
+    @property
+    def size(self) -> int:
+        """Length of z."""
+        return len(self.elements)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether a row depends only on some elements of z, those of its run."""
+        return any(parameter.per_run for parameter in self.free)
+
+    def elements_of(self, run):
+        """Indices (n, q) of each row's elements of z, one per free parameter."""
+        count = [len(self.runs) if p.per_run else 1 for p in self.free]
+        first = np.cumsum([0, *count[:-1]])
+        own = np.array([p.per_run for p in self.free])
+        return first[None] + run[:, None] * own[None]
+
+    @property
+    def prior_elements(self) -> np.ndarray:
+        """Indices, as :meth:`elements_of`, of each of :meth:`prior_residual`."""
+        count = [len(self.runs) if p.per_run else 1 for p in self.free]
+        run = np.concatenate([np.arange(n) for n in count])
+        return self.elements_of(run[[p.prior is not None for _, p in self.elements]])
+
+    def natural(self, z) -> dict:
+        """Named values: shape () where shared, (runs,) where per run; ties resolved."""
+        values, start = {}, 0
+        for parameter in self.free:
+            count = len(self.runs) if parameter.per_run else 1
+            part = constrain(z[start : start + count], parameter.spec)
+            values[parameter.name] = part if parameter.per_run else part[0]
+            start += count
+        for tie in self.ties:
+            values[tie.name] = tie.factor * values[tie.other]
+        return values
+
+    def vector(self, z):
+        """Natural value of every element of z, shape (size,)."""
+        library = jnp if isinstance(z, jax.Array) else np
+        values = [constrain(z[i], p.spec) for i, (_, p) in enumerate(self.elements)]
+        return library.stack(values)
+
+    def unconstrained(self, values: Mapping[str, float]):
+        """z of the given natural values, by parameter name or by label."""
+        coordinates = [
+            unconstrain(values[label if label in values else p.name], p.spec)
+            for label, p in self.elements
+        ]
+        traced = any(isinstance(value, jax.Array) for value in coordinates)
+        return jnp.stack(coordinates) if traced else np.array(coordinates, float)
+
+    def log_volume(self, z):
+        """log |d natural / d z|: the prior flat in the bounds, in coordinates z."""
+        return sum(log_jacobian(z[i], p.spec) for i, (_, p) in enumerate(self.elements))
+
+    def prior_residual(self, z):
+        """Gaussian priors as pseudo-measurements, shape (number of priors,)."""
+        pulls = [
+            (constrain(z[i], p.spec) - p.prior[0]) / p.prior[1]
+            for i, (_, p) in enumerate(self.elements)
+            if p.prior is not None
+        ]
+        return jnp.stack(pulls) if pulls else jnp.zeros(0)
+
+
+def choose_layout(
+    model: AbstractTire, config: FitConfig, runs: tuple[str, ...], forces: Sequence[str]
+) -> tuple[AbstractTire, Layout, list[str]]:
+    """Choose the parameters that a fit estimates, and their bounds.
+
+    The bounds of a tied parameter narrow those of the other one.
+
+    Args:
+        model: template of the fit.
+        config: settings of the fit.
+        runs: names of the runs of the data.
+        forces: fitted forces; only ``mz`` lets the half-length be estimated.
+
+    Returns:
+        The model that holds the fixed values, the layout, and what was narrowed.
+
+    Raises:
+        UsageError: unknown names, impossible bounds, values, priors, ties.
+    """
+    known = specs(model)
+    asked = {name: config.parameters.get(name, ParameterConfig()) for name in known}
+    problems = [
+        InputProblem(
+            f"parameters.{name}: the model has no such parameter", f"it has {', '.join(known)}"
+        )
+        for name in config.parameters
+        if name not in known
+    ]
+    ties = [Tie(n, a.tied, a.factor) for n, a in asked.items() if a.tied is not None]
+    free = [n for n in known if _is_free(known[n], n, asked[n], forces)]
+    bounded, notes = {}, []
+    for name in known:
+        bounded[name], wrong = _bounded(name, known[name], asked[name])
+        problems += wrong
+    for tie in ties:
+        if tie.other in free:
+            spec, wrong, message = _narrowed(tie, bounded)
+            bounded[tie.other] = spec
+            problems += wrong
+            notes += message
+        else:
+            problems.append(_wrong_tie(tie, ties, free, known))
+    for name in known:
+        problems += _misplaced(name, bounded[name], asked[name], name in free)
+    if not free:
+        problems.append(InputProblem("no free parameter", "free one under [parameters]"))
+    if problems:
+        raise UsageError([replace(p, file=config.source) for p in problems])
+    tied = {tie.name for tie in ties}
+    fixed = {
+        name: spec.default if value is None else value
+        for name, spec in known.items()
+        for value in [asked[name].value]
+        if name not in free and name not in tied
+    }
+    unknowns = tuple(_free_parameter(n, bounded[n], asked[n], len(runs)) for n in free)
+    return with_values(model, fixed), Layout(unknowns, tuple(ties), runs), notes
+
+
+def _is_free(spec: Spec, name: str, asked: ParameterConfig, forces) -> bool:
+    if asked.tied is not None or asked.free is not None:
+        return bool(asked.free)
+    return "mz" in forces if name == "half_length" else spec.free
+
+
+def _free_parameter(name: str, spec: Spec, asked: ParameterConfig, runs: int):
+    prior = None if asked.prior is None else (asked.prior.mean, asked.prior.std)
+    return FreeParameter(name, spec, asked.per_run and runs > 1, prior)
+
+
+def _interval(spec: Spec) -> str:
+    return f"[{spec.lower:.6g}, {spec.upper:.6g}]"
+
+
+def _bounded(name: str, spec: Spec, asked: ParameterConfig):
+    """The spec with the bounds of the configuration, and the problems of these bounds."""
+    lower = spec.lower if asked.lower is None else asked.lower
+    upper = spec.upper if asked.upper is None else asked.upper
+    if spec.lower <= lower < upper <= spec.upper:
+        return spec._replace(lower=lower, upper=upper), []
+    reason = (
+        f"parameters.{name}: bounds [{lower:.6g}, {upper:.6g}] are empty or outside the"
+        f" model's {_interval(spec)}"
+    )
+    remedy = "choose lower and upper inside those of `tirefit models`"
+    return spec, [InputProblem(reason, remedy)]
+
+
+def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
+    """Spec of the other parameter within the tied one's bounds; problems; a note."""
+    own, other = bounded[tie.name], bounded[tie.other]
+    low, high = sorted((own.lower / tie.factor, own.upper / tie.factor))
+    narrow = other._replace(lower=max(other.lower, low), upper=min(other.upper, high))
+    if narrow == other:
+        return other, [], []
+    product = f"{tie.factor:g} {tie.other}"
+    if narrow.lower >= narrow.upper:
+        reason = (
+            f"parameters.{tie.name}: tied = {tie.other!r} with factor = {tie.factor:g}"
+            f" is outside its bounds {_interval(own)} for every {tie.other} in"
+            f" {_interval(other)}"
+        )
+        remedy = f"change the factor, or the bounds of {tie.other}"
+        return other, [InputProblem(reason, remedy)], []
+    message = (
+        f"{tie.other} held to {_interval(narrow)}, so that {tie.name} = {product} stays"
+        f" within {_interval(own)}"
+    )
+    return narrow, [], [message]
+
+
+def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> InputProblem:
+    tied = {one.name: one.other for one in ties}
+    key, reason = f"parameters.{tie.name}", f"tied to {tie.other!r}, which is not free"
+    if tie.other == tie.name:
+        reason = f"tied to {tie.other!r}, itself"
+    elif tie.other in tied:
+        reason += f": parameters.{tie.other} is tied to {tied[tie.other]!r}"
+    elif tie.other not in known:
+        reason = f"tied to {tie.other!r}, which the model does not have"
+    remedy = f"tie it to one of {', '.join(free)}" if free else "free a parameter"
+    return InputProblem(f"{key}: {reason}", remedy)
+
+
+def _misplaced(name: str, spec: Spec, asked: ParameterConfig, free: bool) -> Iterator[InputProblem]:
+    """Problems: values and priors outside the bounds, keys that a fixed parameter ignores."""
+    key, prior = f"parameters.{name}", asked.prior
+    if asked.value is not None and not spec.lower <= asked.value <= spec.upper:
+        reason = f"value {asked.value:g} outside its bounds {_interval(spec)}"
+        yield InputProblem(f"{key}: {reason}", "choose a value inside the bounds")
+    if prior is not None and not spec.lower < prior.mean < spec.upper:
+        reason = f"prior mean {prior.mean:g} outside its bounds {_interval(spec)}"
+        yield InputProblem(f"{key}: {reason}", "choose a mean inside the bounds")
+    if prior is not None:
+        width = prior.mean if spec.scale == "log" else spec.upper - spec.lower
+        if prior.std < 1e-9 * abs(width):
+            reason = f"prior std {prior.std:g} leaves it no room in {_interval(spec)}"
+            remedy = f"hold it by value = {prior.mean:g} and free = false"
+            yield InputProblem(f"{key}: {reason}", remedy)
+    if free or asked.free is False or asked.tied is not None:
+        return
+    idle = [k for k in ("lower", "upper", "prior") if getattr(asked, k) is not None]
+    idle += ["per_run"] if asked.per_run else []
+    remedy = "fit mz too" if name == "half_length" else f"set {key}.free = true"
+    for setting in idle:
+        reason = f"{setting} has no effect: this fit does not estimate {name}"
+        yield InputProblem(f"{key}: {reason}", f"{remedy}, or leave {setting} out")

@@ -1,0 +1,1 @@
+"""Least squares, and what it knows of its rows."""

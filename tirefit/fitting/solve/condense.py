@@ -1,0 +1,313 @@
+r"""Groups of similar rows (cells) that replace the rows while a posterior is sampled.
+
+If the model is smooth, rows with nearly the same inputs hold the same information on
+the parameters. A cell replaces its rows at their mean input, with their mean residual
+:math:`\bar r` at the estimate and their number n as its weight. With :math:`\Delta`,
+the change of the force from the estimate to z in standard deviations,
+
+.. math::
+   \sum_i (r_i - \Delta_i)^2 = \sum_i r_i^2 - n \bar r^2 + n (\bar r - \Delta)^2
+
+except for the variation of :math:`\Delta_i` within the cell. Terms that do not depend on
+z are kept as a number. The error is therefore a share of the change of the deviance, for
+any number of rows. The cells are cut where :math:`\Delta` varies most, over points in
+the range of the posterior. If the deviance of a row is not a square (a robust loss, noisy
+slip), cells are also cut by the residual. The deviance itself shows if they are accurate.
+"""
+
+import heapq
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from tirefit.fitting.problem.likelihood import FitProblem, moments, root_deviance, row_moments
+from tirefit.fitting.result import FitResult
+from tirefit.fitting.solve.inference import Linearised, deviance, linearise
+from tirefit.fitting.solve.multistart import Solved
+from tirefit.padding import pad_rows
+from tirefit.params import unconstrain
+
+FEWEST = 4096  # smallest number of rows that are condensed; fewer are as fast as cells
+
+_REACH = 2.5  # standard deviations at which the change of the force is computed
+
+_TRIES = ((512, 1e-3), (2048, 2.5e-4), (8192, 6e-5))
+"""Largest number of cells, and share of the squared change that may be lost in them. It is
+a share of the information on the parameters: the first is 0.05 % of a standard deviation.
+There are few numbers of cells, as each needs a compiled program."""
+
+_CLOSE = 0.05
+"""Largest error of the log density by cells, at points where it has fallen by 3."""
+
+_MOVES = 3
+"""Steps that give cells the slope of the rows; one is enough if deviances are squares."""
+
+_COMPARED = 64
+
+_SAMPLED = 2**16  # largest number of rows by which the cells are cut
+
+
+def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | None:
+    """The problem with cells instead of rows; None if cells are not accurate enough.
+
+    Args:
+        solved: the least-squares fit.
+        root: (p, p) columns of one standard deviation along the axes of the posterior.
+
+    The model must apply to single rows; a transient one applies to whole series.
+    """
+    problem, z = solved.problem, solved.z
+    if problem.n < FEWEST or problem.model.transient:
+        return None
+    points = z + _REACH * np.concatenate([root.T, -root.T])
+    there = _deviances(problem, z, points)
+    for most, share in _TRIES:
+        cells = cells_of(solved, points, most, share)
+        if 2 * cells.n > problem.n:
+            return None
+        error = np.abs(_deviances(cells, z, points) - there) / 2
+        if np.all(error <= _CLOSE * np.maximum(there / 6, 1)):
+            return cells
+    return None
+
+
+def apart(sampled: FitResult, cells: FitProblem) -> float:
+    """Standard deviation of the error of the log density by cells, over some draws of
+    a posterior; zero without draws."""
+    if sampled.chains is None:
+        return 0.0
+    flat = sampled.chains.reshape(-1, sampled.chains.shape[-1])
+    some = flat[np.linspace(0, len(flat) - 1, _COMPARED).astype(int)]
+    pairs = zip(some.T, cells.layout.elements, strict=True)
+    points = np.stack([unconstrain(values, p.spec) for values, (_, p) in pairs], axis=1)
+    errors = [deviance(cells, z) - deviance(sampled.problem, z) for z in points]
+    return float(np.std(errors) / 2)
+
+
+def _deviances(problem: FitProblem, z, points) -> np.ndarray:
+    base = float(deviance(problem, z))
+    return np.array([float(deviance(problem, point)) - base for point in points])
+
+
+def cells_of(
+    solved: Solved, points: Float[np.ndarray, "k p"], most: int, share: float
+) -> FitProblem:
+    """The problem with at most ``most`` cells for its rows.
+
+    Args:
+        points: (k, p) values of z, over which the rows of a cell must change equally.
+        share: of the squared change that may be lost; fewer cells are used if possible.
+    """
+    problem = solved.problem
+    per_run = any(parameter.per_run for parameter in problem.layout.free)
+    run = problem.used(problem.rows.run)
+    sample = np.random.default_rng(0).permutation(problem.n)[:_SAMPLED]
+    place, group = _places(solved), run if per_run else np.zeros(problem.n, int)
+    change = _changes(solved, points, sample)
+    tree = _grown(place[sample], change, group[sample], most, share)
+    return _of_cells(solved, tree.leaf_of(place, group), most)
+
+
+def _is_plain(problem: FitProblem) -> bool:
+    return problem.loss == "squares" and not problem.rows.nodes
+
+
+def _places(solved: Solved) -> Float[np.ndarray, "n d"]:
+    """Coordinates by which rows are grouped: inputs, and residuals if they have slip noise."""
+    problem = solved.problem
+    columns = [problem.used(column) for column in problem.rows.inputs]
+    columns += [problem.used(std) for std in problem.rows.slip_std.values()]
+    if not _is_plain(problem):
+        columns += list(_residuals(solved).values())
+        columns += [problem.used(scale) for scale in problem.rows.scale.values()]
+    varying = [column for column in columns if np.ptp(column) > 0]
+    return np.stack(varying or columns[:1], axis=1)
+
+
+def _residuals(solved: Solved) -> dict[str, np.ndarray]:
+    """Residuals (n,) of each force at the estimate, in its unit."""
+    problem = solved.problem
+    return {
+        name: problem.used(observed) - solved.at.mean[name]
+        for name, observed in problem.rows.observed.items()
+    }
+
+
+def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
+    """The change of each row of the sample from the estimate to each point: of forces in
+    standard deviations of a common row, or of deviances if these are not squares."""
+    problem, at, changes = solved.problem, solved.at, []
+    for point in points:
+        if _is_plain(problem):
+            mean, _ = row_moments(problem, point)
+            for name, force in mean.items():
+                precision = np.mean(problem.used(problem.rows.scale[name]) ** -2)
+                moved = (force - at.mean[name])[sample]
+                changes.append(moved * np.sqrt(precision))
+            continue
+        for name, block in root_deviance(problem, point).items():
+            changes.append((problem.used(block) ** 2 - at.values[name] ** 2)[sample])
+    return np.stack(changes, axis=1)
+
+
+class _Tree(NamedTuple):
+    """A tree that divides the coordinates of rows, by node, roots first."""
+
+    groups: np.ndarray  # the root of each group
+    axis: np.ndarray  # axis of the cut; -1 for a leaf
+    cut: np.ndarray  # coordinate of the cut
+    below: np.ndarray  # first of the two nodes below, or number of the leaf
+
+    def leaf_of(self, place: np.ndarray, group: np.ndarray) -> Int[np.ndarray, " n"]:
+        """Number of the leaf of each row."""
+        node = np.searchsorted(self.groups, group)
+        moving = np.arange(len(node))
+        while len(moving):
+            here = node[moving]
+            moving, here = moving[self.axis[here] >= 0], here[self.axis[here] >= 0]
+            above = place[moving, self.axis[here]] > self.cut[here]
+            node[moving] = self.below[here] + above
+        return self.below[node]
+
+
+def _grown(place, change, group, most: int, share: float) -> _Tree:
+    """Cells, cut one by one: always the cell with the largest loss."""
+    groups = np.unique(group)
+    rows = [np.flatnonzero(group == code) for code in groups]
+    axis, cut, below = ([-1] * len(rows), [0.0] * len(rows), [0] * len(rows))
+    losses = [_loss(change[part]) for part in rows]
+    queue = [(-loss, node) for node, loss in enumerate(losses)]
+    heapq.heapify(queue)
+    lost, bearable, leaves = sum(losses), share * float(np.sum(change**2)), len(rows)
+    while queue and leaves < most and lost > bearable:
+        loss, node = heapq.heappop(queue)
+        part, rows[node] = rows[node], np.empty(0, int)
+        where = _best_cut(place[part], change[part])
+        if where is None:
+            continue
+        axis[node], cut[node], below[node] = *where, len(rows)
+        above = place[part, axis[node]] > cut[node]
+        lost += loss
+        for half in (part[~above], part[above]):
+            heapq.heappush(queue, (-_loss(change[half]), len(rows)))
+            lost += _loss(change[half])
+            rows.append(half)
+            axis.append(-1)
+            cut.append(0.0)
+            below.append(0)
+        leaves += 1
+    is_leaf = np.array(axis) < 0
+    numbered = np.where(is_leaf, np.cumsum(is_leaf) - 1, below)
+    return _Tree(groups, np.array(axis), np.array(cut), numbered)
+
+
+def _loss(change: np.ndarray) -> float:
+    return float(np.sum((change - change.mean(axis=0)) ** 2))
+
+
+def _best_cut(place: np.ndarray, change: np.ndarray) -> tuple[int, float] | None:
+    """The axis along which the largest change varies most, by a parabola, and the mean
+    coordinate of the rows along it; None if all rows are in one place."""
+    centred = change - change.mean(axis=0)
+    most = centred[:, np.argmax(np.sum(centred**2, axis=0))]
+    middle = place.mean(axis=0)
+    straight = place - middle
+    spread = np.mean(straight**2, axis=0)
+    wide = spread > 1e-24 * np.max(np.abs(place), axis=0) ** 2
+    if not np.any(wide):
+        return None
+    safe = np.where(wide, spread, 1.0)
+    curved = straight**2 - spread - np.mean(straight**3, axis=0) / safe * straight
+    explained = np.zeros(len(middle))
+    for part in (straight, curved):
+        size = np.sum(part**2, axis=0)
+        slope = (most @ part) ** 2 / np.where(size > 0, size, 1.0)
+        explained += np.where(size > 0, slope, 0.0)
+    axis = int(np.argmax(np.where(wide, explained, -1.0)))
+    return axis, float(middle[axis])
+
+
+def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProblem:
+    """The problem with a row for each cell, padded to ``size``."""
+    problem, rows = solved.problem, solved.problem.rows
+    count = np.bincount(code)
+    given = count > 0
+    precision = {k: 1 / problem.used(v) ** 2 for k, v in rows.scale.items()}
+    whole = np.sum([v / v.mean() for v in precision.values()], axis=0)
+
+    def mean(values, weight=whole) -> np.ndarray:
+        if np.ndim(values) > 1:
+            columns = np.moveaxis(problem.used(values), -1, 0)
+            return np.stack([mean(column, weight) for column in columns], axis=-1)
+        total = np.bincount(code, problem.used(values) * weight)
+        return total[given] / np.bincount(code, weight)[given]
+
+    def padded(values) -> np.ndarray:
+        return pad_rows(values, size)
+
+    number = count[given]
+    residual = {k: mean(v, precision[k]) for k, v in _residuals(solved).items()}
+    weight = np.zeros(size)
+    weight[: len(number)] = np.sqrt(number)
+    small = problem.with_rows(
+        inputs=type(rows.inputs)(*(padded(mean(column)) for column in rows.inputs)),
+        run=padded(np.rint(mean(rows.run)).astype(int)),
+        weight=weight,
+        observed={name: padded(values) for name, values in residual.items()},
+        scale={
+            k: padded(np.sqrt(number / np.bincount(code, v)[given])) for k, v in precision.items()
+        },
+        slip_std={k: padded(mean(v)) for k, v in rows.slip_std.items()},
+        nodes={
+            k: jax.tree.map(lambda values: padded(mean(values)), v) for k, v in rows.nodes.items()
+        },
+    )
+    force = linearise(small, solved.z).mean
+    observed = {name: padded(r) + force[name] for name, r in residual.items()}
+    return _with_the_same_slope(solved, small.with_rows(observed=observed))
+
+
+def _with_the_same_slope(solved: Solved, small: FitProblem) -> FitProblem:
+    """The cells with shifted forces, so that their deviance has the slope and the value of
+    that of the rows at the estimate.
+
+    Shifting the forces by the change of the model for a step in z moves the best fit by
+    that step.
+    """
+    z, slopes = solved.z, _force_slopes(small, solved)
+    for _ in range(_MOVES):
+        at = linearise(small, z)
+        observed = {k: np.array(force) for k, force in small.rows.observed.items()}
+        for name in small.rules:
+            wanted, curvature = _score(solved.at, name, name in small.rows.nodes)
+            here, _ = _score(at, name, False)
+            step = np.linalg.lstsq(curvature, here - wanted)[0]
+            for channel in small.block_channels(name):
+                observed[channel.name] += slopes[channel.name] @ step
+        small = small.with_rows(observed=observed)
+    at = linearise(small, z)
+    rules = {}
+    for name, rule in solved.problem.rules.items():
+        beside = np.sum(solved.at.values[name] ** 2) - np.sum(at.values[name] ** 2)
+        rules[name] = rule._replace(within=float(beside))
+    return small.with_rules(rules)
+
+
+def _score(at: Linearised, block: str, is_latent: bool):
+    """Half the slope (p,) and half the curvature (p, p) of the deviance of a block."""
+    values, slopes = np.asarray(at.values[block]), np.asarray(at.slopes[block])
+    rows = slopes * values[:, None] if is_latent else slopes
+    return slopes.T @ values, rows.T @ rows
+
+
+def _force_slopes(problem: FitProblem, solved: Solved) -> dict[str, np.ndarray]:
+    """Slopes (n, p) of each force of the rows over z, including padding rows."""
+    steps = np.diag(1e-3 * np.sqrt(np.diag(solved.covariance)))
+    slopes: dict[str, list[np.ndarray]] = {name: [] for name in problem.rows.observed}
+    for step in steps:
+        (above, _), (below, _) = (moments(problem, solved.z + side * step) for side in (1, -1))
+        for name, parts in slopes.items():
+            parts.append((above[name] - below[name]) / (2 * step.sum()))
+    return {name: np.stack(parts, axis=1) for name, parts in slopes.items()}

@@ -1,0 +1,366 @@
+r"""Outliers: rows far outside the noise about the prediction of the other rows.
+
+The noise of a fit is taken as normal, except for a few rows in a hundred with any kind
+of error: a wrong unit, a wrong sign, a stuck channel. The deviance of a row is then
+
+.. math::
+   \min(r^2, c^2)
+
+of its standardised residual r: squares up to the distance c, and constant beyond. The rows beyond c
+are excluded and listed; the others are fitted as if there were no more, so that intervals, profiles
+and posteriors are those of normal noise. The distance c grows with the number of rows so that fewer
+than one in 200 clean files loses a row: clean data are fitted by plain least squares.
+
+Each row is compared with what the *other* rows predict for it, with the uncertainty of
+that prediction: a row that alone determines a parameter is kept, however extreme its
+slip or load. The scale is that of the smallest 90 % of the residuals, or of the row's
+neighbours in slip and load where that is larger: rows that miss the curve together
+show a wrong model, not outliers.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import ndtri, stdtrit
+
+from tirefit.data.far import FAR_COLUMNS, FarValue, far_values, like_slips, problem_at, why_far
+from tirefit.data.table import CANONICAL, TireData
+from tirefit.fitting.problem.build import FitTask, build
+from tirefit.fitting.problem.config import FitConfig
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
+from tirefit.fitting.problem.noise import MAD
+from tirefit.fitting.solve.inference import REACH, Linearised
+from tirefit.fitting.solve.multistart import Solved, on_rows, solve_problem
+from tirefit.results import InputProblem
+
+_CHANCE = 0.005  # share of clean data sets that may lose a row
+_TAILS = 30
+"""Largest number of degrees of freedom of the Student's t assumed for the noise: tails
+of measured noise are slightly heavier than normal, and a long log may well have a row
+at six standard deviations. The distance is 4.7 at 80 rows, 7 at 50,000."""
+_MOST = 0.1
+"""Largest share of rows that are excluded; more rows than this are not outliers."""
+_ROUNDS = 8
+_NEAR, _MISSED = 6, 2.0
+"""Number of neighbours, and standard deviations: where the median residual of the
+neighbours is larger, the row is compared with it, as all miss the curve together."""
+_AROUND, _LOUDER = 30, 1.4
+"""Number of neighbours, and ratio: where the noise of the neighbours exceeds that of all
+rows by this ratio, it is used instead."""
+_ON_A_LINE = np.sqrt(1.5)
+"""Standard deviation of a residual from the mean of two others."""
+_CLEAR = 2.0
+"""A row whose slip is far from all others is kept if it lies within this many standard
+deviations of the prediction, as 95 % of the rows do."""
+_NEVER = 1e-9
+"""The same for a load far from all others, whose row may agree by chance: at small slip
+the force hardly depends on the load, and such a row would dominate the slope."""
+_REMEMBERED = 30
+"""Rows on either side that an error in one row of a transient tire may affect."""
+_ROUNDING = 1e-6  # share of a force's range below which no deviation is an outlier
+_RESTS = 0.7
+"""Share of the information on a parameter above which the fit depends on one row."""
+_MANY = 10  # fewest rows per free parameter at which this is reported
+
+
+@dataclass(frozen=True)
+class FarRow:
+    """An outlier, and whether it was excluded."""
+
+    file: str
+    row: int  # line of the file
+    column: str  # where to look first
+    value: float
+    force: str
+    predicted: float  # ``force`` by the other rows
+    distance: float  # from that, in standard deviations
+    set_aside: bool
+    reason: str
+    remedy: str
+
+    def __str__(self) -> str:
+        place = InputProblem(self.reason, self.remedy, self.file, self.row, self.column)
+        return str(place)
+
+
+class Settled(NamedTuple):
+    """A fit without the excluded rows; ``data`` are the rows that remain."""
+
+    task: FitTask
+    solved: Solved
+    data: TireData
+    far: tuple[FarRow, ...]
+    limit: float
+    note: str
+
+
+class _Judged(NamedTuple):
+    """How far the rows lie: by channel (k, n), but for the leverage."""
+
+    distance: np.ndarray  # from what the others predict, in standard deviations
+    ratio: np.ndarray  # of this distance to the one at which a row is excluded
+    predicted: np.ndarray  # force
+    leverage: np.ndarray  # (n,) largest share of the information on a parameter
+
+
+def settle(data: TireData, name: str, config: FitConfig) -> Settled:
+    """Solve a fit without outliers.
+
+    Values far from the others of their column are excluded at first, so that they do not affect the
+    prediction; rows are then excluded and restored until the set is stable. With a loss other than
+    ``trimmed`` all rows are kept, and the outliers are only listed.
+
+    Raises:
+        UsageError, DataError: as ``problem.build``.
+    """
+    whole = build(data, name, config)
+    suspects, trims = _suspects(whole), config.noise.loss == "trimmed"
+    most, limit = max(1, int(_MOST * whole.problem.n)), _limit(whole.problem)
+    first = np.zeros(whole.problem.n, bool)
+    first[list(suspects)] = trims and len(suspects) <= most
+    kept = ~_leaving_runs(first, whole)
+    for _ in range(_ROUNDS):
+        task, solved = _fitted(whole, kept, config)
+        judged = _judge(whole, task, solved, kept, suspects, limit)
+        ratio = np.max(judged.ratio, axis=0)
+        if whole.problem.model.transient:
+            ratio = _worst_in_time(ratio, kept)
+        beyond = _leaving_runs(ratio > 1, whole)
+        farthest = _farthest(ratio, beyond, most)
+        if not trims or np.array_equal(~farthest, kept):
+            break
+        kept = ~farthest
+    else:
+        task, solved = _fitted(whole, kept, config)
+    note = ""
+    if trims and beyond.sum() > most:
+        note = (
+            f"{beyond.sum()} of {whole.problem.n} rows lie further than {limit:.1f}"
+            " standard deviations from what the others predict: too many to exclude"
+        )
+        kept[:] = True
+        task, solved = _fitted(whole, kept, config)
+    far = _named(whole, judged, kept, beyond, suspects)
+    return Settled(task, solved, task.data, far, limit, note)
+
+
+def _suspects(task: FitTask) -> dict[int, FarValue]:
+    """Values far from the others in a column that the fit uses, by position of the row.
+
+    If a row has several, the first column of ``FAR_COLUMNS`` counts: a wrong load also
+    makes the force in its row look wrong.
+    """
+    channels = task.problem.channels
+    used = {"fz", *task.problem.model.needs}
+    used |= {c.name for c in channels} | {CHANNEL_SLIP[c.name] for c in channels}
+    position = np.cumsum(task.data.used) - 1
+    far: dict[int, FarValue] = {}
+    values = far_values(task.data, [c for c in FAR_COLUMNS if c in used])
+    for value in sorted(values, key=lambda value: FAR_COLUMNS.index(value.column)):
+        far.setdefault(int(position[value.row]), value)
+    return far
+
+
+def _limit(problem: FitProblem) -> float:
+    """Standard deviations that a row of clean data exceeds with probability ``_CHANCE``."""
+    rows = problem.n * len(problem.channels)
+    dof = min(max(rows - problem.layout.size - 1, 1), _TAILS)
+    return float(stdtrit(dof, 1 - _CHANCE / (2 * rows)))
+
+
+def _leaving_runs(aside, task: FitTask) -> Bool[np.ndarray, " n"]:
+    """Rows to exclude, except in runs that would lose half of their rows."""
+    run = task.problem.used(task.problem.rows.run)
+    share = np.bincount(run, aside) / np.maximum(np.bincount(run), 1)
+    return aside & (share <= 0.5)[run]
+
+
+def _worst_in_time(ratio, kept):
+    """The ratios (n,), above one only for the worst of kept rows that are close in time:
+    one wrong slip affects a transient tire for a while."""
+    from scipy.ndimage import maximum_filter1d  # for transient tires alone
+
+    worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
+    return np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
+
+
+def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:
+    """At most ``most`` of the rows beyond the limit, the farthest first."""
+    if beyond.sum() <= most:
+        return beyond
+    chosen = np.zeros_like(beyond)
+    chosen[np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")[:most]] = True
+    return chosen
+
+
+def _fitted(whole: FitTask, kept, config: FitConfig) -> tuple[FitTask, Solved]:
+    if kept.all():
+        return whole, solve_problem(whole, config)
+    rows = np.zeros(len(whole.data), bool)
+    rows[np.flatnonzero(whole.data.used)[kept]] = True
+    # Padded to the size of all rows, so that one program serves both.
+    size = len(whole.problem.rows.weight)
+    task = build(whole.data.where(rows), whole.name, config, size)
+    return task, solve_problem(task, config)
+
+
+def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judged:
+    """Distances of all rows from what a fit of the kept rows predicts."""
+    problem, at = solved.problem, solved.at
+    if not kept.all():
+        problem, at = on_rows(whole, kept, task, solved)
+    root = _root_of_covariance(at, kept)
+    limits, alone = _limits(problem.n, suspects, limit)
+    by_channel, leverage = [], np.zeros(problem.n)
+    for channel in problem.channels:
+        slopes = at.slopes[problem.block_of(channel)] @ root
+        share = np.sum(slopes**2, axis=1)
+        leverage = np.maximum(leverage, np.where(kept, share, 0.0))
+        unit = np.sqrt(at.variance[channel.name])
+        observed = problem.used(problem.rows.observed[channel.name])
+        residual = (observed - at.mean[channel.name]) / unit
+        if problem.block_channels(channel.slip) == (channel,):
+            residual = np.sign(residual) * _by_density(problem, at, channel)
+        # A kept row pulls the fit towards itself, so its residual is too small.
+        spread = np.where(kept, np.maximum(1 - share, _ROUNDING), 1 + share)
+        off = np.nan_to_num(residual / np.sqrt(spread), nan=np.inf)
+        floor = _ROUNDING * np.ptp(observed[kept]) / np.median(unit[kept])
+        scale = max(_scale(np.abs(off[kept])), floor, np.finfo(float).tiny)
+        off /= scale if channel.noise_estimated else max(scale, 1.0)
+        ratio = np.abs(off) / limits
+        beyond = np.flatnonzero(ratio > 1)
+        if len(beyond):
+            order = like_slips(whole.data, CHANNEL_SLIP[channel.name])
+            rows = beyond[~alone[beyond]]
+            ratio[rows] = _beside(rows, off, order, kept) / limits[rows]
+            # A row with an extreme input has neighbours only in the order of the file.
+            rows, order = beyond[alone[beyond]], np.arange(problem.n)
+            ratio[rows] = _beside(rows, off, order, order >= 0) / limits[rows]
+        by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
+    distance, ratio, predicted = map(np.array, zip(*by_channel, strict=True))
+    return _Judged(distance, ratio, predicted, leverage)
+
+
+def _by_density(problem: FitProblem, at: Linearised, channel) -> Float[np.ndarray, " n"]:
+    """Distances of forces whose slip is noisy, from the density of the force at the measured
+    slip: it is not normal where the curve bends within the noise of the slip."""
+    scale = problem.used(problem.rows.scale[channel.name])
+    spread = np.log(at.variance[channel.name] / scale**2)
+    return np.sqrt(np.maximum(at.unlikely[channel.slip] - spread, 0.0))
+
+
+def _limits(n: int, suspects: dict[int, FarValue], limit: float):
+    """Distances above which rows are excluded (n,), and which rows have a far input."""
+    limits, alone = np.full(n, limit), np.zeros(n, bool)
+    for i, value in suspects.items():
+        alone[i] = value.column not in CHANNEL_SLIP
+        if value.column in CHANNEL_SLIP.values():
+            limits[i] = _CLEAR
+        elif value.column == "fz":
+            limits[i] = _NEVER
+    return limits, alone
+
+
+def _root_of_covariance(at: Linearised, kept) -> Float[np.ndarray, "p p"]:
+    """R with R R' the covariance of z if all rows are independent."""
+    parts = [v if k == "prior" else v[kept] for k, v in at.slopes.items()]
+    information = sum(part.T @ part for part in parts)
+    values, vectors = np.linalg.eigh(information)
+    return vectors / np.sqrt(np.maximum(values, 1 / REACH**2))
+
+
+def _scale(off) -> float:
+    """Standard deviation of normal noise, from the smallest nine in ten distances (m,);
+    the others have no influence."""
+    count = max(int(np.ceil((1 - _MOST) * len(off))), 1)
+    share = count / len(off)
+    end = ndtri((1 + min(share, 1 - 1e-9)) / 2)
+    density = np.exp(-(end**2) / 2) / np.sqrt(2 * np.pi)
+    part = np.partition(off, count - 1)[:count]
+    return float(np.sqrt(np.mean(part**2) / (1 - 2 * end * density / share)))
+
+
+def _beside(rows, off, order, counts) -> np.ndarray:
+    """Distances of some rows, less those of their neighbours, (m,).
+
+    Args:
+        rows: (m,) rows to compute.
+        off: (n,) signed distances, in standard deviations.
+        order: (n,) indices that put neighbours next to each other.
+        counts: (n,) bool, the rows that may be neighbours.
+    """
+    members, own = order[counts[order]], counts[rows].astype(int)
+    before = np.empty(len(order), int)
+    before[order] = np.cumsum(counts[order]) - counts[order]
+    before = before[rows]
+
+    def near(most):
+        size = min(most, len(members) - 1)
+        start = np.clip(before - size // 2, 0, len(members) - own - size)
+        at = start[:, None] + np.arange(size)
+        return off[members[at + ((at >= before[:, None]) & (own[:, None] > 0))]]
+
+    after = before + own
+    inner = (before > 0) & (after < len(members))
+    ends = members[before - 1], members[np.minimum(after, len(members) - 1)]
+    line = np.where(inner, (off[ends[0]] + off[ends[1]]) / 2, 0.0)
+    left = np.abs(off[rows])
+    for missed, wider in ((np.median(near(_NEAR), axis=1), 1.0), (line, _ON_A_LINE)):
+        beside = np.abs(off[rows] - missed) / wider
+        left = np.where(np.abs(missed) > _MISSED, np.minimum(left, beside), left)
+    louder = MAD * np.median(np.abs(near(_AROUND)), axis=1)
+    return left / np.where(louder > _LOUDER, louder, 1.0)
+
+
+_REMEDY = "correct or delete the row"
+_KEEP = f"{_REMEDY}, or keep it with noise.loss = 'squares'"
+
+
+def _named(whole: FitTask, judged: _Judged, kept, beyond, suspects):
+    """The outliers, in the order of the file."""
+    many = whole.problem.n >= _MANY * whole.problem.layout.size
+    resting = kept & (judged.leverage > _RESTS) & many
+    rows = {*np.flatnonzero(beyond | ~kept | resting).tolist(), *suspects}
+    return tuple(
+        _far_row(whole, judged, i, bool(kept[i]), bool(beyond[i]), suspects.get(i))
+        for i in sorted(rows)
+    )
+
+
+def _far_row(whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, suspect) -> FarRow:
+    problem, channel = whole.problem, int(np.argmax(judged.ratio[:, i]))
+    force = problem.channels[channel].name
+    measured = float(problem.used(problem.rows.observed[force])[i])
+    predicted = float(judged.predicted[channel, i])
+    distance = float(judged.distance[channel, i])
+    slip, unit = CHANNEL_SLIP[force], CANONICAL[force][0]
+    at = float(problem.used(getattr(problem.rows.inputs, slip))[i])
+    load = float(problem.used(problem.rows.inputs.fz)[i])
+    column, value = (force, measured) if suspect is None else suspect[1:3]
+    off = (
+        f"{force} = {measured:.6g} {unit} at {slip} = {at:.4g}, fz = {load:.6g} N is"
+        f" {distance:.3g} standard deviations from the {predicted:.4g} {unit} that the"
+        " other rows predict"
+    )
+    messages = [] if suspect is None else [why_far(suspect)]
+    remedy = "check the row"
+    if beyond or not kept:
+        messages.append(off)
+        remedy = _REMEDY if kept else _KEEP
+    elif suspect is not None and distance <= _CLEAR:
+        messages.append(f"kept: its {force} is what the other rows predict")
+    elif suspect is not None:
+        messages += [off, "kept: its neighbours or much of its run deviate as well"]
+    if kept and judged.leverage[i] > _RESTS:
+        messages.append(
+            f"the fit depends on it: {judged.leverage[i]:.0%} of the information on a"
+            " parameter comes from this row"
+        )
+    row = int(np.flatnonzero(whole.data.used)[i])
+    place = problem_at(whole.data, row, column, "; ".join(messages), remedy)
+    return FarRow(
+        place.file, place.row or 0, place.column or column, value, force, predicted,
+        distance, not kept, place.reason, place.remedy,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Intervals, samples and bands."""

@@ -1,0 +1,108 @@
+"""Estimates of the parameters of a solved problem, and what the data identify of them."""
+
+import numpy as np
+
+from tirefit.fitting.result import Estimate
+from tirefit.fitting.solve.inference import REACH, half_width_95
+from tirefit.fitting.solve.multistart import Solved
+from tirefit.fitting.uncertainty.profile import Profile
+from tirefit.params import Spec, constrain, log_jacobian
+
+
+def limited(spec: Spec, low: float, high: float) -> bool:
+    """Whether an interval within the bounds identifies the parameter."""
+    ends = low <= spec.lower, high >= spec.upper
+    return not _not_identified(spec, low, high, *ends)
+
+
+def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
+    """Whether an interval does not really limit the parameter.
+
+    That is the case if it is open on both sides; or open on one side and wider than half
+    of the allowed range; or wider than 0.8 of the range; or, for a positive quantity, if
+    its ends differ by a factor of ten (three for a friction coefficient).
+    """
+    if spec.scale == "log":
+        return open_low or open_high or high / low > 10
+    share = (high - low) / (spec.upper - spec.lower)
+    open_ends = open_low + open_high
+    if spec.lower > 0 and high / low > 3:
+        return True
+    return open_ends == 2 or (open_ends == 1 and share > 0.5) or share > 0.8
+
+
+def profile_estimates(
+    solved: Solved, profiles: list[Profile]
+) -> tuple[dict[str, Estimate], dict[str, tuple[float | None, float | None]]]:
+    """Least-squares estimates with profile intervals, and covariance intervals.
+
+    A parameter is identified if its profile interval is limited or, where misfit widens
+    the interval, if the interval from noise alone is limited.
+    """
+    estimates = {}
+    by_covariance: dict[str, tuple[float | None, float | None]] = {}
+    dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
+    noise = solved.of_noise
+    ends = None if noise is None else _ends_by(solved, noise, dof)
+    quantile = half_width_95(solved.problem.noise_estimated, dof)
+    for i, (label, parameter) in enumerate(solved.problem.layout.elements):
+        spec, z = parameter.spec, solved.z[i]
+        value, slope = float(constrain(z, spec)), float(np.exp(log_jacobian(z, spec)))
+        std = slope * float(np.sqrt(solved.covariance[i, i]))
+        profile = profiles[i]
+        low = spec.lower if profile.open_low else float(constrain(profile.low, spec))
+        high = spec.upper if profile.open_high else float(constrain(profile.high, spec))
+        free = _not_identified(spec, low, high, profile.open_low, profile.open_high)
+        if free and ends is not None:
+            left, right = ends[:, i]
+            free = _not_identified(
+                spec,
+                float(constrain(left, spec)),
+                float(constrain(right, spec)),
+                left <= -REACH,
+                right >= REACH,
+            )
+        identified = not free
+        known = identified and not at_bound(spec, value)
+        estimates[label] = Estimate(
+            value, std if known else None, spec.unit, (low, high), identified
+        )
+        by_covariance[label] = (value - quantile * std, value + quantile * std)
+    return estimates, by_covariance
+
+
+def _ends_by(solved: Solved, covariance: np.ndarray, dof: float) -> np.ndarray:
+    """Ends (2, p) in z of the 95 % intervals from a covariance, cut at the reach."""
+    quantile = half_width_95(solved.problem.noise_estimated, dof)
+    half = quantile * np.sqrt(np.diag(covariance))
+    return np.clip(solved.z + np.array([[-1], [1]]) * half, -REACH, REACH)
+
+
+def independent_intervals(solved: Solved) -> dict[str, tuple[float | None, float | None]]:
+    """95 % intervals for rows that are independent of each other."""
+    dof = solved.problem.n - solved.problem.layout.size
+    low, high = _ends_by(solved, solved.independent, dof)
+    return {
+        label: (float(constrain(low[i], p.spec)), float(constrain(high[i], p.spec)))
+        for i, (label, p) in enumerate(solved.problem.layout.elements)
+    }
+
+
+def at_bound(spec: Spec, value: float) -> bool:
+    """Whether a fitted value lies at a bound of its parameter."""
+    if spec.scale == "log":
+        return not spec.lower * 1.01 < value < spec.upper / 1.01
+    margin = 1e-3 * (spec.upper - spec.lower)
+    return not spec.lower + margin < value < spec.upper - margin
+
+
+def minus_two_log_likelihood(solved: Solved) -> float:
+    """-2 log likelihood of all rows as if independent, at the noise scales in use."""
+    problem, total = solved.problem, 0.0
+    for name in problem.rules:
+        block = solved.at.values[name]
+        for channel in problem.block_channels(name):
+            scale = problem.used(problem.rows.scale[channel.name])
+            total += float(np.sum(np.log(2 * np.pi * scale**2)))
+        total += float(np.sum(solved.at.unlikely[name] if name in solved.at.unlikely else block**2))
+    return total

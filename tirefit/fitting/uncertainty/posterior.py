@@ -1,0 +1,462 @@
+"""Sampling the posterior: chains until they agree, or weighted independent points.
+
+The only importer of emcee. Sampling happens in the whitened unconstrained space of the
+least-squares fit, where a well-identified posterior is nearly a unit Gaussian; the
+prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
+
+A chain is a sequence of chunks of steps. The record holds the random state after each
+chunk: a resumed run draws exactly the samples of an uninterrupted one.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.fitting.estimate import with_fixed
+from tirefit.fitting.problem.likelihood import FitProblem
+from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
+from tirefit.fitting.solve.condense import apart, condensed
+from tirefit.fitting.solve.inference import REACH, deviance
+from tirefit.fitting.solve.multistart import Solved
+from tirefit.fitting.uncertainty.chains import Chain, Keeper, extended, identity_of, load_chain
+from tirefit.fitting.uncertainty.derived import derived_from_draws
+from tirefit.fitting.uncertainty.importance import Weighted, draw_weighted
+from tirefit.fitting.uncertainty.nuts import nuts_chunk, nuts_start, sampler_of_chains
+from tirefit.fitting.verdict.judge import judge
+from tirefit.precision import require_x64
+from tirefit.results import Outcome, UsageError
+
+CHUNK = 100  # steps between two checks of convergence
+
+_WALKERS = {"emcee": 64, "nuts": 8}
+_RHAT = 1.01
+_STEPS_PER_TAU = 50
+_TARGETS = {False: 4000, True: 1000}  # effective samples, by whether slips have noise
+_AT_A_TIME = 4
+"""Points in one pass over rows with noisy slips: 512 took twice the time of 1 to 8."""
+_ALIKE = 0.05
+"""Largest error of the log density at which no interval moves by more than its sampling
+error, in standard deviations of the parameter."""
+
+
+@jax.jit
+def _log_density(u, problem: FitProblem, center, root, base):
+    def one(u):
+        z = center + root @ u
+        value = deviance(problem, z) - base
+        density = -value / 2 + problem.layout.log_volume(z)
+        # A point where the model is undefined (NaN) is never accepted.
+        return jnp.where(jnp.isfinite(density), density, -jnp.inf)
+
+    if not problem.rows.nodes:
+        return jax.vmap(one)(u)
+    # An integral for each row: few points at a time, whose arrays the cache of a core holds.
+    return jax.lax.map(one, u, batch_size=_AT_A_TIME)
+
+
+def _whitening(solved: Solved) -> tuple[np.ndarray, np.ndarray]:
+    """Center and root of the covariance; the center is kept away from the bounds."""
+    values, vectors = np.linalg.eigh(solved.covariance)
+    # Half the reach: walkers of an unidentified direction must not start at the bounds.
+    root = vectors * np.sqrt(np.clip(values, 1e-12, (REACH / 4) ** 2))
+    return np.clip(solved.z, -REACH / 2, REACH / 2), root
+
+
+def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
+    """u (walkers, p) -> log density (walkers,) of the whitened posterior."""
+    problem = solved.problem
+    center, root = _whitening(solved)
+    base = deviance(problem, solved.z)
+    return partial(_log_density, problem=problem, center=center, root=root, base=base)
+
+
+def _random_states(seed: int, count: int) -> list[tuple]:
+    """Full generator states: emcee silently ignores an integer seed."""
+    children = np.random.SeedSequence(seed).spawn(count)
+    return [_state_of(np.random.RandomState(np.random.MT19937(child))) for child in children]
+
+
+def _state_of(generator: np.random.RandomState) -> tuple:
+    state = generator.get_state(legacy=True)
+    assert isinstance(state, tuple)  # because of ``legacy``
+    return state
+
+
+def _pack(state: tuple) -> np.ndarray:
+    """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
+    _, keys, position, has_gauss, cached = state
+    return np.concatenate([keys.astype(float), [position, has_gauss, cached]])
+
+
+def _unpack(packed: np.ndarray) -> tuple:
+    keys = packed[:624].astype(np.uint32)
+    return "MT19937", keys, int(packed[624]), int(packed[625]), float(packed[626])
+
+
+def _emcee_start(density, size: int, ensembles: int, walkers: int, seed: int):
+    coordinates, packed, values = [], [], []
+    for state in _random_states(seed, ensembles):
+        generator = np.random.RandomState()
+        generator.set_state(state)
+        # Wider than the posterior, so that R-hat can see ensembles that disagree.
+        start = 1.3 * generator.standard_normal((walkers, size))
+        halves = [np.asarray(density(half)) for half in np.split(start, 2)]
+        coordinates.append(start)
+        values.append(np.concatenate(halves))
+        packed.append(_pack(_state_of(generator)))
+    return {
+        "coordinates": np.array(coordinates),
+        "values": np.array(values),
+        "random": np.array(packed),
+    }
+
+
+def _emcee_chunk(density, state: dict, steps: int):
+    """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
+    import emcee  # here, because importance sampling and NUTS do not need it
+
+    ensembles, walkers, size = state["coordinates"].shape
+    # Differential evolution, with a full jump between modes in one step of ten (ter
+    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
+    # over walkers in Python as in the snooker move.
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    samples = np.empty((ensembles, steps, walkers, size))
+    values = np.empty((ensembles, steps, walkers))
+    accepted, after = 0.0, {key: value.copy() for key, value in state.items()}
+    for e in range(ensembles):
+        sampler = emcee.EnsembleSampler(
+            walkers, size, lambda u: np.asarray(density(u)), moves=moves, vectorize=True
+        )
+        start = emcee.State(
+            state["coordinates"][e],
+            log_prob=state["values"][e],
+            random_state=_unpack(state["random"][e]),
+        )
+        run = sampler.sample(start, iterations=steps, skip_initial_state_check=True)
+        for step, now in enumerate(run):
+            samples[e, step], values[e, step] = now.coords, now.log_prob
+        after["coordinates"][e], after["values"][e] = now.coords, now.log_prob
+        after["random"][e] = _pack(sampler.random_state)
+        accepted += float(np.mean(sampler.acceptance_fraction)) / ensembles
+    return samples, values, accepted, after
+
+
+SAMPLERS: dict[str, tuple[Callable, Callable]] = {
+    "emcee": (_emcee_start, _emcee_chunk),
+    "nuts": (nuts_start, nuts_chunk),
+}
+"""Sampler of chains -> (start, chunk); each fills a :class:`Chain`."""
+
+
+def split_rhat(samples: np.ndarray) -> np.ndarray:
+    """Split R-hat of ensembles, shape (ensembles, steps, walkers, p) -> (p,).
+
+    Each ensemble's first and second half count as one chain each, walkers pooled:
+    walkers of one ensemble depend on each other and are not an independent check.
+    """
+    half = samples.shape[1] // 2
+    parts = np.concatenate([samples[:, :half], samples[:, half : 2 * half]])
+    means = parts.mean(axis=(1, 2))
+    within = parts.var(axis=(1, 2), ddof=1).mean(axis=0)
+    between = means.var(axis=0, ddof=1)
+    return np.sqrt(1 + between / np.maximum(within, 1e-300))
+
+
+def _autocorrelation_times(samples: np.ndarray) -> np.ndarray:
+    """Integrated autocorrelation time in steps, worst ensemble, (p,)."""
+    import emcee
+
+    # In a short chain a walker may not have moved: NaN, treated as infinity.
+    with np.errstate(invalid="ignore"):
+        times = [
+            emcee.autocorr.integrated_time(chain, quiet=True, has_walkers=True, tol=0)
+            for chain in samples
+        ]
+    return np.maximum(np.nan_to_num(np.max(times, axis=0), nan=np.inf), 1.0)
+
+
+class _Health(NamedTuple):
+    kept: np.ndarray
+    discarded: int
+    tau: np.ndarray
+    rhat: np.ndarray
+    ess: np.ndarray
+    enough: bool
+
+
+def _health(samples: np.ndarray, target: int, independent: bool = False) -> _Health:
+    """Burn-in, autocorrelation, agreement and effective samples of a chain.
+
+    ``independent``: the walkers are independent chains, and each must agree.
+    """
+    steps = samples.shape[1]
+    tau = _autocorrelation_times(samples[:, steps // 5 :])
+    worst = float(tau.max())
+    discarded = int(min(max(5 * worst, steps / 10), steps // 2)) if steps > 1 else 0
+    kept = samples[:, discarded:]
+    alone = np.moveaxis(kept, 2, 1).reshape(-1, kept.shape[1], 1, kept.shape[3])
+    rhat = split_rhat(alone if independent else kept)
+    ess = kept.shape[0] * kept.shape[1] * kept.shape[2] / tau
+    long_enough = kept.shape[1] >= _STEPS_PER_TAU * worst
+    enough = bool(long_enough and np.all(rhat < _RHAT) and np.all(ess >= target))
+    return _Health(kept, discarded, tau, rhat, ess, enough)
+
+
+def sample(
+    result: FitResult,
+    *,
+    sampler: str | None = None,
+    ensembles: int = 4,
+    walkers: int | None = None,
+    effective_samples: int | None = None,
+    max_steps: int = 5000,
+    seed: int | None = None,
+    checkpoint: str | os.PathLike | None = None,
+    resume: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> FitResult:
+    """Return the same fit with samples of its posterior.
+
+    Args:
+        result: a fit from this process (``tirefit.fit``).
+        sampler: ``emcee``, the default up to 20 parameters; ``nuts`` (gradients), the
+            default above; ``importance`` (no chain: independent points, weighted; by far
+            the fastest if the posterior is compact), the default for slips with noise, whose
+            likelihood is an integral over the true slip of each row. It falls back to a
+            chain if its weights are unreliable, with a note.
+        ensembles: independent ensembles, at least 4.
+        walkers: walkers per ensemble. For emcee an even number, by default 64, more for
+            many parameters; for nuts the number of separate chains, by default 8.
+        effective_samples: stop once every parameter has this many, the chain is 50
+            autocorrelation times long and split R-hat is below 1.01. By default 4000, or
+            1000 for slips with noise: ends of intervals then scatter by 4 or 8 % of a
+            standard deviation.
+        max_steps: stop here even without convergence, and report it.
+        seed: of the sampling; by default that of the fit.
+        checkpoint: file that stores the chain during sampling.
+        resume: continue from ``checkpoint`` if it exists. Importance sampling has
+            nothing to continue: the same seed draws the same samples again.
+        progress: called with (share done, message).
+
+    Returns:
+        The fit whose ``parameters`` and ``derived`` are those of the posterior, with
+        ``chains`` and ``posterior``, the quality of the sampling.
+
+    Raises:
+        UsageError: an unknown sampler, too few ensembles, odd walkers, or a checkpoint
+            of another fit; or 32-bit floats in use.
+
+    Example:
+        >>> found = sample(fit(samples / "circles.csv", "brush"), sampler="importance")
+        >>> found.source, found.posterior.sampler
+        ('posterior median and central 95 %', 'importance')
+    """
+    require_x64("sampling")
+    if sampler not in (None, *SAMPLERS, "importance"):
+        known = ", ".join((*SAMPLERS, "importance"))
+        raise UsageError(f"sampler {sampler!r}: one of {known}")
+    solved: Solved = result.solved
+    seed = result.seed if seed is None else seed
+    size = solved.problem.layout.size
+    usual = "importance" if solved.problem.slip_noise else sampler_of_chains(None, size)
+    sampler = sampler or usual
+    target = effective_samples or _TARGETS[bool(solved.problem.slip_noise)]
+    shape = _shape(sampler_of_chains(sampler, size), size, ensembles, walkers)
+    path = None if checkpoint is None else Path(checkpoint)
+    run = _Run(sampler, seed, shape, target, max_steps, path, resume, progress)
+    try:
+        cells = condensed(solved, _whitening(solved)[1])
+    except KeyboardInterrupt:
+        return judge(replace(result, interrupted=True))
+    if cells is None:
+        return _sampled(result, solved.problem, run)
+    done = _sampled(result, cells, run)
+    off = apart(done, cells)
+    if off <= _ALIKE or Outcome.INTERRUPTED in done.outcomes:
+        count = f"{solved.problem.n} rows as {cells.n} cells of like rows"
+        return _noted(done, f"{count}, with an error of {off:.2g} in the log density")
+    return _sampled(result, solved.problem, run._replace(resume=False))
+
+
+class _Run(NamedTuple):
+    """How to sample: see :func:`sample`; ``shape`` is (ensembles, walkers)."""
+
+    sampler: str
+    seed: int
+    shape: tuple[int, int]
+    target: int
+    max_steps: int
+    path: Path | None
+    resume: bool
+    progress: Callable[[float, str], None] | None
+
+
+def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
+    """The fit with the posterior of this problem: its own, or one made of cells."""
+    solved: Solved = result.solved
+    density, weighted = _density(solved._replace(problem=problem)), None
+    size = solved.problem.layout.size
+    chained = sampler_of_chains(run.sampler, size)
+    if run.sampler == "importance":
+        weighted = draw_weighted(density, *_whitening(solved), run.seed, run.target, run.progress)
+        if weighted.interrupted or not weighted.refused:
+            return _of_weighted(result, weighted, run.seed)
+    identity = identity_of(result, chained, run.seed, run.shape)
+    chain, keeper = None, Keeper(run.path, identity)
+    if run.resume and run.path is not None:
+        chain = load_chain(run.path, identity)
+    chain, outcome = _draw(density, chained, size, run, chain, keeper)
+    if chain is None:
+        return judge(replace(result, interrupted=True))
+    notes = []
+    if weighted is not None:
+        refused = f"importance sampling refused ({weighted.refused})"
+        notes.append(f"{refused}: {chained} instead")
+    if keeper.fault:
+        notes.append(f"the chain was not kept for --resume: {keeper.fault}")
+    return _of_chain(result, chain, outcome, chained, run, weighted, notes)
+
+
+def _noted(result: FitResult, text: str) -> FitResult:
+    posterior = result.posterior
+    if posterior is None:
+        return result
+    note = "; ".join(part for part in (posterior.note, text) if part)
+    return replace(result, posterior=replace(posterior, note=note))
+
+
+def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
+    """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
+    if sampler == "nuts":
+        if ensembles < 4:
+            raise UsageError(f"{ensembles} ensembles of chains: at least 4 are needed")
+        return ensembles, walkers or _WALKERS["nuts"]
+    walkers = walkers or max(_WALKERS[sampler], 2 * ((4 * size + 1) // 2))
+    if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
+        raise UsageError(
+            f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
+            f" even number of walkers, at least {2 * size + 2}, are needed"
+        )
+    return ensembles, walkers
+
+
+def _draw(density, sampler, size, run: _Run, chain, keeper: Keeper) -> tuple[Chain | None, Outcome]:
+    """Sample chunks until the chain converged, reached its limit or was interrupted."""
+    begin, advance = SAMPLERS[sampler]
+    outcome = Outcome.CHAIN_TOO_SHORT
+    try:
+        state = begin(density, size, *run.shape, run.seed) if chain is None else chain.state
+        while True:
+            if chain is not None:
+                health = _health(chain.samples, run.target, sampler == "nuts")
+                if health.enough:
+                    outcome = Outcome.CONVERGED
+                    break
+                if chain.samples.shape[1] >= run.max_steps:
+                    break
+                if run.progress is not None:
+                    run.progress(*_share(chain, health, run.target))
+            chain = extended(chain, *advance(density, state, CHUNK))
+            state = chain.state
+            keeper.now_and_then(chain)
+    except KeyboardInterrupt:
+        outcome = Outcome.INTERRUPTED
+    if chain is not None:
+        keeper.keep(chain)
+    return chain, outcome
+
+
+def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
+    steps = chain.samples.shape[1]
+    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
+    share = min(steps / needed, float(health.ess.min()) / target, 0.99)
+    return share, f"{steps} steps, R-hat {health.rhat.max():.3f}"
+
+
+def _of_chain(
+    result: FitResult,
+    chain: Chain,
+    outcome: Outcome,
+    sampler,
+    run: _Run,
+    weighted,
+    notes: list[str],
+) -> FitResult:
+    """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
+    health = _health(chain.samples, run.target, sampler == "nuts")
+    labels = result.labels
+    divergences = chain.state.get("divergences")
+    if divergences:
+        notes.append(
+            f"{int(divergences)} divergent transitions: the posterior has corners that"
+            " the sampler could not reach; compare with --sampler emcee"
+        )
+    summary = PosteriorSummary(
+        sampler,
+        run.seed,
+        chain.samples.shape[0],
+        chain.samples.shape[2],
+        chain.samples.shape[1],
+        health.discarded,
+        dict(zip(labels, health.ess.tolist(), strict=True)),
+        dict(zip(labels, health.rhat.tolist(), strict=True)),
+        dict(zip(labels, health.tau.tolist(), strict=True)),
+        chain.accepted,
+        outcome,
+        None if weighted is None else weighted.k_hat,
+        None if divergences is None else int(divergences),
+        "; ".join(notes),
+    )
+    # Nearly independent draws, the same ones for parameters and derived quantities.
+    # A walker that never moved has no autocorrelation time: keep one draw of each.
+    slowest = min(health.tau.max() / 2, health.kept.shape[1])
+    thin = max(int(np.ceil(slowest)), 1)
+    return _with_posterior(result, health.kept[:, ::thin], summary)
+
+
+def _of_weighted(result: FitResult, weighted: Weighted, seed: int) -> FitResult:
+    """The posterior of weighted points: one chain of independent draws."""
+    if weighted.refused:
+        return judge(replace(result, interrupted=True))
+    count = len(weighted.draws)
+    summary = PosteriorSummary(
+        "importance", seed, 1, 1, weighted.points, 0,
+        dict.fromkeys(result.labels, float(count)), {}, {}, count / weighted.points,
+        Outcome.INTERRUPTED if weighted.interrupted else Outcome.CONVERGED,
+        weighted.k_hat,
+    )  # fmt: skip
+    return _with_posterior(result, weighted.draws[None, :, None], summary)
+
+
+def _with_posterior(result: FitResult, u: np.ndarray, summary: PosteriorSummary) -> FitResult:
+    """The fit with draws u (ensembles, steps, walkers, p) of the whitened space."""
+    solved: Solved = result.solved
+    center, root = _whitening(solved)
+    z = center + u @ root.T
+    flat = z.reshape(-1, z.shape[-1])
+    kept = solved.problem.layout.vector(flat.T).T.reshape(z.shape)
+    estimates: dict[str, Estimate] = {}
+    ends: dict[str, tuple[float | None, float | None]] = {}
+    for i, label in enumerate(result.labels):
+        draws = kept[..., i].ravel()
+        known = result.least_squares[label]
+        estimates[label] = Estimate.of_draws(draws, known.unit, known.identified)
+        ends[label] = estimates[label].ci95
+    return judge(
+        replace(
+            result,
+            parameters=with_fixed(estimates, solved.problem),
+            intervals={**result.intervals, "posterior": ends},
+            derived=derived_from_draws(solved.problem, flat, result.derived),
+            chains=kept.reshape(kept.shape[0], -1, kept.shape[-1]),
+            walkers=np.moveaxis(kept, 2, 1),
+            posterior=summary,
+        )
+    )

@@ -1,0 +1,1 @@
+"""What a fit is worth, and what its data determine."""

@@ -1,0 +1,372 @@
+"""How well a file determines the parameters of models, before any fit.
+
+The information matrix of a model is summed over the file's slips, loads and speeds from
+the model's slopes in its parameters and the scatter of the file's rows. Its inverse is
+the covariance that a fit would have if the model is right. It depends on the friction,
+which is unknown if the tire never slid: any higher friction then describes the rows as
+well, and the largest standard error under any of them is reported.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.accept import DataLike, as_data
+from tirefit.data.table import TireData
+from tirefit.files import listed
+from tirefit.fitting.problem.build import build, guess_from_curve
+from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
+from tirefit.fitting.problem.scatter import (
+    ROWS,
+    Scatter,
+    curve_of,
+    scatter_of,
+    some_rows,
+    stretches,
+)
+from tirefit.fitting.solve.inference import REACH, linearise
+from tirefit.params import Spec, constrain, log_jacobian
+from tirefit.results import DataError
+
+MODELS_ASKED = ("brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load", "magic-formula")
+"""Models that are evaluated by default."""
+
+_FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
+_HIGHEST, _FRICTIONS = 2.0, 7
+"""Friction above that of any tire, and the number of values tried up to it."""
+_AS_WELL = 9.0
+"""Rise of -2 log likelihood up to which a friction fits too (3 standard deviations)."""
+_REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}  # slips that a test can go to
+_INSIDE = 4.0
+"""Largest unconstrained value tried, 2 % of the range from either bound: closer to it, a
+step of the parameter would not change the force."""
+_STEPS = 12
+_TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
+"""Ratio of the ends of a 95 % interval above which ``fit`` calls a scale or a positive
+coefficient not identified."""
+_SHARE_TOLD = 0.8  # of the allowed range: the same limit for any other parameter
+_WELL = 0.15
+"""Half of the interval over the value, or over a quarter of the range, up to which a
+parameter counts as well determined."""
+_STEEPEST = 20.0
+"""Largest change of a force, in loads, per unit of an unconstrained parameter (a quarter
+of its range, or as much on a scale); above it the model is outside its validity."""
+WELL, ROUGHLY, NOT = "well", "roughly", "not"
+
+
+class ParameterGate(NamedTuple):
+    """How well the file determines one parameter."""
+
+    name: str
+    unit: str
+    value: float  # guess at which it was evaluated
+    std: float  # standard deviation that a fit would have
+    grade: str  # "well", "roughly" or "not"
+    is_size: bool  # positive by nature, so that its std is a share of it
+    beside: str = ""  # the parameter it is most correlated with
+    remedy: str = ""  # rows that would determine it
+
+
+class ModelGate(NamedTuple):
+    """How well the file determines one model; ``reason`` if it cannot be evaluated."""
+
+    model: str
+    force: str
+    parameters: tuple[ParameterGate, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """How well a file determines each model, by force, and the noise assumed."""
+
+    gates: tuple[ModelGate, ...]
+    noise: Mapping[str, float]
+    rows: int
+    effective_rows: Mapping[str, float]
+    how: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        content = asdict(self)
+        content["gates"] = [
+            gate._asdict() | {"parameters": [p._asdict() for p in gate.parameters]}
+            for gate in self.gates
+        ]
+        return content
+
+    def summary(self) -> str:
+        """A few lines per model, at most 88 columns wide."""
+        if not self.gates:
+            return ""
+        lines = ["", "", "expected standard errors of a fit (if the model is right)"]
+        for force, share in self.noise.items():
+            rows = f"{self.rows} rows that count as {self.effective_rows[force]:.0f}"
+            lines.append(f"  {force}: noise {100 * share:.2g} % of the load, {rows}")
+        for gate in self.gates:
+            start = f"  {gate.force} {gate.model:<14} "
+            if gate.reason:
+                lines.append(f"{start}{gate.reason}")
+                continue
+            known = [_known_text(p) for p in gate.parameters if p.grade != NOT]
+            lines.append(f"{start}{', '.join(known) or 'none'}")
+            lines += [
+                f"{'':<{len(start)}}not {_unknown_text(p)}"
+                for p in gate.parameters
+                if p.grade == NOT
+            ]
+        return "\n".join(lines)
+
+
+def _known_text(p: ParameterGate) -> str:
+    about = "" if p.grade == WELL else " roughly"
+    if p.is_size:
+        return f"{p.name}{about} ±{100 * p.std / p.value:.2g} %"
+    unit = "" if p.unit == "-" else f" {p.unit}"
+    return f"{p.name}{about} ±{p.std:.2g}{unit}"
+
+
+def _unknown_text(p: ParameterGate) -> str:
+    parts = [p.name]
+    if p.beside:
+        parts.append(f"correlated with {p.beside}")
+    parts.append(f"needs {p.remedy}" if p.remedy else "not in a wider test either")
+    return ": ".join([parts[0], "; ".join(parts[1:])])
+
+
+def identifiability(
+    data: DataLike, models: Sequence[str] | None = None, seed: int = 0
+) -> Identifiability:
+    """Return how well the data determine the parameters of models, before any fit.
+
+    Args:
+        data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
+        models: names of ``tirefit models``; ``MODELS_ASKED`` if none.
+        seed: of the random choice of rows in a large file.
+
+    Returns:
+        By model and force the standard error that each parameter would have.
+
+    Raises:
+        UsageError: no such model.
+        DataError: as ``tirefit.read``.
+
+    Example:
+        >>> (gate,) = identifiability(samples / "circles.csv", ["brush"]).gates
+        >>> {one.name: one.grade for one in gate.parameters}
+        {'cpa2': 'well', 'mu': 'well'}
+    """
+    data = as_data(data)
+    forces = [
+        force
+        for force, slip in CHANNEL_SLIP.items()
+        if force != "mz"
+        and force in data
+        and slip in data
+        and "fz" in data
+        and data.n
+        and np.ptp(data.usable(slip)) > 1e-9
+    ]
+    parts = {force: stretches(data, force) for force in forces}
+    scatter = {force: scatter_of(data, force, parts[force]) for force in forces}
+    some = {force: some_rows(data, parts[force], seed) for force in forces}
+    curves = {force: curve_of(data, force) for force in forces}
+    gates = tuple(
+        _gate(some[force], data.n, curves[force], force, name, scatter[force])
+        for force in forces
+        for name in listed(models or MODELS_ASKED)
+    )
+    return Identifiability(
+        gates,
+        {force: s.share for force, s in scatter.items()},
+        data.n,
+        {force: data.n / s.inflation for force, s in scatter.items()},
+        "; ".join(f"{force}: {s.how}" for force, s in scatter.items()),
+    )
+
+
+# --- the model --------------------------------------------------------------------
+
+
+def _gate(some: TireData, rows: int, curve, force: str, name: str, scatter: Scatter) -> ModelGate:
+    """Standard errors of a model's parameters, from ``some`` of the file's ``rows``."""
+    config = parse_config({"force": force})
+    try:
+        task = build(some, name, config, least_rows=ROWS)
+    except DataError as error:
+        return ModelGate(name, force, (), error.problems[0].reason)
+    problem = task.problem
+    points = [_settled(problem, z) for z in _points(task, curve)]
+    many = rows / (problem.n * scatter.inflation)
+    weight = problem.used(problem.rows.scale[force]) / (
+        scatter.share * problem.used(problem.rows.inputs.fz)
+    )
+    costs = np.array([float(np.sum((v * weight) ** 2)) for _, v, _ in points]) * many
+    # The model may miss the rows by more than their noise; this does not reject it.
+    wide = max(1.0, float(costs.min()) / (many * problem.n))
+    likely = [
+        point
+        for point, cost in zip(points, costs, strict=True)
+        if cost - costs.min() <= _AS_WELL * wide
+    ]
+    parameters = tuple(
+        _parameter(problem, k, likely, weight * np.sqrt(many)) for k in range(problem.layout.size)
+    )
+    return ModelGate(name, force, parameters)
+
+
+def _points(task, curve) -> list[np.ndarray]:
+    """Unconstrained parameters, friction from the largest force upwards."""
+    slope, peak, load = curve
+    layout, points = task.problem.layout, []
+    frictions = [p.name for p in layout.free if p.name in _FRICTION]
+    highest = max(_HIGHEST / peak, 1.2)
+    for times in np.geomspace(1, highest, _FRICTIONS if frictions else 1):
+        there = guess_from_curve(slope, times * peak, load)
+        values = {n: there.get(n, value) for n, value in task.guess.items()}
+        for p in layout.free:
+            low, high = p.spec.bounds
+            values[p.name] = float(np.clip(values[p.name], low, high))
+        points.append(np.clip(layout.unconstrained(values), -_INSIDE, _INSIDE))
+    return points
+
+
+def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n,) and their slopes (n, p), without padding."""
+    at = linearise(problem, z)
+    name = problem.channels[0].name
+    most = _STEEPEST * problem.used(problem.rows.inputs.fz / problem.rows.scale[name])
+    slopes = problem.used(at.slopes[name])
+    tame = np.where(np.abs(slopes) <= most[:, None], slopes, 0.0)
+    return problem.used(at.values[name]), tame
+
+
+def _settled(problem: FitProblem, z):
+    """Fit the other parameters to the rows at a given friction.
+
+    Returns:
+        z, residuals and slopes there.
+    """
+    moves = np.array([p.name not in _FRICTION for _, p in problem.layout.elements])
+    values, slopes = _at(problem, z)
+    damping = 1e-3
+    for _ in range(_STEPS if moves.any() else 0):
+        inner = slopes[:, moves]
+        matrix = inner.T @ inner
+        matrix = matrix + damping * np.diag(np.diag(matrix)) + 1e-9 * np.eye(len(matrix))
+        step = np.zeros(len(z))
+        step[moves] = -np.linalg.solve(matrix, inner.T @ values)
+        there = np.clip(z + np.clip(step, -1, 1), -_INSIDE, _INSIDE)
+        new_values, new_slopes = _at(problem, there)
+        gain = values @ values - new_values @ new_values
+        if gain > 0:
+            z, values, slopes, damping = there, new_values, new_slopes, damping / 5
+            if gain < 1e-4 * (values @ values):
+                break
+        else:
+            damping *= 20
+    return z, values, slopes
+
+
+def _covariance(information: np.ndarray) -> np.ndarray:
+    """As in a fit: an element without information is spread over its whole range."""
+    values, vectors = np.linalg.eigh(information)
+    return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
+
+
+def _is_size(spec: Spec) -> bool:
+    return spec.scale == "log" or spec.lower > 0
+
+
+def _grade(spec: Spec, value: float, std: float) -> str:
+    """How well an interval determines a parameter, by the rules of a fit."""
+    half = 1.96 * std
+    if _is_size(spec):
+        if spec.scale == "log":
+            ratio = float(np.exp(min(2 * half / value, 50.0)))
+        else:
+            low = max(value - half, spec.lower)
+            ratio = min(value + half, spec.upper) / low
+        most = _TIMES_TOLD if spec.scale == "log" else _TIMES_KNOWN
+        if ratio > most:
+            return NOT
+        return WELL if half <= _WELL * value else ROUGHLY
+    size = spec.upper - spec.lower
+    width = min(value + half, spec.upper) - max(value - half, spec.lower)
+    if width > _SHARE_TOLD * size:
+        return NOT
+    return WELL if half <= _WELL * max(abs(value), size / 4) else ROUGHLY
+
+
+def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
+    """The parameter at the likely point that determines it least."""
+    worst = None
+    for z, _, slopes in likely:
+        gate = _judged(problem, k, z, _information(slopes, weight))
+        if worst is None or _rank(gate) > _rank(worst):
+            worst = gate
+    assert worst is not None  # the best point is always likely
+    if worst.grade != NOT:
+        return worst
+    return worst._replace(remedy=_remedy(problem, k, likely, weight))
+
+
+def _information(slopes, weight) -> np.ndarray:
+    weighted = slopes * weight[:, None]
+    return weighted.T @ weighted
+
+
+def _rank(gate: ParameterGate) -> tuple[int, float]:
+    scale = gate.value if gate.is_size else 1.0
+    return (WELL, ROUGHLY, NOT).index(gate.grade), gate.std / scale
+
+
+def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
+    label, parameter = problem.layout.elements[k]
+    spec = parameter.spec
+    slope = float(np.exp(log_jacobian(z[k], spec)))
+    value = float(constrain(z[k], spec))
+    cov = _covariance(information)
+    std = slope * float(np.sqrt(cov[k, k]))
+    grade, beside = _grade(spec, value, std), ""
+    if grade != WELL and information[k, k] > 0:
+        alone = slope / float(np.sqrt(information[k, k]))
+        if _grade(spec, value, alone) == WELL:
+            size = np.sqrt(np.diag(cov))
+            other = np.abs(cov[k]) / (size * size[k])
+            other[k] = 0.0
+            beside = problem.layout.labels[int(np.argmax(other))]
+    return ParameterGate(label, spec.unit, value, std, grade, _is_size(spec), beside)
+
+
+def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
+    """The first wider test that would determine the parameter, in words; empty if none."""
+    slip = problem.slip_name
+    for words, name, times in (
+        (f"slips twice as large ({slip})", slip, (2.0,)),
+        (f"slips four times as large ({slip})", slip, (4.0,)),
+        (f"slips ten times as large ({slip})", slip, (10.0,)),
+        ("loads from half to one and a half times as large", "fz", (0.5, 1.5)),
+        ("speeds from half to twice as high", "v", (0.5, 2.0)),
+    ):
+        wider = [_scaled(problem, name, factor) for factor in times]
+        enough = True
+        for z, _, slopes in likely:
+            more = _information(slopes, weight)
+            for rows in wider:
+                more = more + _information(_at(rows, z)[1], weight)
+            enough &= _judged(problem, k, z, more).grade != NOT
+        if enough:
+            return words
+    return ""
+
+
+def _scaled(problem: FitProblem, name: str, factor: float) -> FitProblem:
+    """The problem with an input of all rows multiplied by a factor."""
+    values = factor * np.asarray(getattr(problem.rows.inputs, name))
+    if name in _REACHED:
+        values = np.clip(values, *_REACHED[name])
+    return problem.with_rows(inputs=problem.rows.inputs._replace(**{name: values}))

@@ -1,0 +1,346 @@
+"""The verdict on a fit: outcomes, and sentences that a user can act on."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtr, chdtrc
+
+from tirefit.data.run_names import label_of_run
+from tirefit.data.table import CANONICAL
+from tirefit.fitting.result import FitResult, PeakRange, Verdict
+from tirefit.fitting.uncertainty.derived import quantity_of
+from tirefit.fitting.verdict.trials import SLIDING
+from tirefit.params import specs
+from tirefit.results import Outcome
+
+_EXACT = 1e-9  # RMSE over the range of the force below which residuals are rounding
+
+_POOR_CHI2 = 2.0
+_POOR_R2 = 0.8
+_CHANCE = 1e-3  # one-sided; the intervals are widened at the same level
+_STRUCTURE_SIGMAS = 6.0
+_SYSTEMATIC = 0.5
+"""Correlation of neighbours above which half of the residual variance is misfit."""
+
+_WHOLE = ("fz", "gamma", "pressure")
+"""Columns that a whole Magic Formula has terms for; it is fitted in stages, not here."""
+
+
+def disagreements(result: FitResult) -> dict[str, str]:
+    """Sentences on routes to an interval that differ, by label of the parameter.
+
+    Two routes differ if an end differs from the profile's by more than 30 % of its
+    half-width. Parameters that are not identified and exact data are skipped.
+    """
+    apart: dict[str, str] = {}
+    if _exactness(result):
+        return apart
+    for label, (low, high) in result.intervals["profile"].items():
+        if not result.least_squares[label].identified or low is None or high is None:
+            continue
+        half = (high - low) / 2
+        if not half > 0:
+            continue
+        for route in ("covariance", "posterior"):
+            first, last = result.intervals.get(route, {}).get(label, (None, None))
+            if first is None or last is None:
+                continue
+            worst = max(abs(first - low), abs(last - high)) / half
+            if worst > 0.3:
+                text = (
+                    f"{route} interval [{first:.5g}, {last:.5g}] against the"
+                    f" profile's [{low:.5g}, {high:.5g}]"
+                )
+                apart[label] = f"{apart[label]}; {text}" if label in apart else text
+    return apart
+
+
+def _fit_quality(result: FitResult) -> list[str]:
+    """Sentences on a model that does not describe the data; none if it does."""
+    statistics, sentences = result.statistics, []
+    chi2 = statistics.chi2_dof
+    if chi2 is not None and chi2 > _POOR_CHI2:
+        sentences.append(
+            f"the model does not describe these data: chi2/dof = {chi2:.3g}, the"
+            f" residuals are {np.sqrt(chi2):.2g} times the given noise; the intervals"
+            " are widened by that factor, and still assume that the model is right"
+        )
+    # R2 is not judged if the noise is given: it may then account for most of the variance.
+    if chi2 is None and statistics.r2 < _POOR_R2:
+        share = 100 * max(statistics.r2, 0)
+        sentences.append(
+            f"the model does not describe these data: it explains {share:.0f} % of the"
+            f" variance of {result.forces[0]}"
+        )
+    return sentences
+
+
+def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """A sentence for each force whose residuals contradict its stated noise, by chi-square at
+    the effective number of rows. The noise stays as stated; :func:`_fit_quality` judges
+    residuals far above it."""
+    statistics, at, problem = result.statistics, result.solved.at, result.solved.problem
+    found: list[tuple[Outcome | None, str]] = []
+    for channel in problem.channels:
+        observed = problem.used(problem.rows.observed[channel.name])
+        square = np.mean((observed - at.mean[channel.name]) ** 2 / at.variance[channel.name])
+        size, dof = float(np.sqrt(square)), max(statistics.dof, 1.0)
+        chance = min(chdtr(dof, size**2 * dof), chdtrc(dof, size**2 * dof))
+        if channel.noise_estimated or (statistics.chi2_dof or 0.0) > _POOR_CHI2:
+            continue
+        if chance > _CHANCE:
+            continue
+        stated = result.noise[channel.name]["median_std"]
+        text = (
+            f"the residuals of {channel.name} are {size:.2g} times the stated noise"
+            f" ({stated:.3g} {CANONICAL[channel.name][0]}; if it were right, the probability of"
+            f" this would be below {_CHANCE:g}): "
+        )
+        if size > 1:
+            found.append((None, f"{text}the intervals are widened; check the stated noise"))
+            continue
+        text += (
+            f"the intervals are too wide, by a factor of up to {1 / size:.2g}; check the unit of"
+            " the stated noise, or leave it out: it is then estimated from the residuals"
+        )
+        outcome = Outcome.NOISE_OVERSTATED if size**2 * _POOR_CHI2 < 1 else None
+        found.append((outcome, text))
+    return found
+
+
+def _misfit(result: FitResult) -> float:
+    """Largest RMSE of a force over the range of its measured values."""
+    problem, shares = result.solved.problem, []
+    for name, mean in result.solved.at.mean.items():
+        observed = problem.used(problem.rows.observed[name])
+        rmse = float(np.sqrt(np.mean((observed - mean) ** 2)))
+        shares.append(rmse / max(float(np.ptp(observed)), 1e-300))
+    return max(shares)
+
+
+def _exactness(result: FitResult) -> str:
+    """A sentence on the intervals of exact data; empty for measured data."""
+    misfit = _misfit(result)
+    if misfit >= _EXACT:
+        return ""
+    sources = {result.noise[name]["source"] for name in result.forces}
+    width = "are at rounding level"
+    if "given" in sources:
+        width = "follow from the given noise"
+    return (
+        f"the data are exact for this model (RMSE {misfit:.1g} of the range of the"
+        f" force): the intervals {width}"
+    )
+
+
+def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    value, n = result.statistics.slip_structure, result.statistics.n
+    if value * np.sqrt(n) <= _STRUCTURE_SIGMAS or value <= 0.2:
+        return []
+    text = (
+        f"residuals of neighbouring slips agree (correlation {value:.2f}): the"
+        " curve misses systematically there; look at residuals.png"
+    )
+    return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
+
+
+def is_noise(result: FitResult) -> bool:
+    """Whether the residuals are noise rather than rounding or a systematic misfit."""
+    return not _exactness(result) and result.statistics.slip_structure <= _SYSTEMATIC
+
+
+def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """A sentence with the range of the peak if it depends on the shape of the model."""
+    if not result.peak_range:
+        return []
+    label, one = min(result.peak_range.items(), key=lambda item: item[1].share)
+    text = f"{range_text(one)}; rows reach {100 * one.share:.0f} % of the peak"
+    if quantity_of(label) != label:
+        text += f" of run {_short(result, label)[len(quantity_of(label)) + 1 : -1]}"
+    if more := len(result.peak_range) - 1:
+        text += f" ({more} more in fit.json)"
+    if one.worse:
+        text += f"; {', '.join(one.worse)} fit{'s' * (len(one.worse) == 1)} worse"
+    return [(Outcome.SHAPE_DEPENDENT, text)]
+
+
+def range_text(one: PeakRange) -> str:
+    """The range of the peak as text, with the names of its models."""
+    low, high = (None if end is None else f"{end:.3g}" for end in (one.low, one.high))
+    span = f"mu {low} to {high}" if low and high else f"mu above {low}" if low else "any mu"
+    return f"{span} over {', '.join(one.models)}"
+
+
+def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """Sentences on the effects that the residuals show and the model lacks."""
+    columns = result.solved.misfit.columns
+    is_most = sum(one.share for one in columns) > _SYSTEMATIC
+    outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
+    return [(outcome, f"{one.sentence}{_advice(result, one.column)}") for one in columns]
+
+
+def effects_to_try(result: FitResult) -> list[str]:
+    """Columns whose effect the residuals show, for ``trials.tried``."""
+    columns = [] if _exactness(result) else [one.column for one in result.solved.misfit.columns]
+    return columns + [SLIDING] * bool(_speed_limit(result))
+
+
+def _advice(result: FitResult, column: str) -> str:
+    """Text that advises the better of the tried models, or states why none is better."""
+    tried = [one for one in result.trials if one.column == column]
+    if not tried and column in _WHOLE:
+        return "; not tried: a whole Magic Formula (mf61), which has terms for it"
+    for one in tried:
+        if one.better:
+            unit = "N m" if result.forces[0] == "mz" else "N"
+            before, after = one.left_out
+            return (
+                f"; use {one.model}: fitted to these rows, it lowers the rms error on left-out"
+                f" rows from {before:.4g} to {after:.4g} {unit}"
+            )
+    return "".join(f"; {one.model} was tried: {one.against}" for one in tried)
+
+
+def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """A sentence on correlated residuals, if they halve the number of rows."""
+    statistics = result.statistics
+    if statistics.n_effective >= 0.5 * statistics.n:
+        return []
+    text = (
+        f"residuals of neighbouring rows are correlated: {statistics.n} rows count as"
+        f" {statistics.n_effective:.0f} in every interval (intervals of independent"
+        " rows: --full)"
+    )
+    if result.solved.misfit.columns:
+        text += "; the misfit of the model causes more of it than the noise"
+    return [(None, text)]
+
+
+def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """A sentence if the slip column contradicts the measured speeds."""
+    check = result.data.get("slip_check")
+    if check is None or not check["contradicts"]:
+        return []
+    outcome = Outcome.SLIP_CONTRADICTED
+    return [(outcome, f"{check['text']}; {outcome.message}")]
+
+
+def _short(result: FitResult, label: str) -> str:
+    return label_of_run(label, result.data["runs"])
+
+
+def _far_rows(result: FitResult) -> list[str]:
+    """Sentences on the outliers that were excluded or kept."""
+    aside = [row for row in result.far_rows if row.set_aside]
+    kept = [row for row in result.far_rows if not row.set_aside]
+    messages = [result.noise["too_many"]] if result.noise.get("too_many") else []
+    if aside:
+        messages.append(
+            f"{len(aside)} of {result.statistics.n + len(aside)} rows were excluded as"
+            f" outliers: {_row_numbers(aside)}; correct or delete them, or fit all rows"
+            " with noise.loss = 'squares'"
+        )
+    if kept:
+        messages.append(f"check these outliers, which were kept: {_row_numbers(kept)}")
+    return messages
+
+
+def _row_numbers(rows, most: int = 8) -> str:
+    """Numbers of rows, with their file where there are several."""
+    several = len({row.file for row in rows}) > 1
+    names = [f"{row.file} row {row.row}" if several else f"row {row.row}" for row in rows[:most]]
+    more = [f"{len(rows) - most} more"] if len(rows) > most else []
+    return ", ".join(names + more)
+
+
+def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """All sentences of the verdict, each with its outcome."""
+    statistics = result.statistics
+    findings: list[tuple[Outcome | None, str]] = []
+    if not statistics.converged:
+        findings.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.message))
+    findings += _contradiction(result)
+    findings += [(None, text) for text in _far_rows(result)]
+    findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
+    exact = _exactness(result)
+    # The structure of residuals that are rounding errors is not reported.
+    if exact:
+        findings.append((None, exact))
+    else:
+        findings += _stated_noise(result)
+        findings += _lacking(result) + _structure(result)
+    findings += _peak_not_reached(result)
+    if result.solved.ambiguous:
+        findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.message))
+    for label, estimate in result.least_squares.items():
+        if not estimate.identified:
+            low, high = estimate.ci95
+            text = (
+                f"{_short(result, label)} is not identified by these data: anything"
+                f" from {low:.4g} to {high:.4g} fits as well (95 %)"
+            )
+            if label in statistics.at_bound:
+                text += f"; the best fit stopped at the bound {estimate.value:.4g}"
+                text += _of_bound(result, label)
+            findings.append((Outcome.NOT_IDENTIFIED, text))
+    at_bound = [label for label in statistics.at_bound if result.least_squares[label].identified]
+    if at_bound:
+        names = ", ".join(_short(result, label) for label in at_bound)
+        text = f"at its bound: {names}; the interval is one-sided"
+        findings.append((Outcome.AT_BOUND, text))
+    summary = result.posterior
+    if summary is not None and summary.outcome is not Outcome.CONVERGED:
+        findings.append((summary.outcome, summary.outcome.message))
+    if result.interrupted:
+        text = "interrupted before the first samples: there is no posterior"
+        findings.append((Outcome.INTERRUPTED, text))
+    findings += [(None, text) for text in _speed_limit(result)]
+    findings += [] if exact else _correlated(result)
+    return findings
+
+
+def _of_bound(result: FitResult, label: str) -> str:
+    """Text on the bound of a parameter: advice to widen it if it is not that of the model."""
+    name = quantity_of(label)
+    ours = next(p.spec for p in result.problem.layout.free if p.name == name)
+    model = specs(result.problem.model)[name]
+    own = (ours.lower, ours.upper) != (model.lower, model.upper)
+    return f": widen the bound in parameters.{name}" if own else ", that of the model"
+
+
+def judge(result: FitResult) -> FitResult:
+    """The same fit with its outcomes and its verdict.
+
+    The first sentence of the verdict gives the reason of its status.
+    """
+    findings = _findings(result)
+    outcomes = tuple(dict.fromkeys(o for o, _ in findings if o is not None))
+    differ = disagreements(result)
+    if differ:
+        names = ", ".join(_short(result, label) for label in differ)
+        text = f"the routes to an interval disagree for {names}: trust the profile"
+        findings.append((None, f"{text} or the posterior, not the covariance"))
+    status = Outcome.gravest(outcomes)
+    ordered = sorted(findings, key=lambda finding: finding[0] is not status)
+    sentences = tuple(text for _, text in ordered)
+    return replace(result, verdict=Verdict(outcomes, sentences, differ))
+
+
+def _speed_limit(result: FitResult) -> list[str]:
+    """A sentence if n max(v_s) >= mu_0, where the friction law S(35) has no friction."""
+    n, mu = result.least_squares.get("n"), result.least_squares.get("mu")
+    if n is None or mu is None:
+        return []
+    inputs, problem = result.problem.rows.inputs, result.problem
+    slip = problem.used(inputs.sigma_x)
+    fastest = np.max(
+        np.abs(problem.used(inputs.v))
+        * np.maximum(np.abs(slip / (1 + slip)), np.abs(np.tan(problem.used(inputs.alpha))))
+    )
+    if n.value * fastest < mu.value:
+        return []
+    return [
+        f"n max(v_s) = {n.value * fastest:.3g} is not below mu = {mu.value:.3g}: the"
+        " linear friction law has no friction at the fastest rows"
+        f"{_advice(result, SLIDING)}"
+    ]
