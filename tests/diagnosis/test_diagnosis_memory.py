@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.diagnosis.rows.noise import FORGETFUL, Memory, correlation, memory_of
+from tirefit.diagnosis.rows.memory import FORGETFUL, Memory, correlation, memory_of
 from tirefit.fitting.problem.noise import effective_inflation
 
 ROWS = 1200

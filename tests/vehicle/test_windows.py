@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from tirefit.vehicle.windows import Data, linearised, minimised, sandwich
+from tirefit.vehicle.shooting import Data, linearised, minimised, sandwich
 
 TIME = np.linspace(0.0, 1.0, 21)
 NOISE, PULL = np.array([0.02, 0.05]), np.array([0.0, 4.0, 0.0])

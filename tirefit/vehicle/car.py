@@ -14,7 +14,7 @@ same equations for the forces.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -226,6 +226,10 @@ def predicted(
     return followed(car, start, v_x, steering, step, parts, changes)[0]
 
 
+_Moving = tuple[State, jax.Array]
+"""The motion of a car, and the lags of its slip angles [rad]."""
+
+
 def followed(
     car: Car,
     start: State,
@@ -237,8 +241,7 @@ def followed(
 ) -> tuple[State, jax.Array]:
     """:func:`predicted`, and the lag (n, 2) of the slip angles [rad] at every sample."""
     width, count = step / parts, len(v_x) - 1
-    lags = changes is not None
-    held: Any = NO_CHANGES
+    lags, held = changes is not None, cast(Any, NO_CHANGES)
     if changes is not None:
         held = jax.tree.map(
             lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1], changes
@@ -259,10 +262,7 @@ def followed(
             speed * sin + state.v_y * cos,
         )
 
-    def onward(
-        carried: tuple[State, jax.Array],
-        given: tuple[tuple[jax.Array, ...], tuple[jax.Array, ...], Any],
-    ) -> tuple[tuple[State, jax.Array], tuple[State, jax.Array]]:
+    def onward(carried: _Moving, given: Any) -> tuple[_Moving, _Moving]:
         speeds, angles, change = given
         speed, change = speeds[0], change if lags else held
 
@@ -274,7 +274,7 @@ def followed(
             motion = state.v_y, state.yaw_rate
             return jnp.stack(slip_angles(car, *steered(part), *motion, change.ahead))
 
-        def small(k: jax.Array, carried: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
+        def small(k: jax.Array, carried: _Moving) -> _Moving:
             now, late = carried
 
             def at(part: jax.Array, move: State) -> State:

@@ -1,9 +1,13 @@
 """Errors of the prediction of a car, by quantity and horizon."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+
+from tirefit.data.vehicle.vehicle import Vehicle
+from tirefit.vehicle.car import State
+from tirefit.vehicle.effects import Samples
 
 QUANTITIES = {
     "yaw_rate": "rad/s",
@@ -30,3 +34,66 @@ class Errors(NamedTuple):
             rms = np.sqrt(squares / np.maximum(count, 1))
             found[name] = [float(x) if n else None for x, n in zip(rms, count, strict=True)]
         return found
+
+
+class Measured(NamedTuple):
+    """Windows of one log: times (w, k); start states (w,); speed and steering (w, k);
+    measured values (w, k), NaN beyond the end of each; and samples of the effects."""
+
+    time: np.ndarray
+    start: State
+    v_x: np.ndarray
+    steering: np.ndarray
+    measured: State
+    a_y: np.ndarray
+    samples: Samples | None = None
+
+
+def floor_of(tire: Errors, noisy: Sequence[Errors]) -> Errors:
+    """The effect of the noise of the log on the errors: their change by added noise, at
+    the start of a window and where it is compared."""
+    return Errors(
+        {
+            name: np.concatenate([one.of[name] - missed for one in noisy])
+            for name, missed in tire.of.items()
+        }
+    )
+
+
+def errors_of(states: State, a_y: np.ndarray, windows: Measured, steps: Sequence[int]) -> Errors:
+    """The errors of predicted states (w, k)."""
+    at, true = np.asarray(steps), windows.measured
+
+    def missed(name: str) -> np.ndarray:
+        return (getattr(states, name) - getattr(true, name))[:, at]
+
+    cos, sin = np.cos(true.heading[:, at]), np.sin(true.heading[:, at])
+    v_x = windows.v_x[:, at]
+    slip = np.arctan2(states.v_y[:, at], v_x) - np.arctan2(true.v_y[:, at], v_x)
+    return Errors(
+        {
+            "yaw_rate": missed("yaw_rate"),
+            "sideslip": slip,
+            "a_y": (a_y - windows.a_y)[:, at],
+            "heading": missed("heading"),
+            "lateral": cos * missed("y") - sin * missed("x"),
+        }
+    )
+
+
+def errors_without_slip(vehicle: Vehicle, windows: Measured, steps: Sequence[int]) -> Errors:
+    """The errors of a car without slip: r = v_x tan(delta) / (l_f + l_r)."""
+    v_x, steering = windows.v_x, windows.steering
+    yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
+    sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
+
+    def summed(values: np.ndarray, start: np.ndarray) -> np.ndarray:
+        mean = 0.5 * (values[:, 1:] + values[:, :-1]) / rate
+        return start[:, None] + np.cumsum(np.pad(mean, ((0, 0), (1, 0))), axis=1)
+
+    heading = summed(yaw, windows.start.heading)
+    cos, sin = np.cos(heading), np.sin(heading)
+    x = summed(v_x * cos - sideways * sin, windows.start.x)
+    y = summed(v_x * sin + sideways * cos, windows.start.y)
+    a_y = np.gradient(sideways, 1 / rate, axis=1) + v_x * yaw
+    return errors_of(State(sideways, yaw, heading, x, y), a_y, windows, steps)

@@ -31,7 +31,7 @@ from tirefit.vehicle.car import (
     with_play,
 )
 from tirefit.vehicle.effects import Reading, Samples, Setting, Steering, scaled_axles
-from tirefit.vehicle.windows import Data
+from tirefit.vehicle.shooting import Data
 
 PARAMETERS = ("front.stiffness", "front.friction", "rear.stiffness", "rear.friction")
 """Coefficients that are fitted with every set of effects: logarithms of factors on the

@@ -46,8 +46,14 @@ from tirefit.vehicle.car import (
     steps_a_sample,
 )
 from tirefit.vehicle.diagnose import Steps
-from tirefit.vehicle.effects import Samples
-from tirefit.vehicle.errors import QUANTITIES, Errors
+from tirefit.vehicle.errors import (
+    QUANTITIES,
+    Errors,
+    Measured,
+    errors_of,
+    errors_without_slip,
+    floor_of,
+)
 from tirefit.vehicle.windows import (
     CutLog,
     cut_logs,
@@ -147,19 +153,6 @@ class Replay(Record):
         return {"replay.json": self.to_json()}
 
 
-class _Windows(NamedTuple):
-    """Windows of one log: times (w, k); start states (w,); speed and steering (w, k);
-    measured values (w, k), NaN beyond the end of each; and samples of the effects."""
-
-    time: np.ndarray
-    start: State
-    v_x: np.ndarray
-    steering: np.ndarray
-    measured: State
-    a_y: np.ndarray
-    samples: Samples | None = None
-
-
 def replay(
     logs: Sequence[str | Path],
     vehicle: Vehicle | str | Path,
@@ -242,7 +235,7 @@ def replay(
     models = {
         "tire": tire,
         "linear tire": _compared(straight, joined, steps, rate, parts)[0],
-        "no slip": _without_slip(vehicle, joined, steps),
+        "no slip": errors_without_slip(vehicle, joined, steps),
     }
     if named is not None:
         models["with the effects"], _ = _compared(
@@ -250,7 +243,7 @@ def replay(
         )
     tell("predictions with noise")
     again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
-    models["floor"] = _floor(tire, again)
+    models["floor"] = floor_of(tire, again)
     left = merged((k, (*log.missing, *left_out(log.motion, vehicle))) for k, log in found.items())
     tell("band of the tires' parameters")
     held = _held(car, tires, joined, steps, rate, parts, generator)
@@ -320,7 +313,7 @@ def _windows(
     tell: Steps,
     track: Track,
     motion: Motion,
-) -> list[_Windows] | None:
+) -> list[Measured] | None:
     """The windows of a log, from a start every :data:`EVERY` seconds where the log is
     settled and the car fast enough, to the longest horizon; None of none. Behind them
     the same windows of the log with noise, :data:`NOISES` times, and with what
@@ -342,13 +335,13 @@ def _windows(
     # The last sample is repeated beyond the end, where nothing is compared.
     rows = np.minimum(rows, ends[:, None] - 1)
 
-    def cut(motion: Motion, apply: Any = None) -> _Windows:
+    def cut(motion: Motion, apply: Any = None) -> Measured:
         channels, samples = _channels(motion, vehicle), None
         if apply is not None:
             channels, samples = apply(motion, channels, rows)
         v_x, a_y, steer, *state = channels
         *measured, a_y = (np.where(there, one[rows], np.nan) for one in (*state, a_y))
-        return _Windows(
+        return Measured(
             motion.time[rows],
             State(*(one[starts] for one in state)),
             v_x[rows],
@@ -397,7 +390,7 @@ def _states(
 
 def _compared(
     car: Car,
-    windows: _Windows,
+    windows: Measured,
     steps: Sequence[int],
     rate: float,
     parts: int,
@@ -407,63 +400,13 @@ def _compared(
     given = windows.start, windows.v_x, windows.steering, changes
     states, lateral = _states(car, *given, 1 / rate, parts)
     states, lateral = State(*map(np.asarray, states)), np.asarray(lateral)
-    return _errors(states, lateral, windows, steps), (states, lateral)
-
-
-def _floor(tire: Errors, noisy: Sequence[Errors]) -> Errors:
-    """The effect of the noise of the log on the errors: their change by added noise, at
-    the start of a window and where it is compared."""
-    return Errors(
-        {
-            name: np.concatenate([one.of[name] - missed for one in noisy])
-            for name, missed in tire.of.items()
-        }
-    )
-
-
-def _errors(states: State, a_y: np.ndarray, windows: _Windows, steps: Sequence[int]) -> Errors:
-    """The errors of predicted states (w, k)."""
-    at, true = np.asarray(steps), windows.measured
-
-    def missed(name: str) -> np.ndarray:
-        return (getattr(states, name) - getattr(true, name))[:, at]
-
-    cos, sin = np.cos(true.heading[:, at]), np.sin(true.heading[:, at])
-    v_x = windows.v_x[:, at]
-    slip = np.arctan2(states.v_y[:, at], v_x) - np.arctan2(true.v_y[:, at], v_x)
-    return Errors(
-        {
-            "yaw_rate": missed("yaw_rate"),
-            "sideslip": slip,
-            "a_y": (a_y - windows.a_y)[:, at],
-            "heading": missed("heading"),
-            "lateral": cos * missed("y") - sin * missed("x"),
-        }
-    )
-
-
-def _without_slip(vehicle: Vehicle, windows: _Windows, steps: Sequence[int]) -> Errors:
-    """The errors of a car without slip: r = v_x tan(delta) / (l_f + l_r)."""
-    v_x, steering = windows.v_x, windows.steering
-    yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
-    sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
-
-    def summed(values: np.ndarray, start: np.ndarray) -> np.ndarray:
-        mean = 0.5 * (values[:, 1:] + values[:, :-1]) / rate
-        return start[:, None] + np.cumsum(np.pad(mean, ((0, 0), (1, 0))), axis=1)
-
-    heading = summed(yaw, windows.start.heading)
-    cos, sin = np.cos(heading), np.sin(heading)
-    x = summed(v_x * cos - sideways * sin, windows.start.x)
-    y = summed(v_x * sin + sideways * cos, windows.start.y)
-    a_y = np.gradient(sideways, 1 / rate, axis=1) + v_x * yaw
-    return _errors(State(sideways, yaw, heading, x, y), a_y, windows, steps)
+    return errors_of(states, lateral, windows, steps), (states, lateral)
 
 
 def _held(
     car: Car,
     tires: tuple[GivenTire, ...],
-    windows: _Windows,
+    windows: Measured,
     steps: Sequence[int],
     rate: float,
     parts: int,

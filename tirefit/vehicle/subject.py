@@ -24,7 +24,8 @@ from tirefit.params import Values
 from tirefit.vehicle.car import Car, steps_a_sample
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
-from tirefit.vehicle.windows import Cut, Data, minimised
+from tirefit.vehicle.shooting import Data, minimised
+from tirefit.vehicle.windows import Cut
 
 _COARSER = 2.0
 """Step of the integration over that of a replay: one time constant of the car at its slowest

@@ -45,15 +45,12 @@ from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import logged
+from tirefit.vehicle.shooting import Data, linearised, minimised, sandwich
 from tirefit.vehicle.windows import (
     CHANNELS,
-    Data,
     cut_in_windows,
     derived_rows,
     known_vehicle,
-    linearised,
-    minimised,
-    sandwich,
     steering_problems,
 )
 

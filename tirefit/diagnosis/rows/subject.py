@@ -16,10 +16,10 @@ from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.rows import fits
 from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
+from tirefit.diagnosis.rows.memory import in_order
 from tirefit.diagnosis.rows.noise import (
     NoiseLevel,
     between,
-    in_order,
     judge_noise,
     noise_in_motion,
     slip_scatter,

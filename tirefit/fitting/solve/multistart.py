@@ -27,6 +27,7 @@ from tirefit.fitting.problem.slip_noise import (
     slip_density,
     slip_knots,
 )
+from tirefit.fitting.solve.hints import Misfit, misfit_by_setting
 from tirefit.fitting.solve.inference import (
     REACH,
     Linearised,
@@ -39,7 +40,6 @@ from tirefit.fitting.solve.inference import (
     threshold,
 )
 from tirefit.fitting.solve.least_squares import Solver
-from tirefit.fitting.solve.hints import Misfit, misfit_by_setting
 
 _SETTLED = 1e-3
 """Deviance still to gain below which an estimate has converged: 0.03 standard errors."""

@@ -18,11 +18,11 @@ from scipy.special import chdtrc
 from tirefit.fitting.problem.build import FitTask, build
 from tirefit.fitting.problem.config import FitConfig, ParameterConfig
 from tirefit.fitting.result import Estimate, PeakRange
+from tirefit.fitting.solve.hints import remainder
 from tirefit.fitting.solve.multistart import Solved, solve_problem
 from tirefit.fitting.uncertainty.derived import derived_from_profile, quantity_of
 from tirefit.fitting.uncertainty.identified import minus_two_log_likelihood, profile_estimates
 from tirefit.fitting.uncertainty.profile import Profile, profile_all
-from tirefit.fitting.solve.hints import remainder
 from tirefit.models import MODELS, modelled
 from tirefit.params import specs
 from tirefit.results import DataError, UsageError
