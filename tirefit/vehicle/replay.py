@@ -137,7 +137,7 @@ class Replay(Record):
             "notes": self.notes,
         }
 
-    def to_frame(self) -> Any:
+    def to_frame(self):
         """The rms errors as a pandas data frame: columns kind (the model), name (the
         quantity and the horizon in s), value, unit."""
         rows = [

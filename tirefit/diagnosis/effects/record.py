@@ -47,9 +47,7 @@ LEAST_FACTOR = 0.05
 """Smallest friction or stiffness over its usual value, as a linear law would become
 negative at amplitudes that a search tries."""
 
-Change = Callable[[Any, Any, tuple[float, ...], Any], Any]
-"""(state, amplitude, constants, rows) -> state: of :class:`State` and
-:class:`Covariates` for rows of a tire, of ``Setting`` and ``Samples`` for a car."""
+Change = Callable[[State, float, tuple[float, ...], Covariates], State]
 
 
 class Prior(NamedTuple):
@@ -272,8 +270,9 @@ Code = dict[str, dict[str, Any]]
 """Id of an effect -> the fields of its record that are code."""
 
 
-def code(change: Change, **others: Any) -> dict[str, Any]:
-    """The fields of a record that are code: its change, and others."""
+def code(change: Callable[..., Any], **others: Any) -> dict[str, Any]:
+    """The fields of a record that are code: its change, and others. A car has ``Setting`` and
+    ``Samples`` in the place of ``State`` and ``Covariates``."""
     return {"change": change, **others}
 
 

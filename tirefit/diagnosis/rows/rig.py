@@ -13,7 +13,6 @@ from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_from_speeds
 from tirefit.diagnosis.engine import UNSEEN
 from tirefit.door import read_toml
-from tirefit.params import Values
 from tirefit.results import DataError, UsageError
 from tirefit.settings import Section, parse_settings
 
@@ -150,7 +149,7 @@ class Rig:
             if column in data
         )
 
-    def force_noise(self, channel: str, fz: Values | float) -> Any:
+    def force_noise(self, channel: str, fz: np.ndarray) -> np.ndarray | None:
         """Return the stated standard deviation (n,) of a force or moment, None without.
 
         Args:

@@ -329,7 +329,7 @@ class Diagnosis(Record):
         helping = {*self.verdict.helping}
         return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
 
-    def to_frame(self) -> Any:
+    def to_frame(self):
         """The base parameters, the gap and the sizes of the effects that help as a pandas data
         frame: columns kind, name, value, std, unit."""
         return frame(record_of(self.to_dict()).rows).drop(columns=["low", "high", "identified"])
