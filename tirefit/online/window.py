@@ -24,7 +24,7 @@ _ENOUGH = 10.0
 """Independent surprises that a window needs: their rms is then known to a fifth."""
 _LARGEST = 20.0  # limit of one surprise, so that a spike does not fill the window
 _CORRELATED = 0.98  # largest correlation that a window of some hundred surprises shows
-_MODEL = 0.05
+MODEL = 0.05
 """Error of a tire model in mu that no surprise shows, relative: batch fits of one run each
 differ by 3 to 6 % on the f1tenth and DART cars."""
 _MOVES = 0.2
@@ -102,7 +102,7 @@ def judged(estimator: AbstractEstimator, window: Window, estimate: Estimate) -> 
         k = names.index("mu")
         mu = estimate.value[k]
         if estimator.widened:
-            std = std.at[k].set(jnp.hypot(std[k], _MODEL * mu))
+            std = std.at[k].set(jnp.hypot(std[k], MODEL * mu))
             moves = jnp.sqrt(window.spread / jnp.maximum(window.steps, 1.0)) > _MOVES * mu
         settling = flag_of((few | moves, Flag.SETTLING))
         flag = jnp.where(std[k] < estimator.resolved * mu, settling, code(Flag.LOW_USE))
