@@ -95,7 +95,7 @@ def test_gps_at_the_front_axle_is_refused_with_a_working_remedy(tmp_path):
 
 def test_a_wrong_reference_point_is_doubted_if_forces_still_oppose_the_slip(tmp_path):
     (said,) = derived(tmp_path, moved(log_of(name="turns"), L_F), RATES).warnings
-    assert "the tracked point is 2.6 ± 0.01 m ahead of the rear axle" in said
+    assert "the tracked point is 2.6 ± 0.03 m ahead of the rear axle" in said
 
 
 def test_a_force_above_any_friction_is_doubted(tmp_path):

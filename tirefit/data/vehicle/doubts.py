@@ -70,6 +70,8 @@ def _cut_by_filter(columns, motion: Motion, kept, vehicle: Vehicle) -> list[str]
     signals = np.stack([columns["alpha"], columns["fy"]], axis=1)
     slow = slowed(signals, motion, vehicle, vehicle.filter.cutoff / (_CUT * band))
     there = kept & np.isfinite(slow).all(axis=1)
+    if not there.any():
+        return []
     cut = np.mean((signals - slow)[there] ** 2, axis=0)
     shares = cut / np.maximum(np.var(signals[there], axis=0), _SILENT)
     return [

@@ -92,8 +92,10 @@ _ONE_POINT = 0.05
 operating point and its slope is undefined."""
 
 _BETTER = 2.0
-"""Ratio of the standard errors above which the fit below a fifth of the cutoff counts: the cube
-of a filtered force biases it by 1 % of the wheelbase in simulated drives."""
+"""Ratio of the standard errors above which the fit below a fifth of the cutoff counts."""
+
+_BIAS = 0.01
+"""Error [wheelbases] by the cube of a filtered force, in simulated drives."""
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
@@ -305,7 +307,8 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     # Jaeger, Baker, JASA 1995, eq. 7.
     share, count = fit.seen[2], sides.shape[1] * len(AROUND)
     strength = share / max(1 - share, 1e-9) * fit.effective / count
-    std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9))
+    bias = _BIAS * vehicle.wheelbase
+    std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9), bias)
     on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
     stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
     known = on_car and stable and std < _KNOWN * vehicle.wheelbase
