@@ -11,8 +11,8 @@ difference from the estimated forces weighs the hypothesis by the covariance of 
 filter; mu is the weighted mean. Errors within one time constant of the forces count once.
 
 The surprise is the difference of the forces from those of the expected mu, along the
-direction in which another mu would change them. It is scaled up to a mean square of one, as
-the stated errors of model and forces are usually too large.
+direction in which another mu would change them. It is scaled to a mean square of one, as the
+stated errors of model and forces are usually too large.
 """
 
 from typing import ClassVar, NamedTuple
@@ -60,6 +60,7 @@ class ForceState(NamedTuple):
 class ForceFilter(AbstractVehicleMethod):
     """All tire forces, and friction by Bayesian selection."""
 
+    widened: ClassVar[bool] = False  # widened, it misses drops of friction
     method: ClassVar[Method] = Method(
         "force-filter",
         "Kalman-Bucy filter of tire forces, friction hypotheses",
@@ -138,7 +139,7 @@ class ForceFilter(AbstractVehicleMethod):
             seconds=jnp.where(due, 0.0, seconds),
             square=jnp.where(due, square, state.square),
         )
-        reported = mean / jnp.sqrt(jnp.clip(state.square, _LEAST_SQUARE, 1.0))
+        reported = mean / jnp.sqrt(jnp.maximum(state.square, _LEAST_SQUARE))
         after = choose(anew, state, weighed)
         return after, self._estimate(after, jnp.where(due, reported, jnp.nan))
 
