@@ -49,8 +49,6 @@ def settings_of(name: str, kind: str) -> dict[str, float]:
     """Settings of a method for a log, in addition to its defaults."""
     if name == "lugre-observer":
         return matched_lugre()
-    if name == "cubic":  # the stiffness by the load is the true one
-        return {"cpa2_std": 0.05}
     return {"slope": STIFFNESS / LOAD} if kind == "braking" and "slip" in name else {}
 
 

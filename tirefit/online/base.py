@@ -125,11 +125,6 @@ class AbstractEstimator(eqx.Module):
     """
 
     method: ClassVar[Method]
-    resolved: ClassVar[float] = 0.15
-    """Relative standard deviation of mu above which it is flagged: asphalt, gravel and snow
-    differ by 0.2 to 0.3, two of these. 0: the method's own standard deviations and flags."""
-    widened: ClassVar[bool] = True
-    """Whether recent surprises widen its standard deviations and calm its test of changes."""
 
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 
@@ -151,37 +146,6 @@ class AbstractEstimator(eqx.Module):
     def open(self, state: Any) -> Any:
         """The state after a detected change: the past has less weight."""
         return state
-
-
-class Single(NamedTuple):
-    """The last estimates (p,) from a sample, and their standard deviations."""
-
-    value: Float[Array, " p"]
-    std: Float[Array, " p"]
-
-
-class AbstractSingleSample(AbstractEstimator):
-    """A method without memory: it computes all parameters from every sample alone.
-
-    The surprise is the change of the first parameter over the standard deviation of both.
-    """
-
-    def init(self) -> Single:
-        nothing = jnp.full(len(self.method.parameters), jnp.nan)
-        return Single(nothing, nothing)
-
-    def from_sample(self, sample: Sample) -> tuple[Single, Any, Int[Array, ""]]:
-        """The estimates, whether they can be used, and the flag."""
-        raise NotImplementedError
-
-    def step(self, state: Single, sample: Sample) -> tuple[Single, Estimate]:
-        made, usable, flag = self.from_sample(sample)
-        after: Single = choose(usable, made, state)
-        change = (made.value[0] - state.value[0]) / jnp.hypot(made.std[0], state.std[0])
-        return after, Estimate(*after, flag, jnp.where(usable & self.widened, change, jnp.nan))
-
-    def hold(self, state: Single, dt, steps) -> tuple[Single, Estimate]:
-        return state, Estimate(*state, jnp.zeros((), int), jnp.full((), jnp.nan))
 
 
 def choose(condition, yes, no):

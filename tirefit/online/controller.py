@@ -6,6 +6,7 @@ that runs in the simulated loop (:mod:`tirefit.sim.brake`) could run in a car. W
 along an axis of length w, in the order of :data:`tirefit.data.table.WHEELS`, or one wheel.
 """
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -50,6 +51,12 @@ class Command(NamedTuple):
     valve: Float[Array, " w"]
 
 
+Info = Mapping[str, Float[Array, " w"]]
+"""Values for the log, by the name of the column in SI units (``xbs`` [N s/m], ``reference_speed``
+[m/s], ``target_pressure`` [Pa], ...); they have no effect on the control. Names and shapes are the
+same at every step; values of the whole vehicle are repeated for every wheel."""
+
+
 class AbstractController(eqx.Module):
     """One brake controller; its fields are its settings, scalars or one for each wheel.
 
@@ -76,12 +83,7 @@ class AbstractController(eqx.Module):
     def step(
         self, state: Any, measurement: Measurement
     ) -> tuple[Any, Command, dict[str, Float[Array, " w"]]]:
-        """The state, the command, and values for the log by the name of their column.
-
-        The values are in SI units (``xbs`` [N s/m], ``reference_speed`` [m/s], ...) and have no
-        effect on the control. Names and shapes are the same at every step; values of the
-        whole vehicle are repeated for every wheel.
-        """
+        """The state, the command and the info after a sample."""
         raise NotImplementedError
 
 

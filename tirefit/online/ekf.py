@@ -3,7 +3,8 @@ r"""An extended Kalman filter for stiffness and friction of the brush model.
 The state is :math:`x = (\ln c_p a^2, \ln \mu)`, a random walk, so that both stay
 positive. The measurement is the force of the brush S(29), including full sliding,
 linearised by automatic differentiation. Noise of the slip is converted to force noise by
-the local slope.
+the local slope. The reported standard deviations are widened if errors of prediction
+exceed their stated standard deviation.
 """
 
 from typing import ClassVar, NamedTuple, cast
@@ -29,16 +30,20 @@ from tirefit.online.base import (
     slip_noise,
     widest,
 )
+from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
+_MEMORY = 0.98
+"""Weight of the previous mean square of surprises: a memory of about 50 steps."""
 _FARTHEST = 1.0  # largest step of a logarithm per sample, where the slope is valid
 
 
 class EkfState(NamedTuple):
-    """Logarithms of c_p a^2 [N] and mu, and their covariance."""
+    """Logarithms of c_p a^2 [N] and mu, their covariance, mean square surprise."""
 
     x: Float[Array, "2"]
     covariance: Float[Array, "2 2"]
+    misfit: Float[Array, ""]
 
 
 class Ekf(AbstractEstimator):
@@ -71,7 +76,7 @@ class Ekf(AbstractEstimator):
     least_use: float = excitation()
 
     def init(self) -> EkfState:
-        return EkfState(jnp.log(floats(self.cpa2, self.mu)), self._prior())
+        return EkfState(jnp.log(floats(self.cpa2, self.mu)), self._prior(), jnp.ones(()))
 
     def force(self, x, sigma, fz):
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
@@ -92,7 +97,11 @@ class Ekf(AbstractEstimator):
         spread = by_state @ lever + noise
         surprise = error / jnp.sqrt(spread)
         change = jnp.clip(lever * error / spread, -_FARTHEST, _FARTHEST)
-        updated = EkfState(before.x + change, before.covariance - jnp.outer(lever, lever) / spread)
+        updated = EkfState(
+            before.x + change,
+            before.covariance - jnp.outer(lever, lever) / spread,
+            _MEMORY * state.misfit + (1 - _MEMORY) * surprise * surprise,
+        )
         idle = 2 * self.cpa2 * sigma < self.least_use * fz
         after = choose(idle, before, updated)
         return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
@@ -110,7 +119,8 @@ class Ekf(AbstractEstimator):
         return jnp.diag(floats(self.prior_cpa2, self.prior_mu) ** 2)
 
     def _estimate(self, state: EkfState, idle, surprise) -> Estimate:
-        relative = jnp.sqrt(jnp.diag(state.covariance))[::-1]
+        widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))
+        relative = (widened * jnp.sqrt(jnp.diag(state.covariance)))[::-1]
         value = jnp.exp(state.x)[::-1]
-        flag = flag_of((idle, Flag.LITTLE_EXCITATION))
+        flag = flag_of((~(relative[0] < RESOLVED), Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION))
         return Estimate(value, value * relative, flag, surprise)

@@ -66,9 +66,9 @@ def estimate(
         DataError: a needed column is missing, no row is usable, or time stands still.
 
     Example:
-        >>> found = estimate(simulate("braking", teeth=10, seed=1).columns, "rls,cubic")
+        >>> found = estimate(simulate("braking", teeth=2, seed=1).columns, "rls,cubic")
         >>> found["rls"]["mu"].shape, found.warnings
-        ((2000,), ('cubic, last row: friction used too little for mu',))
+        ((400,), ('cubic, last row: friction used too little for mu',))
     """
     require_x64("an online estimate")
     data = as_data(data, mask_bad_rows=True, curve=False)

@@ -10,9 +10,9 @@ grid is then a hypothesis: the brush gives the forces at the estimated slips, an
 difference from the estimated forces weighs the hypothesis by the covariance of the
 filter; mu is the weighted mean. Errors within one time constant of the forces count once.
 
-The surprise is the difference of the forces from those of the expected mu, along the
-direction in which another mu would change them. It is scaled to a mean square of one, as the
-stated errors of model and forces are usually too large.
+The surprise, for the detection of changes, is the difference of the forces from those
+of the expected mu, along the direction in which another mu would change them. It is
+scaled by recent surprises, as the stated errors of model and forces are usually too large.
 """
 
 from typing import ClassVar, NamedTuple
@@ -22,7 +22,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
-from tirefit.online.base import Estimate, Method, Sample, choose, floats
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
+from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
     GRAVITY,
     AbstractVehicleMethod,
@@ -60,7 +61,6 @@ class ForceState(NamedTuple):
 class ForceFilter(AbstractVehicleMethod):
     """All tire forces, and friction by Bayesian selection."""
 
-    widened: ClassVar[bool] = False  # widened, it misses drops of friction
     method: ClassVar[Method] = Method(
         "force-filter",
         "Kalman-Bucy filter of tire forces, friction hypotheses",
@@ -267,5 +267,5 @@ class ForceFilter(AbstractVehicleMethod):
         rows = rows.at[1, 12].set(1.0).at[2, 13].set(1.0)
         stds = jnp.sqrt(jnp.diag(rows @ state.covariance @ rows.T))
         value = jnp.concatenate([mu[None], rows @ state.x])
-        std = jnp.concatenate([mu_std[None], stds])
-        return Estimate(value, std, jnp.zeros((), int), surprise)
+        flag = flag_of((~(mu_std < RESOLVED * mu), Flag.LOW_USE))
+        return Estimate(value, jnp.concatenate([mu_std[None], stds]), flag, surprise)

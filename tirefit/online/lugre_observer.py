@@ -56,6 +56,7 @@ from tirefit.online.base import (
     flag_of,
     floats,
 )
+from tirefit.online.regression import RESOLVED
 from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 
@@ -116,8 +117,6 @@ class LuGreObserver(AbstractEstimator):
         "S §3.4",
         "lugre",
     )
-
-    widened: ClassVar[bool] = False  # no measured log has its inputs
 
     average: float = 1.0
     tire: LuGre = LuGre()
@@ -280,6 +279,7 @@ class LuGreObserver(AbstractEstimator):
         mu, mu_std = state.peak[0], state.peak[1] * theta_std
         share = self.share(x[0], p, self.course(x[3:], p))
         flag = flag_of(
+            (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
             ((theta <= _LEAST) | (theta >= _MOST), Flag.OUT_OF_RANGE),
             (jnp.abs(share) < self.least_use, Flag.LITTLE_EXCITATION),
             (self._locked(x[3:]), Flag.LOCKED),

@@ -11,7 +11,6 @@ from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
 from tirefit.online.methods import METHODS
-from tirefit.online.window import MODEL
 from tirefit.results import Outcome
 
 SCHEMA = "tirefit.estimate/1"
@@ -149,25 +148,17 @@ def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
 
     "Before" is the estimate shortly before the detection, "after" that at the next
     detection or the end. A detection without a move of three standard deviations (of
-    both together) was a false alarm, which is only flagged. For "before", the smallest since
-    the last detection counts: the surprises of the change itself widen those just before it.
+    both together) was a false alarm, which is only flagged.
     """
     alarms = np.flatnonzero(method.flag == code(Flag.CHANGED))
     ends = [*(alarms[1:] - 1), len(time) - 1][: len(alarms)]
-    starts = [0, *alarms[:-1]]
-    own_model = METHODS[method.name].widened and METHODS[method.name].resolved > 0
     there = []
-    for start, alarm, end in zip(starts[: len(alarms)], alarms, ends, strict=True):
+    for alarm, end in zip(alarms, ends, strict=True):
         early = max(int(alarm) - _SETTLE, 0)
         for k, parameter in enumerate(method.parameters):
             before, after = method.value[early, k], method.value[end, k]
-            stds = method.std[min(start, early) : early + 1, k]
-            least = np.min(stds, initial=np.inf, where=np.isfinite(stds))
-            square = least**2 + method.std[end, k] ** 2
-            # The model's error of mu is the same before and after, so it changes with mu only.
-            both = MODEL * own_model * (parameter == "mu") * np.array([before, after])
-            square = max(square - both @ both, 0.0) + (both[1] - both[0]) ** 2
-            if abs(after - before) > _FAR * np.sqrt(square):
+            spread = np.hypot(method.std[early, k], method.std[end, k])
+            if abs(after - before) > _FAR * spread:
                 moved = (time[alarm], before, after)
                 there.append(Change(float(moved[0]), parameter, *map(float, moved[1:])))
     return there

@@ -4,8 +4,7 @@ For all methods, a guard checks each sample first. For samples that are missing,
 order, without load, of a locked wheel or at standstill, the method holds its state, whose
 covariance grows with time, and the row is flagged. Usable samples are averaged in small
 groups before the method steps, because slip noise biases a curve: with single samples,
-mu would be a fifth too low in S section 5.1. The surprises of the last steps widen the
-standard deviations of all methods (:mod:`tirefit.online.window`).
+mu would be a fifth too low in S section 5.1.
 """
 
 from collections.abc import Mapping
@@ -17,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, choose, code, flag_of
-from tirefit.online.window import Window, first_window, judged, mu_of
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
 from tirefit.padding import padded_size
 
 GUARDED = ("time", "run", "v", "omega")
@@ -55,7 +53,6 @@ class Guarded(NamedTuple):
     sums: dict[str, Float[Array, ""]]  # of the inputs since the last step
     gathered: Float[Array, ""]  # number of samples in them
     flag: Int[Array, ""]  # of the last step
-    window: Window  # of the latest surprises
     rise: Float[Array, ""]  # cumulative sum for a rise
     fall: Float[Array, ""]  # cumulative sum for a fall
     run: Float[Array, ""]  # code of the run
@@ -66,7 +63,7 @@ def start(estimator: AbstractEstimator) -> Guarded:
     none, zero = jnp.full((), jnp.nan), jnp.zeros(())
     sums = dict.fromkeys(estimator.method.inputs, zero)
     flag = jnp.asarray(code(Flag.LITTLE_EXCITATION))
-    began = (estimator.init(), none, none, sums, zero, flag, first_window(), zero, zero, none)
+    began = (estimator.init(), none, none, sums, zero, flag, zero, zero, none)
     return _strong(Guarded(*began))
 
 
@@ -103,8 +100,7 @@ def guarded_step(
     sums, count = _gathered(state, sample, usable, gap)
     due = usable & (count >= estimator.average)
     broken = ~_all_finite(waited, began.inner)
-    window = state.window.waiting(dt)
-    kept = state._replace(inner=waited, sums=sums, gathered=count, window=window)
+    kept = state._replace(inner=waited, sums=sums, gathered=count)
     # The last flag is kept until the next step, unless time has made it worse.
     latest = jnp.where(usable, jnp.maximum(state.flag, waiting.flag), unusable)
     waiting = waiting._replace(flag=latest)
@@ -121,7 +117,6 @@ def guarded_step(
         interval=_usual_interval(state.interval, dt, steps),
         run=jnp.asarray(sample.get("run", state.run), float),
     )
-    estimate = judged(estimator, after.window, estimate)
     flag = jnp.maximum(estimate.flag, events)
     return _strong(after), estimate._replace(flag=flag)
 
@@ -132,9 +127,7 @@ def _stepped(estimator, state: Guarded, began: Guarded):
     count = jnp.maximum(state.gathered, 1.0)
     mean = {name: total / count for name, total in state.sums.items()}
     moved, estimate = estimator.step(state.inner, {**mean, "count": count})
-    scale = jnp.maximum(state.window.rms, 1.0) if estimator.widened else 1.0
-    rise, fall, alarm = _cusum(state, estimate.surprise / scale)
-    window = state.window.after(estimate.surprise, mu_of(estimator, estimate))
+    rise, fall, alarm = _cusum(state, estimate.surprise)
     moved = _either(alarm, estimator.open(moved), moved)
     finite = _all_finite(moved, began.inner)
     after = state._replace(
@@ -142,7 +135,6 @@ def _stepped(estimator, state: Guarded, began: Guarded):
         sums=began.sums,
         gathered=began.gathered,
         flag=estimate.flag,
-        window=choose(alarm | ~finite, first_window(), window),
         rise=rise,
         fall=fall,
     )
@@ -190,8 +182,7 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
 
 
 def _cusum(state: Guarded, surprise):
-    """Page's two-sided test on the surprises, over their recent root mean square where that
-    is above one; both sums are reset at an alarm."""
+    """Page's two-sided test on the surprises; both sums are reset at an alarm."""
     there = jnp.isfinite(surprise)
     z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
     drift = jnp.where(there, CUSUM_DRIFT, 0.0)

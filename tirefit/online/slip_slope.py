@@ -31,6 +31,7 @@ from tirefit.online.base import (
     slip_noise,
     widest,
 )
+from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 ROADS = ("asphalt", "gravel", "snow", "ice")
@@ -82,8 +83,6 @@ class SlipSlope(AbstractEstimator):
         "S §3.1",
         "straight line",
     )
-
-    widened: ClassVar[bool] = False  # it measures the noise of its samples itself
 
     slope: float = par(
         18.5,
@@ -180,7 +179,7 @@ class SlipSlope(AbstractEstimator):
         # Error of a root: by its slope away from zero, else the root of the spread.
         radius_std = variance_std / jnp.maximum(2 * radius, jnp.sqrt(variance_std))
         road, road_std = self._road(slope, slope * relative, variance, variance_std)
-        resolved = relative < self.resolved
+        resolved = relative < RESOLVED
         nothing = jnp.where(resolved, 0.0, jnp.nan)
         flag = flag_of((unused, Flag.OUT_OF_RANGE), (~resolved, Flag.LITTLE_EXCITATION))
         return Estimate(

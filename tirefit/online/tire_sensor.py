@@ -14,22 +14,25 @@ that noise cannot have moved from this range are flagged.
 import json
 from functools import cache
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from tirefit.online.base import (
-    AbstractSingleSample,
+    AbstractEstimator,
+    Estimate,
     Flag,
     Method,
     Sample,
-    Single,
+    choose,
     flag_of,
     force_noise,
     nominal_stiffness,
 )
+from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
@@ -97,7 +100,14 @@ def seen(y, m, y_std=0.0, m_std=0.0):
     return force_fits & (m <= most) & (m >= least)
 
 
-class TireSensor(AbstractSingleSample):
+class TireSensorState(NamedTuple):
+    """The last estimates (3,) from a sample, and their standard deviations."""
+
+    value: Float[Array, "3"]
+    std: Float[Array, "3"]
+
+
+class TireSensor(AbstractEstimator):
     """Slip angle and friction from force and moment of every single sample."""
 
     method: ClassVar[Method] = Method(
@@ -108,8 +118,6 @@ class TireSensor(AbstractSingleSample):
         "50 to 100 % of the friction; below, mu is flagged",
         "S §3.6",
     )
-
-    widened: ClassVar[bool] = False  # friction may differ from sample to sample
 
     cpa2: float = nominal_stiffness()
     half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a")
@@ -132,7 +140,10 @@ class TireSensor(AbstractSingleSample):
         r"\sigma_n",
     )
 
-    def from_sample(self, sample: Sample):
+    def init(self) -> TireSensorState:
+        return TireSensorState(jnp.full(3, jnp.nan), jnp.full(3, jnp.nan))
+
+    def step(self, state: TireSensorState, sample: Sample) -> tuple[TireSensorState, Estimate]:
         side = jnp.where(sample["fy"] < 0, -1.0, 1.0)
         y = side * sample["fy"] / sample["fz"]
         m = -side * sample["mz"] / (sample["fz"] * self.half_length)
@@ -148,9 +159,20 @@ class TireSensor(AbstractSingleSample):
         std = jnp.sqrt(((slope * stds[None, :]) ** 2).sum(1) + own**2)
         value = value * jnp.stack([1.0, side, 1.0])
         # Far out of the range there is no estimate; near the edge it is flagged.
-        return Single(value, std), inside, flag_of((~inside, Flag.OUT_OF_RANGE))
+        after: TireSensorState = choose(inside, TireSensorState(value, std), state)
+        return after, self._estimate(after, ~inside)
+
+    def hold(self, state: TireSensorState, dt, steps) -> tuple[TireSensorState, Estimate]:
+        return state, self._estimate(state, False)
 
     def _outputs(self, x, stiffness):
         """mu, slip angle [rad] and used friction of one point (2,)."""
         theta, used = network(trained(), x[0], x[1])
         return jnp.stack([x[0] / used, jnp.arctan(theta / stiffness), used])
+
+    def _estimate(self, state: TireSensorState, outside) -> Estimate:
+        flag = flag_of(
+            (~(state.std[0] < RESOLVED * state.value[0]), Flag.LOW_USE),
+            (outside, Flag.OUT_OF_RANGE),
+        )
+        return Estimate(state.value, state.std, flag, jnp.full((), jnp.nan))
