@@ -14,7 +14,7 @@ same equations for the forces.
 """
 
 import math
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -241,11 +241,9 @@ def followed(
 ) -> tuple[State, jax.Array]:
     """:func:`predicted`, and the lag (n, 2) of the slip angles [rad] at every sample."""
     width, count = step / parts, len(v_x) - 1
-    lags, held = changes is not None, cast(Any, NO_CHANGES)
-    if changes is not None:
-        held = jax.tree.map(
-            lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1], changes
-        )
+    lags = changes is not None
+    each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1]  # noqa: E731
+    held: Any = jax.tree.map(each, changes) if lags else NO_CHANGES
 
     @jax.jit  # traced once for the four slopes of a step
     def slope(

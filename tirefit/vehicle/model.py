@@ -323,10 +323,10 @@ def moved(
         slip, angles = jax.vmap(jax.jacfwd(slips, has_aux=True))(motion, angle, split.ahead, v_x)
         reader = jax.vmap(jax.jacfwd(read, (0, 1), has_aux=True), (0, None, 0))
         (reads, by_reading), values = reader(state, reading, v_x)
-        moved: tuple[Any, ...] = (
+        found: tuple[Any, ...] = (
             values - window.logged, by_motion, by_angle, by_change, by_late, slip, reads,
             by_reading, states, late, angles, lateral,
         )  # fmt: skip
-        return Moved(*moved)
+        return Moved(*found)
 
     return jax.vmap(one)(start, data, *given)

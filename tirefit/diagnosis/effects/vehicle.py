@@ -131,7 +131,8 @@ def of_a_known_inertia(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     if prepared.derived is None:
         return prior
     share, _ = _error("yaw_inertia", prepared, rig)
-    return _of_scale(prior, (share or 0.0) * prepared.derived.inertia)
+    assert share is not None  # a derived force has an error of each quantity
+    return _of_scale(prior, share * prepared.derived.inertia)
 
 
 def of_a_known_height(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:

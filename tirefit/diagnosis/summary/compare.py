@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from tirefit import __version__
 from tirefit.data.run_names import LONGEST, clipped
@@ -262,7 +262,7 @@ def _farthest(one: Apart) -> Apart:
         far=[*known][far],
         difference=float(away[far]),
         std=float(error[far]),
-        p=float(chi2.sf(scatter, len(value) - 1)),
+        p=float(chdtrc(len(value) - 1, scatter)),
     )
 
 
@@ -279,7 +279,7 @@ def _joint(opened: Sequence[Source]) -> Joint | None:
     away = z - np.linalg.pinv(precision.sum(axis=0), hermitian=True) @ pull
     scatter = float(np.einsum("ki,kij,kj->", away, precision, away))
     dof = z.size - z.shape[1]
-    return Joint(tuple(fits[0]["labels"]), scatter, dof, float(chi2.sf(scatter, dof)), False)
+    return Joint(tuple(fits[0]["labels"]), scatter, dof, float(chdtrc(dof, scatter)), False)
 
 
 def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:

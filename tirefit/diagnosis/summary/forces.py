@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.fitting.mf.parts import SLIPS_OF
@@ -162,16 +162,18 @@ def _force(
     first, *others = curves
     for source in others:
         count = free[first] + free[source]
-        if given_same(tires[first], tires[source]):
+        if _same_parameters(tires[first], tires[source]):
             count = max(free[first], free[source])
-        reach = np.sqrt(chi2.isf(level / len(others), max(count, 1)))
+        reach = np.sqrt(chdtri(max(count, 1), level / len(others)))
         curves[source] = _differing(curves[first], curves[source], slips, loads, float(reach))
     return ForceDifference(name, slip, slips, loads, speed, curves)
 
 
-def given_same(one: GivenTire, other: GivenTire) -> bool:
+def _same_parameters(one: GivenTire, other: GivenTire) -> bool:
     """Whether two fits have the same free parameters."""
-    return bool(one.fit and other.fit) and one.fit[0].labels == other.fit[0].labels  # type: ignore[index]
+    if one.fit is None or other.fit is None:
+        return False
+    return one.fit[0].labels == other.fit[0].labels
 
 
 def _at(tire: AbstractTire, name: str, slip: str, at: _Place) -> np.ndarray:
