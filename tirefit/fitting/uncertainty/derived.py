@@ -258,14 +258,15 @@ def _moved(evaluate: Callable, z, low, high):
 
 def derived_from_profile(
     solved: Solved,
-    profiles: Sequence[Profile],
-    estimates: Sequence[Estimate],
+    profiles: Sequence[Profile] = (),
+    estimates: Sequence[Estimate] = (),
     only: Collection[str] = (),
 ) -> dict[str, Estimate]:
     """Derived quantities at the least-squares estimate, with profile intervals.
 
     Args:
-        profiles, estimates: of every element of z, in order.
+        profiles, estimates: of every element of z, in order; without them, the interval of a
+            quantity of one element is searched like the others.
         only: quantities to compute; all if empty.
 
     Returns:
@@ -276,12 +277,15 @@ def derived_from_profile(
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None:
         return {}
-    low = np.array([-np.inf if p.open_low else p.low for p in profiles])
-    high = np.array([np.inf if p.open_high else p.high for p in profiles])
+    ends = None
+    if profiles:
+        low = [-np.inf if p.open_low else p.low for p in profiles]
+        high = [np.inf if p.open_high else p.high for p in profiles]
+        ends = np.array(low), np.array(high)
     own = np.array([p.per_run for _, p in problem.layout.elements])
     derived: dict[str, Estimate] = {}
     for code, run in [(None, ""), *enumerate(problem.layout.runs if own.any() else ())]:
-        part = _of_run(solved, channel, code, (low, high), estimates, own, only)
+        part = _of_run(solved, channel, code, ends, estimates, own, only)
         for name, estimate in part:
             derived[name if code is None else f"{name}[{run}]"] = estimate
     order = list(quantities(channel))
@@ -294,8 +298,8 @@ def _of_run(
 ) -> Iterator[tuple[str, Estimate]]:
     """(quantity, estimate) of the quantities that depend on a per-run element (``own``
     (p,)), or of the other quantities if ``run`` is None; ``ends`` (low, high) are those
-    of every element (p,)."""
-    z, (low, high) = solved.z, ends
+    of every element (p,), None if not known."""
+    z, (low, high) = solved.z, ends or (solved.z, solved.z)
     evaluate = _evaluator(solved.problem, channel, run)
     mapped = _moved(evaluate, z, low, high)
     # Intervals at rounding level would hide the elements that a quantity depends on.
@@ -313,8 +317,8 @@ def _of_run(
         elif len(involved) == 0:
             estimate = Estimate(value, None, unit, (None, None), fixed=True)
         else:
-            of_one = mapped[name][1][:, involved[0]] if len(involved) == 1 else None
-            parts = [estimates[int(i)] for i in involved]
+            of_one = mapped[name][1][:, involved[0]] if ends and len(involved) == 1 else None
+            parts = [estimates[int(i)] for i in involved] if ends else []
             estimate = _estimate(solved, evaluate, name, unit, parts, of_one)
         yield name, estimate
         if name == "F_max":

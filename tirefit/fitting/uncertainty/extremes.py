@@ -112,6 +112,10 @@ _ENDLESS = 1e3  # multiple of the estimate above which a quantity has no end
 _NARROWED_ENDS = 12
 _ON_LEVEL = 2e-3  # distance from the level, in standard errors, that counts as there
 
+_CREEPING = 10
+"""Steps that together lower the deviance by less than :data:`_ON_LEVEL` of the level, after
+which a search ends: forces with slip noise have no exact curvature, and it creeps."""
+
 _SETTLED = 1e-7
 """Decrease of the deviance by one more step, over the level, at a point that has converged."""
 
@@ -127,7 +131,8 @@ def _settled(solved: Solved, quantity: Callable, z, target: float, spread: float
         return Normal(total + miss**2, curvature + np.outer(pull, pull), slope + miss * pull)
 
     law = NormalEquations(0.0, _SETTLED * solved.level)
-    z = on_host(at, z, law, lower=-REACH, upper=REACH).z
+    rest = _CREEPING, _ON_LEVEL * solved.level
+    z = on_host(at, z, law, lower=-REACH, upper=REACH, rest=rest).z
     return z, quantity(z)[0], _bowl(solved, z)[0]
 
 

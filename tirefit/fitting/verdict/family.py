@@ -218,9 +218,9 @@ def probabilities(models: Mapping[str, Solved]) -> dict[str, float]:
 
 
 def _peaks(solved: Solved) -> dict[str, Estimate]:
-    """Peak forces of a solved problem, and over the load."""
-    profiles, estimates = estimates_of(solved)
-    return derived_from_profile(solved, profiles, list(estimates.values()), only=("F_max",))
+    """Peak forces of a solved problem, and over the load. Profiles of all parameters of a
+    Magic Formula, which are redundant below the peak, take minutes if the slip has noise."""
+    return derived_from_profile(solved, only=("F_max",))
 
 
 def _of(peaks: Mapping[str, Estimate], label: str) -> Estimate | None:
