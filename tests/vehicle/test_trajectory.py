@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.special import stdtrit
 from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
 from test_replay import TOML
 from typer.testing import CliRunner
@@ -93,6 +94,45 @@ def test_a_friction_above_all_slip_angles_rests_on_the_shape_of_the_model(found)
     rows = read_frame(columns | {"fy": columns["alpha"], "fz": np.full(100, rear["fz"][0])})
     slid = replace(found, rows={"front": rows, "rear": rows})
     assert slid.status == Outcome.OK and min(slid.reached.values()) > 0.98
+
+
+def test_profiles_below_the_peak_agree_with_the_covariance_where_the_squares_are_quadratic(found):
+    """They are in the stiffness, whose intervals differ by at most 8 % of their half-widths. They
+    are not in the friction: more of it than the rows reach changes the forces less and less."""
+    reach = stdtrit(found.blocks - 1, 0.975)
+    for axle in ("front", "rear"):
+        one = found.parameters[f"{axle}.cpa2"]
+        half = np.log(one.ci95) - np.log(one.value)
+        np.testing.assert_allclose(half, reach * one.std / one.value * np.array([-1, 1]), rtol=0.08)
+        one = found.parameters[f"{axle}.mu"]
+        low, high = one.value - one.ci95[0], one.ci95[1] - one.value
+        assert low < reach * one.std < high < 2 * one.std * reach
+
+
+@pytest.mark.long
+def test_a_friction_far_above_the_slip_angles_has_only_a_lower_end(drive, tmp_path):
+    """Steered a tenth as much, the tires reach a quarter of their peak: from these rows the
+    friction has no upper end below that of the model (5), and a lower end below the truth."""
+    gentle = np.loadtxt(drive / "drive.csv", delimiter=",", skiprows=1)[:, 0]
+    true = solve_ivp(
+        slopes,
+        (0, gentle[-1]),
+        np.zeros(5),
+        t_eval=gentle,
+        rtol=1e-8,
+        max_step=0.01,
+        args=[lambda t: 3.0, lambda t: 0.1 * steer(t)],
+    )
+    noise = np.random.default_rng(5).standard_normal((3, len(gentle)))
+    seen = true.y[[3, 4, 2]] + np.array([[1e-3], [1e-3], [2e-3]]) * noise
+    rows = np.stack([gentle, *seen, 0.1 * steer(gentle)], axis=1)
+    path = tmp_path / "gentle.csv"
+    np.savetxt(path, rows, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
+    found = fit_trajectory([path], drive / "vehicle.toml")
+    assert max(found.reached.values()) < 0.5
+    for axle, (_, mu) in TIRES.items():
+        one = found.parameters[f"{axle}.mu"]
+        assert not one.identified and one.ci95[0] < mu < one.ci95[1] == 5.0, one
 
 
 def test_the_saved_fit_predicts_the_log(found, drive, tmp_path):

@@ -77,11 +77,12 @@ def test_the_sandwich_of_a_mean_is_its_standard_error_between_windows(pull):
     best = 2 * values.sum() / 2 / 0.5**2 / information
     missed = best - values[..., None]
     apart = one * np.array([-1.0, 1.0])[:, None, None]
-    found, count = sandwich(missed, one, apart, np.array([0.5]), np.array([pull]))
+    found, count, widened = sandwich(missed, one, apart, np.array([0.5]), np.array([pull]))
     sums = 2 * (best - middle) / 0.5**2
     between = WINDOWS / (WINDOWS - 1) * np.sum(sums**2)
     assert count == WINDOWS
     np.testing.assert_allclose(found, [[(between + pull) / information**2]], rtol=1e-6)
+    np.testing.assert_allclose(widened, [(between + pull) / information], rtol=1e-6)
     if not pull:
         error = middle.std(ddof=1) / np.sqrt(WINDOWS)
         np.testing.assert_allclose(np.sqrt(found), [[error]], rtol=1e-6)

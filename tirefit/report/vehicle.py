@@ -233,7 +233,8 @@ def trajectory_text(fit: TrajectoryFit) -> str:
         note = note if one.identified else "NOT IDENTIFIED"
         rows.append([name, format_estimate(one.value, one.std), interval, one.unit, note])
     notes = [
-        f"95 % by covariance; {fit.blocks} blocks of windows count as independent",
+        "95 % by covariance; by profile for a tire whose peak is not reached",
+        f"{fit.blocks} blocks of windows count as independent",
         "speed and steering are those of the log; axle loads are static; no drive force",
     ]
     first = Section("Answer", [*fit.warnings, _noise(fit)])

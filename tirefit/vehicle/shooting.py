@@ -138,12 +138,14 @@ def minimised(
 
 def sandwich(
     missed: jax.Array, by_z: jax.Array, by_start: jax.Array, noise: jax.Array, pull: jax.Array
-) -> tuple[np.ndarray, int]:
-    """Covariance (p, p) of z from the scores of blocks of windows, and their number."""
+) -> tuple[np.ndarray, int, np.ndarray]:
+    """Covariance (p, p) of z from the scores of blocks of windows; their number; and its
+    diagonal over that for independent residuals (p,)."""
     score, information, *_ = eliminate(missed, by_z, by_start, noise)
     inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
     blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
     sums = np.array([block.sum(axis=0) for block in blocks])
     count = len(blocks)
     middle = count / max(count - 1, 1) * sums.T @ sums
-    return inverse @ (middle + np.diag(pull)) @ inverse, count
+    covariance = inverse @ (middle + np.diag(pull)) @ inverse
+    return covariance, count, np.diag(covariance) / np.diag(inverse)

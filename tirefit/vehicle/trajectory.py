@@ -37,6 +37,7 @@ from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.store import at_estimate
 from tirefit.fitting.uncertainty.identified import limited
+from tirefit.fitting.uncertainty.profile import Side
 from tirefit.fitting.verdict.family import NEAR_PEAK
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import Values, constrain, with_values
@@ -79,6 +80,10 @@ WINDOW = 0.5
 """Length [s] of a window."""
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
+_POINTS = 12
+"""Largest number of points on one side of a profile."""
+_OF_A_PROFILE = 1e-6
+"""Share of the squares that one more step would take off, at a point of a profile."""
 _MOST_SLIPS = 99.5
 """Percentile of the derived slip angles that counts as their largest: few are errors."""
 SCHEMA = "tirefit.trajectory/1"
@@ -122,15 +127,7 @@ class TrajectoryFit(Record):
     @property
     def reached(self) -> dict[str, float]:
         """Axle -> share of the peak of its tire that the slip angles of its rows reach."""
-        found = {}
-        for axle, tire in self.axles.items():
-            rows = self.rows[axle]
-            own = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
-            alpha = np.append(own, np.linspace(0.0, 1.0, 200) * np.pi / 2)
-            at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
-            force = np.abs(np.asarray(forces(tire.tire, at).fy))
-            found[axle] = float(force[0] / force.max())
-        return found
+        return {axle: _reached(one.tire, self.rows[axle]) for axle, one in self.axles.items()}
 
     @property
     def limits(self) -> dict[Outcome, str]:
@@ -180,6 +177,15 @@ class TrajectoryFit(Record):
             "vehicle.toml": vehicle_toml(self.vehicle, note),
             "trajectory.json": self.to_json(),
         }
+
+
+def _reached(tire: AbstractTire, rows: TireData) -> float:
+    """Share of the peak of a tire that the slip angles of its rows reach."""
+    own = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
+    alpha = np.append(own, np.linspace(0.0, 1.0, 200) * np.pi / 2)
+    at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
+    force = np.abs(np.asarray(forces(tire, at).fy))
+    return float(force[0] / force.max())
 
 
 def fit_trajectory(
@@ -325,10 +331,16 @@ class _Problem:
         free = self.data.start.size + len(self.z)
         count = missed.shape[0] * missed.shape[1]
         noise = jnp.sqrt(jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1))
-        covariance, blocks = sandwich(missed, by_z, by_start, noise, pull)
+        covariance, blocks, widened = sandwich(missed, by_z, by_start, noise, pull)
         at, std = np.asarray(z), np.sqrt(np.diag(covariance))
         reach = stdtrit(max(blocks - 1, 1), 0.975)
-        found, car = self.estimates(at, std, at + reach * np.outer((-1, 1), std)), self.car(at)
+        ends, car = at + reach * np.outer((-1, 1), std), self.car(at)
+        for k, axle in enumerate(("front", "rear")):
+            if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
+                for e in range(*self.first[k : k + 2]):
+                    side = std[e], reach**2 * widened[e]
+                    ends[:, e] = self.profiled(e, z, starts, now, noise, pull, *side)
+        found = self.estimates(at, std, ends)
         axles = {
             axle: self.axle(k, axle, at, covariance, found, rows[axle])
             for k, axle in enumerate(("front", "rear"))
@@ -345,6 +357,45 @@ class _Problem:
             axles,
             rows,
         )
+
+    def profiled(
+        self,
+        e: int,
+        z: jax.Array,
+        starts: jax.Array,
+        now: tuple[jax.Array, ...],
+        noise: jax.Array,
+        pull: jax.Array,
+        std: float,
+        level: float,
+    ) -> np.ndarray:
+        """Ends (2,) of the interval of element e of z: where the squares, least over all else,
+        are by ``level`` above the smallest; infinite if they never are.
+
+        Below the peak the squares are not quadratic in the friction: more friction than the
+        rows reach changes them less and less.
+        """
+
+        def squares(z: jax.Array, missed: jax.Array) -> float:
+            return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
+
+        least, ends = squares(z, now[0]), []
+        for sign in (-1, 1):
+            side, at, begin = Side(float(z[e]), sign, std, level), z, starts
+            for _ in range(_POINTS):
+                held = np.full(len(z), np.inf)
+                distance = side.next_distance()
+                at = at.at[e].set(z[e] + sign * distance)
+                held[e] = at[e]
+                bounds = np.where(np.isinf(held), -held, held), held
+                here = self.run(at, begin, self.data)
+                given = at, begin, here, self.data, noise, pull, bounds
+                at, begin, here, _ = minimised(self.run, *given, _OF_A_PROFILE)
+                side.add(distance, squares(at, here[0]) - least)
+                if side.done:
+                    break
+            ends.append(sign * np.inf if side.open else float(z[e]) + sign * side.end)
+        return np.array(ends)
 
     def pulls(self) -> jax.Array:
         """Precision (p,) of the weak priors of the unknowns at zero."""

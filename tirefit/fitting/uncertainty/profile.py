@@ -21,7 +21,7 @@ class Profile(NamedTuple):
     open_high: bool  # the same above
 
 
-class _Side:
+class Side:
     """One side of a profile: searches the distance at which the deviance, whose root is
     nearly linear, reaches the level."""
 
@@ -102,7 +102,7 @@ def profile_all(
 ) -> list[Profile]:
     """Profile likelihood of every element of z, all sides searched together."""
     std, size = np.sqrt(np.diag(cov)), len(z)
-    sides = [_Side(z[i], s, std[i], level) for i in range(size) for s in (-1, 1)]
+    sides = [Side(z[i], s, std[i], level) for i in range(size) for s in (-1, 1)]
     index = np.repeat(np.arange(size), 2)
     signs = np.tile([-1, 1], size)
     # How the other elements follow: first by the covariance, then as last found.
@@ -146,7 +146,7 @@ def _searched_again(problem, sides, ends: Minima, base, distance, inner, index, 
     return parts
 
 
-def _joined(center: float, low: _Side, high: _Side) -> Profile:
+def _joined(center: float, low: Side, high: Side) -> Profile:
     distances = np.concatenate([-np.array(low.distances), np.array(high.distances[1:])])
     roots = np.concatenate([low.roots, high.roots[1:]])
     order = np.argsort(distances)
