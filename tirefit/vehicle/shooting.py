@@ -9,6 +9,7 @@ import numpy as np
 
 from tirefit.fitting.solve import least_squares as law
 from tirefit.fitting.solve.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
+from tirefit.fitting.uncertainty.profile import Side
 from tirefit.params import Values
 
 _SETTLED = 1e-8  # share of the squares that one more step would take off
@@ -149,3 +150,51 @@ def sandwich(
     middle = count / max(count - 1, 1) * sums.T @ sums
     covariance = inverse @ (middle + np.diag(pull)) @ inverse
     return covariance, count, np.diag(covariance) / np.diag(inverse)
+
+
+_POINTS = 12  # largest number of points on one side of a profile
+_ROUGHLY = 1e-6  # share of the squares that one more step would take off at one of them
+
+
+def profile_ends(
+    run: Callable[..., Any],
+    z: jax.Array,
+    starts: jax.Array,
+    now: tuple[Values, ...],
+    data: Data | None,
+    noise: jax.Array,
+    pull: jax.Array,
+    element: int,
+    std: float,
+    level: float,
+) -> np.ndarray:
+    """Ends (2,) of the interval of an element of z: where the squares, least over all else,
+    exceed those of :func:`minimised`, which are at z, by ``level``; infinite if they never do.
+
+    They are not quadratic in the friction of a tire whose peak is not reached: more friction
+    than the windows reach changes them less and less.
+
+    Args:
+        std: standard error of the element, by which the search begins.
+    """
+
+    def squares(z: jax.Array, missed: Values) -> float:
+        return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
+
+    best, least, ends = float(z[element]), squares(z, now[0]), []
+    free = np.full(len(z), np.inf)
+    for sign in (-1, 1):
+        side, at, begin = Side(best, sign, std, level), z, starts
+        for _ in range(_POINTS):
+            distance = side.next_distance()
+            at = at.at[element].set(best + sign * distance)
+            held = np.arange(len(z)) == element
+            bounds = np.where(held, at, -free), np.where(held, at, free)
+            here = run(at, begin, data)
+            given = at, begin, here, data, noise, pull, bounds
+            at, begin, here, _ = minimised(run, *given, tolerance=_ROUGHLY)
+            side.add(distance, squares(at, here[0]) - least)
+            if side.done:
+                break
+        ends.append(sign * np.inf if side.open else best + sign * side.end)
+    return np.array(ends)

@@ -37,7 +37,6 @@ from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.store import at_estimate
 from tirefit.fitting.uncertainty.identified import limited
-from tirefit.fitting.uncertainty.profile import Side
 from tirefit.fitting.verdict.family import NEAR_PEAK
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import Values, constrain, with_values
@@ -46,7 +45,7 @@ from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import logged
-from tirefit.vehicle.shooting import Data, linearised, minimised, sandwich
+from tirefit.vehicle.shooting import Data, linearised, minimised, profile_ends, sandwich
 from tirefit.vehicle.windows import (
     CHANNELS,
     cut_in_windows,
@@ -80,10 +79,6 @@ WINDOW = 0.5
 """Length [s] of a window."""
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
-_POINTS = 12
-"""Largest number of points on one side of a profile."""
-_OF_A_PROFILE = 1e-6
-"""Share of the squares that one more step would take off, at a point of a profile."""
 _MOST_SLIPS = 99.5
 """Percentile of the derived slip angles that counts as their largest: few are errors."""
 SCHEMA = "tirefit.trajectory/1"
@@ -338,8 +333,8 @@ class _Problem:
         for k, axle in enumerate(("front", "rear")):
             if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
-                    side = std[e], reach**2 * widened[e]
-                    ends[:, e] = self.profiled(e, z, starts, now, noise, pull, *side)
+                    end = self.run, z, starts, now, self.data, noise, pull
+                    ends[:, e] = profile_ends(*end, e, std[e], reach**2 * widened[e])
         found = self.estimates(at, std, ends)
         axles = {
             axle: self.axle(k, axle, at, covariance, found, rows[axle])
@@ -357,45 +352,6 @@ class _Problem:
             axles,
             rows,
         )
-
-    def profiled(
-        self,
-        e: int,
-        z: jax.Array,
-        starts: jax.Array,
-        now: tuple[jax.Array, ...],
-        noise: jax.Array,
-        pull: jax.Array,
-        std: float,
-        level: float,
-    ) -> np.ndarray:
-        """Ends (2,) of the interval of element e of z: where the squares, least over all else,
-        are by ``level`` above the smallest; infinite if they never are.
-
-        Below the peak the squares are not quadratic in the friction: more friction than the
-        rows reach changes them less and less.
-        """
-
-        def squares(z: jax.Array, missed: jax.Array) -> float:
-            return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
-
-        least, ends = squares(z, now[0]), []
-        for sign in (-1, 1):
-            side, at, begin = Side(float(z[e]), sign, std, level), z, starts
-            for _ in range(_POINTS):
-                held = np.full(len(z), np.inf)
-                distance = side.next_distance()
-                at = at.at[e].set(z[e] + sign * distance)
-                held[e] = at[e]
-                bounds = np.where(np.isinf(held), -held, held), held
-                here = self.run(at, begin, self.data)
-                given = at, begin, here, self.data, noise, pull, bounds
-                at, begin, here, _ = minimised(self.run, *given, _OF_A_PROFILE)
-                side.add(distance, squares(at, here[0]) - least)
-                if side.done:
-                    break
-            ends.append(sign * np.inf if side.open else float(z[e]) + sign * side.end)
-        return np.array(ends)
 
     def pulls(self) -> jax.Array:
         """Precision (p,) of the weak priors of the unknowns at zero."""
