@@ -143,13 +143,16 @@ def test_the_command_writes_its_files_and_lists_all_faults(saved, tmp_path):
     (tmp_path / "cut.json").write_text(text[: len(text) // 2])
     (tmp_path / "table.csv").write_text("sigma_x,fx,fz\n0,0,1\n")
     (tmp_path / "t.json").write_text('{"schema": "tirefit.trajectory/1", "logs": [], "a": 1}')
-    wrong = [str(tmp_path / name) for name in ("no.json", "cut.json", "table.csv", "t.json")]
+    (tmp_path / "replay.json").write_text('{"schema": "tirefit.replay/1"}')
+    names = "no.json", "cut.json", "table.csv", "t.json", "replay.json"
+    wrong = [str(tmp_path / name) for name in names]
     with pytest.raises(DataError) as error:
         tirefit.compare([saved[0], *wrong])
     assert [one.file for one in error.value.problems] == wrong
     assert all(one.remedy for one in error.value.problems)
+    assert "tirefit.replay/1: no tire, car or diagnosis" in str(error.value)
     failed = run(app, ["compare", str(saved[0]), *wrong, "--out", str(tmp_path / "p")])
-    assert failed.exit_code == 3 and "4 problems" in failed.output
+    assert failed.exit_code == 3 and "5 problems" in failed.output
 
 
 @pytest.mark.long

@@ -23,6 +23,7 @@ from tirefit.params import parameter_values
 from tirefit.results import Outcome, UsageError
 
 SCHEMA = "tirefit.fit/1"
+TRAJECTORY = "tirefit.trajectory/1"  # of tires fitted to trajectories of a car
 
 _MOST_ROWS = 1000  # far rows in ``fit.json``, at most; ``data.set_aside`` counts all
 

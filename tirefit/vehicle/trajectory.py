@@ -32,7 +32,7 @@ from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
-from tirefit.fitting.result import Estimate, layout_record
+from tirefit.fitting.result import TRAJECTORY, Estimate, layout_record
 from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.store import at_estimate
@@ -81,7 +81,6 @@ _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
 _MOST_SLIPS = 99.5
 """Percentile of the derived slip angles that counts as their largest: few are errors."""
-SCHEMA = "tirefit.trajectory/1"
 
 
 @dataclass(frozen=True, repr=False)
@@ -148,7 +147,7 @@ class TrajectoryFit(Record):
         """The numbers, as in ``trajectory.json``."""
         return json_safe(
             {
-                "schema": SCHEMA,
+                "schema": TRAJECTORY,
                 "version": __version__,
                 "logs": self.logs,
                 "windows": self.windows,

@@ -19,12 +19,12 @@ from tirefit.diagnosis.summary.result import mappings
 from tirefit.display import Record
 from tirefit.door import RECORD, content_of
 from tirefit.files import json_safe
-from tirefit.fitting.result import FitResult, information
+from tirefit.fitting.result import SCHEMA as FIT
+from tirefit.fitting.result import TRAJECTORY, FitResult, information
 from tirefit.fitting.source import GivenTire, given_tire
 from tirefit.results import DataError, TirefitError, UsageError
 
 SCHEMA = "tirefit.comparison/1"
-TRAJECTORY = "tirefit.trajectory/1"
 
 LEVEL = 0.01
 """Probability that a comparison of equal tires claims a difference of any parameter; the same
@@ -339,6 +339,8 @@ def _opened(source: Any) -> Source:
             return _of_diagnosis(content, source, file)
     except (LookupError, TypeError, AttributeError) as error:
         raise DataError(f"damaged: {error!r:.200}", "write it again", file) from None
+    if isinstance(schema, str) and schema != FIT:
+        raise DataError(f"its schema is {schema}: no tire, car or diagnosis", _REMEDY, file)
     given = given_tire(file or source)  # raises for other files
     if not (given.tir or given.content or not file):
         raise DataError("neither a fit, a diagnosis nor a .tir file", _REMEDY, file)
