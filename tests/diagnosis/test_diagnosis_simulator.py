@@ -514,6 +514,8 @@ def test_invalid_simulators_are_refused(frame):
         studied(frame, True)
     with pytest.raises(DataError, match="(?s)does not follow it.*--model"):
         studied(frame, 3000 * np.cos(40 * frame["sigma_x"]))
+    with pytest.raises(DataError, match=r"(?s)reverse the sign of fx_sim.*correlation -1.00"):
+        studied(frame, -frame["fx"])
     with pytest.raises(UsageError, match="one value for each of 180 rows"):
         studied(frame, np.zeros(3))
     with pytest.raises(UsageError, match="fz"):

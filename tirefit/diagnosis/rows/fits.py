@@ -45,6 +45,10 @@ _FARTHEST_OFF, _CLOSELY = 0.2, 0.01
 """Largest error of a stand-in for a simulator over the simulated force (rms), and error
 up to which the simplest stand-in is used."""
 
+_OPPOSITE = -0.8
+"""Correlation of a simulated with the measured force below which its sign is reversed: a
+simulator with the wrong sign of its slip has that of its force."""
+
 
 class Refit(NamedTuple):
     """Refitted hypotheses: parameters (h, p), and amplitudes in prior scales
@@ -264,6 +268,10 @@ def check_followed(prepared: Prepared, missed: dict, name: str) -> None:
             )
             remedy = "choose a base model closer to the simulator with --model, and check"
             remedy += f" sign, unit and row order of {c}_sim"
+            along = np.corrcoef(prepared.column(f"{c}_sim"), prepared.observed[c])[0, 1]
+            if along < _OPPOSITE:
+                remedy = f"reverse the sign of {c}_sim: it is opposite to the measured {c}"
+                remedy += f" (correlation {along:.2f})"
             for one in structures_of(prepared):
                 remedy += f"; the simulator's {one.channel} shows that {one.means}: {one.remedy}"
             raise unfit(prepared.data, reason, remedy)
