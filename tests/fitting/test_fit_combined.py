@@ -12,7 +12,7 @@ from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.combined_slip import slip_of_forces
 from tirefit.fitting.problem.config import load_config, parse_config
 from tirefit.fitting.problem.likelihood import root_deviance, row_moments
-from tirefit.fitting.solve.multistart import laid_out
+from tirefit.fitting.solve.multistart import with_densities
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.curves import fit_curve
@@ -124,7 +124,7 @@ def test_all_forces_share_one_noisy_slip():
     tau, columns = 0.004, rows(n=40, seed=3, slip_std=0.004, loads=(FZ,))
     task = noisy_task("brush-anisotropic", {"sigma_x": tau}, columns)
     z = np.asarray(task.problem.layout.unconstrained(TRUTH))
-    problem = laid_out(task.problem, {}, z)
+    problem = with_densities(task.problem, {}, z)[0]
     assert {c.name: c.slip for c in problem.channels} == {"fx": "sigma_x", "fy": "sigma_x"}
     blocks = root_deviance(problem, z)
     assert list(blocks) == ["sigma_x"]

@@ -20,10 +20,7 @@ def test_threshold_of_estimated_noise_is_students_t(n, p):
     t = stats.t.ppf(0.975, n - p)
     np.testing.assert_allclose(threshold(True, n, p), n * np.log(1 + t**2 / (n - p)))
     assert threshold(True, n, p) > threshold(False, n, p)
-
-
-def test_threshold_with_fewer_rows_than_parameters_is_finite_and_wide():
-    assert 10 < threshold(True, 3, 3) < 1e3
+    assert 10 < threshold(True, p, p) < 1e3  # as many parameters as rows
 
 
 def test_a_block_without_squares_has_a_deviance_only_if_its_noise_is_given():
@@ -103,19 +100,6 @@ def test_profile_never_falls_below_the_best_fit(given, estimated, vague):
     for shift in (-1e-3, -1e-5, 1e-5, 1e-3):
         moved = {k: v * (1 + shift) for k, v in best(given).items()}
         assert deviance_at(given, moved) >= base - 1e-6
-
-
-def test_profile_agrees_with_the_covariance_at_small_noise():
-    # One tenth of the noise makes the curve straight over the interval.
-    config = GIVEN | {"noise": {"fx": STD / 10}}
-    result = fit(curve(noise=STD / 10), config=config)
-    for label in ("cpa2", "mu"):
-        low, high = result.intervals["profile"][label]
-        covariance = result.intervals["covariance"][label]
-        np.testing.assert_allclose(covariance, (low, high), atol=0.02 * (high - low))
-        half = (high - low) / 2
-        np.testing.assert_allclose(half, 1.96 * result.least_squares[label].std, rtol=0.01)
-    assert result.verdict.disagreements == {}
 
 
 def test_an_undetermined_friction_has_an_open_interval(vague):

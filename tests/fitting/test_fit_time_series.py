@@ -153,14 +153,6 @@ def test_runs_that_alternate_are_refused():
     assert error.value.problems[0].row == 202
 
 
-def test_time_and_speed_are_needed():
-    columns = {k: v for k, v in DATA.columns.items() if k not in ("time", "v")}
-    with pytest.raises(DataError) as error:
-        build(table(columns), "brush-relaxation", parse_config(CONFIG))
-    text = str(error.value)
-    assert "needs v " in text and "needs time " in text
-
-
 def test_settings_that_remove_history_are_refused():
     """All problems at once: limits of the slip, and its noise."""
     config = {"noise": {"sigma_x": 0.01}, "data": {"slip_max": 0.1, "slip_min": -1.0}}

@@ -9,10 +9,9 @@ from scipy.stats import binom
 from slip_bound import smallest_scatter
 
 from tirefit.data.read import read_frame
-from tirefit.fitting.estimate import _noise_record, fit
+from tirefit.fitting.estimate import _noise_record
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.far_rows import settle
-from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
 from tirefit.report.fit_tables import noise_text
 from tirefit.results import DataError
 
@@ -124,30 +123,6 @@ def test_the_report_states_the_part_of_the_slip_noise_in_the_scatter():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("shape", "fy_std"), [("uniform", 5.0), ("sine", 200.0)])
-def test_weighted_draws_have_the_moments_of_the_posterior_on_a_grid(shape, fy_std):
-    """Within four standard errors of the number of draws. The draws need few points, as each
-    is an integral for every row: 27 s of processor for 5,120 of them were too many."""
-    data, config = file_of(shape, fy_std, 0.02, 0)
-    result = fit(data, "brush", config=config)
-    drawn = sample(result)
-    assert drawn.posterior.sampler == "importance" and drawn.posterior.steps <= 1536
-    draws = drawn.walkers.reshape(-1, 2)
-    density, (center, root) = _density(result.solved), _whitening(result.solved)
-    axis = np.linspace(-6.0, 6.0, 48)
-    u = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    log = np.concatenate([np.asarray(density(part)) for part in np.split(u, 9)])
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
-    values = result.problem.layout.vector((center + u @ root.T).T).T
-    mean = weight @ values
-    std = np.sqrt(weight @ (values - mean) ** 2)
-    assert len(draws) >= 1000
-    assert np.all(np.abs(draws.mean(axis=0) - mean) < 4 * std / np.sqrt(len(draws)))
-    assert np.all(np.abs(draws.std(axis=0) / std - 1) < 4 / np.sqrt(2 * len(draws)))
-
-
-@pytest.mark.long
 def test_an_unknown_density_of_the_slips_costs_accuracy():
     """The exact integral over known slips is out of reach: no estimate of cpa2 that is right for
     any density scatters by less than 1.25 (uniform) and 1.20 (sine) times as much. Estimates of
@@ -192,22 +167,3 @@ def test_intervals_hold_with_slip_noise(shape, fy_std, alpha_std):
     low, high = binom.ppf([0.0005, 0.9995], 100, 0.95) / 100
     share = np.mean(np.abs(off) < 1.96, axis=0)
     assert np.all((share >= low) & (share <= high)), share
-
-
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore:.*odr.*:DeprecationWarning")
-def test_estimates_are_closer_than_those_of_orthogonal_distances():
-    """Eight files of steps, 20 N and 0.03 rad. Of 25, errors of the stiffness have an rms of
-    888 N here and of 2,283 N by SciPy's ODR, which is biased where the curve bends."""
-    odr = pytest.importorskip("scipy.odr")  # not in SciPy 1.19
-    off = []
-    for seed in range(8):
-        data, _ = file_of("steps", 20.0, 0.03, seed)
-        measured = odr.RealData(data["alpha"], data["fy"], sx=0.03, sy=20.0)
-        curve = odr.Model(lambda b, slip: brush_force(np.tan(slip), b[0], b[1], fz=FZ))
-        other = odr.ODR(measured, curve, beta0=[26e3, 0.9], maxit=200).run().beta[0]
-        solved = fitted("steps", 20.0, 0.03, seed).solved
-        own = float(solved.problem.layout.natural(solved.z)["cpa2"])
-        off.append([own - CPA2, other - CPA2])
-    own, other = np.sqrt(np.mean(np.square(off), axis=0))
-    assert own < 1500 < other

@@ -61,13 +61,9 @@ def predict_forces(
     Returns:
         (force, variance): dicts of arrays (n,) for each force that is modelled.
     """
-    force, variance = _linearised(
-        model, layout, np.asarray(z), np.asarray(covariance), inputs, np.asarray(run)
-    )
-    return (
-        {k: np.asarray(v) for k, v in force.items()},
-        {k: np.asarray(v) for k, v in variance.items()},
-    )
+    at = np.asarray(z), np.asarray(covariance), inputs, np.asarray(run)
+    force, variance = jax.tree.map(np.asarray, _linearised(model, layout, *at))
+    return force, variance
 
 
 def _inputs(data: TireData) -> TireInputs:
@@ -78,7 +74,7 @@ def _inputs(data: TireData) -> TireInputs:
 
 
 def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
-    if not any(parameter.per_run for parameter in layout.free):
+    if not layout.is_sparse:
         return data.run[data.used]
     unknown = [run for run in data.runs if run not in layout.runs]
     if unknown:

@@ -321,16 +321,7 @@ def record_of_fit(content: Mapping, result: str) -> FileRecord:
         result: the path of the fit.
     """
     rows = [
-        Row(
-            kind,
-            name,
-            one["value"],
-            one["std"],
-            one["ci95"][0],
-            one["ci95"][1],
-            one["unit"],
-            one["identified"],
-        )
+        Row(kind, name, one["value"], one["std"], *one["ci95"], one["unit"], one["identified"])
         for kind, section in (("parameter", "parameters"), ("derived", "derived"))
         for name, one in content[section].items()
     ]

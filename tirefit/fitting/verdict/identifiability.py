@@ -27,7 +27,9 @@ from tirefit.fitting.problem.scatter import (
     some_rows,
     stretches,
 )
-from tirefit.fitting.solve.inference import REACH, linearise
+from tirefit.fitting.solve.inference import inverse_of, linearise
+from tirefit.fitting.solve.least_squares import Normal, on_host
+from tirefit.fitting.uncertainty.identified import not_identified
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
@@ -44,10 +46,6 @@ _INSIDE = 4.0
 """Largest unconstrained value tried, 2 % of the range from either bound: closer to it, a
 step of the parameter would not change the force."""
 _STEPS = 12
-_TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
-"""Ratio of the ends of a 95 % interval above which ``fit`` calls a scale or a positive
-coefficient not identified."""
-_SHARE_TOLD = 0.8  # of the allowed range: the same limit for any other parameter
 _WELL = 0.15
 """Half of the interval over the value, or over a quarter of the range, up to which a
 parameter counts as well determined."""
@@ -245,36 +243,17 @@ def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _settled(problem: FitProblem, z):
-    """Fit the other parameters to the rows at a given friction.
-
-    Returns:
-        z, residuals and slopes there.
-    """
+    """Fit the other parameters to the rows at a given friction: z, residuals and slopes there."""
     moves = np.array([p.name not in _FRICTION for _, p in problem.layout.elements])
-    values, slopes = _at(problem, z)
-    damping = 1e-3
-    for _ in range(_STEPS if moves.any() else 0):
-        inner = slopes[:, moves]
-        matrix = inner.T @ inner
-        matrix = matrix + damping * np.diag(np.diag(matrix)) + 1e-9 * np.eye(len(matrix))
-        step = np.zeros(len(z))
-        step[moves] = -np.linalg.solve(matrix, inner.T @ values)
-        there = np.clip(z + np.clip(step, -1, 1), -_INSIDE, _INSIDE)
-        new_values, new_slopes = _at(problem, there)
-        gain = values @ values - new_values @ new_values
-        if gain > 0:
-            z, values, slopes, damping = there, new_values, new_slopes, damping / 5
-            if gain < 1e-4 * (values @ values):
-                break
-        else:
-            damping *= 20
-    return z, values, slopes
 
+    def at(there) -> Normal:
+        values, slopes = _at(problem, there)
+        slopes = np.where(moves, slopes, 0.0)
+        return Normal(values @ values, slopes.T @ slopes, slopes.T @ values)
 
-def _covariance(information: np.ndarray) -> np.ndarray:
-    """As in a fit: an element without information is spread over its whole range."""
-    values, vectors = np.linalg.eigh(information)
-    return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
+    if moves.any():
+        z = on_host(at, z, lower=-_INSIDE, upper=_INSIDE, max_steps=_STEPS).z
+    return z, *_at(problem, z)
 
 
 def _is_size(spec: Spec) -> bool:
@@ -284,31 +263,21 @@ def _is_size(spec: Spec) -> bool:
 def _grade(spec: Spec, value: float, std: float) -> str:
     """How well an interval determines a parameter, by the rules of a fit."""
     half = 1.96 * std
-    if _is_size(spec):
-        if spec.scale == "log":
-            ratio = float(np.exp(min(2 * half / value, 50.0)))
-        else:
-            low = max(value - half, spec.lower)
-            ratio = min(value + half, spec.upper) / low
-        most = _TIMES_TOLD if spec.scale == "log" else _TIMES_KNOWN
-        if ratio > most:
-            return NOT
-        return WELL if half <= _WELL * value else ROUGHLY
-    size = spec.upper - spec.lower
-    width = min(value + half, spec.upper) - max(value - half, spec.lower)
-    if width > _SHARE_TOLD * size:
+    if spec.scale == "log":
+        times = float(np.exp(min(half / value, 25.0)))
+        low, high = value / times, value * times
+    else:
+        low, high = max(value - half, spec.lower), min(value + half, spec.upper)
+    if not_identified(spec, low, high, False, False):
         return NOT
-    return WELL if half <= _WELL * max(abs(value), size / 4) else ROUGHLY
+    size = value if _is_size(spec) else max(abs(value), (spec.upper - spec.lower) / 4)
+    return WELL if half <= _WELL * size else ROUGHLY
 
 
 def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
     """The parameter at the likely point that determines it least."""
-    worst = None
-    for z, _, slopes in likely:
-        gate = _judged(problem, k, z, _information(slopes, weight))
-        if worst is None or _rank(gate) > _rank(worst):
-            worst = gate
-    assert worst is not None  # the best point is always likely
+    gates = [_judged(problem, k, z, _information(slopes, weight)) for z, _, slopes in likely]
+    worst = max(gates, key=_rank)
     if worst.grade != NOT:
         return worst
     return worst._replace(remedy=_remedy(problem, k, likely, weight))
@@ -329,7 +298,7 @@ def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
     spec = parameter.spec
     slope = float(np.exp(log_jacobian(z[k], spec)))
     value = float(constrain(z[k], spec))
-    cov = _covariance(information)
+    cov = inverse_of(information)
     std = slope * float(np.sqrt(cov[k, k]))
     grade, beside = _grade(spec, value, std), ""
     if grade != WELL and information[k, k] > 0:
