@@ -146,7 +146,9 @@ def _changes(solved: Solved, points) -> Float[np.ndarray, "n m"]:
 
 def _codes(place, change, group, most: int, share: float) -> Int[np.ndarray, " n"]:
     """The cell of each row. Cells are cut one by one: always the cell with the largest loss."""
-    number, queue, whole = itertools.count(), [], []
+    number = itertools.count()
+    queue: list[tuple[float, int, np.ndarray]] = []  # - loss, number, rows of each cell
+    whole: list[tuple[float, int, np.ndarray]] = []  # those of one place
 
     def add(rows) -> float:
         loss = _loss(change[rows])

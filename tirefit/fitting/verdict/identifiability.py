@@ -28,7 +28,6 @@ from tirefit.fitting.problem.scatter import (
     stretches,
 )
 from tirefit.fitting.solve.inference import inverse_of, linearise
-from tirefit.fitting.solve.least_squares import Normal, on_host
 from tirefit.fitting.uncertainty.identified import not_identified
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
@@ -243,17 +242,30 @@ def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _settled(problem: FitProblem, z):
-    """Fit the other parameters to the rows at a given friction: z, residuals and slopes there."""
+    """Fit the other parameters to the rows at a given friction.
+
+    Returns:
+        z, residuals and slopes there.
+    """
     moves = np.array([p.name not in _FRICTION for _, p in problem.layout.elements])
-
-    def at(there) -> Normal:
-        values, slopes = _at(problem, there)
-        slopes = np.where(moves, slopes, 0.0)
-        return Normal(values @ values, slopes.T @ slopes, slopes.T @ values)
-
-    if moves.any():
-        z = on_host(at, z, lower=-_INSIDE, upper=_INSIDE, max_steps=_STEPS).z
-    return z, *_at(problem, z)
+    values, slopes = _at(problem, z)
+    damping = 1e-3
+    for _ in range(_STEPS if moves.any() else 0):
+        inner = slopes[:, moves]
+        matrix = inner.T @ inner
+        matrix = matrix + damping * np.diag(np.diag(matrix)) + 1e-9 * np.eye(len(matrix))
+        step = np.zeros(len(z))
+        step[moves] = -np.linalg.solve(matrix, inner.T @ values)
+        there = np.clip(z + np.clip(step, -1, 1), -_INSIDE, _INSIDE)
+        new_values, new_slopes = _at(problem, there)
+        gain = values @ values - new_values @ new_values
+        if gain > 0:
+            z, values, slopes, damping = there, new_values, new_slopes, damping / 5
+            if gain < 1e-4 * (values @ values):
+                break
+        else:
+            damping *= 20
+    return z, values, slopes
 
 
 def _is_size(spec: Spec) -> bool:
