@@ -47,6 +47,8 @@ _ROUNDS = 8
 _NEAR, _MISSED = 6, 2.0
 """Number of neighbours, and standard deviations: where the median residual of the
 neighbours is larger, the row is compared with it, as all miss the curve together."""
+_ON_A_LINE = np.sqrt(1.5)
+"""Standard deviation of a residual from the mean of two others."""
 _AROUND, _LOUDER = 30, 1.4
 """Number of neighbours, and ratio: where the noise of the neighbours exceeds that of all
 rows by this ratio, it is used instead."""
@@ -279,9 +281,14 @@ def _beside(rows, off, order, counts) -> np.ndarray:
         at = start[:, None] + np.arange(size)
         return off[members[at + ((at >= before[:, None]) & (own[:, None] > 0))]]
 
-    missed, left = np.median(near(_NEAR), axis=1), np.abs(off[rows])
-    beside = np.minimum(left, np.abs(off[rows] - missed))
-    left = np.where(np.abs(missed) > _MISSED, beside, left)
+    after = before + own
+    inner = (before > 0) & (after < len(members))
+    ends = members[before - 1], members[np.minimum(after, len(members) - 1)]
+    line = np.where(inner, (off[ends[0]] + off[ends[1]]) / 2, 0.0)
+    left = np.abs(off[rows])
+    for missed, wider in ((np.median(near(_NEAR), axis=1), 1.0), (line, _ON_A_LINE)):
+        beside = np.abs(off[rows] - missed) / wider
+        left = np.where(np.abs(missed) > _MISSED, np.minimum(left, beside), left)
     louder = MAD * np.median(np.abs(near(_AROUND)), axis=1)
     return left / np.where(louder > _LOUDER, louder, 1.0)
 
@@ -322,7 +329,8 @@ def _far_row(whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, 
         messages.append(off)
         remedy = _REMEDY if kept else _KEEP
     elif suspect is not None and distance <= judged.limit:
-        messages.append(f"kept: its {force} is what the other rows predict")
+        away = f"{distance:.2g} standard deviations from what the other rows predict"
+        messages.append(f"kept: its {force} is {away}")
     elif suspect is not None:
         messages += [off, "kept: its neighbours or much of its run deviate as well"]
     if kept and judged.leverage[i] > _RESTS:
