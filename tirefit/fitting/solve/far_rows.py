@@ -15,8 +15,9 @@ Each row is compared with what the *other* rows predict for it, with the uncerta
 that prediction: a row that alone determines a parameter is kept, however extreme its
 slip or load. The scale is that of the smallest 90 % of the residuals, or of the row's
 neighbours in slip and load where that is larger: rows that miss the curve together
-show a wrong model, not outliers. This one rule decides: values far from the others of their
-column (``data.far``) only give the first set, and the column to look at first.
+show a wrong model, not outliers. This one rule decides, except that a load far from all others
+is always excluded. Other values far from their column (``data.far``) only give the first set, and
+the column to look at first.
 """
 
 from dataclasses import dataclass
@@ -121,6 +122,8 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
         task, solved = _fitted(whole, kept, config)
         judged = _judge(whole, task, solved, kept, limit)
         ratio = np.max(judged.ratio, axis=0)
+        # At small slip the force hardly depends on the load: a wrong load may agree by chance.
+        ratio[[i for i, value in suspects.items() if value.column == "fz"]] = np.inf
         if whole.problem.model.transient:
             ratio = _worst_in_time(ratio, kept)
         beyond = _leaving_runs(ratio > 1, whole)
