@@ -156,8 +156,7 @@ def predict(
         )
     for channel in fitted:
         out[channel] = force[channel]
-        known = noise.get(channel)
-        std = _noise_std(data, channel, known, force[channel], reference)
+        std = _noise_std(data, channel, noise[channel], force[channel], reference)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
@@ -194,12 +193,10 @@ def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
     return messages
 
 
-def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):
+def _noise_std(data: TireData, channel: str, record: Mapping, force, reference):
     """Noise of one measurement, from a column of the data or from the fit."""
     if f"{channel}_std" in data:
         return data[f"{channel}_std"]
-    if record is None:
-        return 0.0
     names = np.array(data.runs)[data.run]
     return noise_std(record, data["fz"], force, names, reference["fz"])
 

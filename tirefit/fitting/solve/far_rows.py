@@ -187,10 +187,9 @@ def _worst_in_time(ratio, kept):
 
 def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:
     """At most ``most`` of the rows beyond the limit, the farthest first."""
-    if beyond.sum() <= most:
-        return beyond
     chosen = np.zeros_like(beyond)
-    chosen[np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")[:most]] = True
+    order = np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")
+    chosen[order[: min(most, np.count_nonzero(beyond))]] = True
     return chosen
 
 
