@@ -118,13 +118,7 @@ def test_missing_inputs_are_named():
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [
-        (None, "cannot read it"),
-        ("{", "JSON with comments or a fault"),
-        ("1,", "not JSON"),
-        ("[]", "schema"),
-        ("{}", "schema"),
-    ],
+    [(None, "cannot read it"), ("1,", "not JSON"), ("[]", "schema"), ("{}", "schema")],
 )
 def test_files_that_are_no_fit_are_refused(tmp_path, text, said):
     path = tmp_path / "fit.json"
