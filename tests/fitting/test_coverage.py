@@ -36,13 +36,6 @@ def half_or_all(model, setting):
 
 
 @pytest.mark.long
-def test_profile_intervals_cover_in_60():
-    inside, _ = coverage("brush-d", "rig", 60, rows=ROWS)
-    low, high = binom.ppf([0.0005, 0.9995], 60, 0.95) / 60
-    assert all(low <= share <= high for share in inside.values()), inside
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("setting", "model"), [("rig", "brush-d"), ("rig", "brush-m"), ("seed", "brush-h")]
 )

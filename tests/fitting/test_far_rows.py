@@ -69,6 +69,14 @@ def test_outliers_move_no_parameter_by_a_standard_error(clean, what):
     assert end.solved.problem.n == end.data.n == 400 - len(aside)
 
 
+def test_a_far_load_is_excluded_though_its_force_agrees():
+    """At the smallest slip the force of a brush does not depend on the load."""
+    data = curve()
+    row = int(np.argmin(data["sigma_x"]))
+    end = settled(spoilt(data, *ABSURD["load 9e9 N"], [row]))
+    assert [far.row for far in end.far if far.set_aside] == [row]
+
+
 def test_with_squares_an_outlier_moves_the_fit(clean):
     column, change = ABSURD["load 9e9 N"]
     end = settled(spoilt(curve(), column, change, [11]), squares())

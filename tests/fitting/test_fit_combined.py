@@ -1,18 +1,15 @@
 """Fits of rows with both slips varying."""
 
-import csv
-
 import numpy as np
 import pytest
 from recipes import FZ, solved, table
 
-from tirefit.data.read import read
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.combined_slip import slip_of_forces
-from tirefit.fitting.problem.config import load_config, parse_config
+from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.likelihood import root_deviance, row_moments
-from tirefit.fitting.solve.multistart import laid_out
+from tirefit.fitting.solve.multistart import with_densities
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.curves import fit_curve
@@ -49,20 +46,9 @@ def rows(n=400, seed=1, slip_std=0.0, loads=LOADS):
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    """As on the command line: a CSV and a fit.toml."""
-    folder, columns = tmp_path_factory.mktemp("combined"), rows()
-    with open(folder / "rig.csv", "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["sigma_x", "alpha_rad", "fz", "fx", "fy"])
-        writer.writerows(zip(*columns.values(), strict=True))
-    (folder / "fit.toml").write_text(
-        'model = "brush-anisotropic"\nforce = ["fx", "fy"]\nsolver = "gauss-newton"\n'
-        '[data]\nconvention = "braking"\n'
-    )
-    config = load_config(folder / "fit.toml")
-    data = read(folder / "rig.csv", convention=config.data.convention)
-    return fit(data, config=config)
+def result():
+    config = {"force": ["fx", "fy"], "solver": "gauss-newton"}
+    return fit(table(rows()), "brush-anisotropic", config=config)
 
 
 def test_both_forces_recover_the_truth(result):
@@ -124,7 +110,7 @@ def test_all_forces_share_one_noisy_slip():
     tau, columns = 0.004, rows(n=40, seed=3, slip_std=0.004, loads=(FZ,))
     task = noisy_task("brush-anisotropic", {"sigma_x": tau}, columns)
     z = np.asarray(task.problem.layout.unconstrained(TRUTH))
-    problem = laid_out(task.problem, {}, z)
+    problem = with_densities(task.problem, {}, z)[0]
     assert {c.name: c.slip for c in problem.channels} == {"fx": "sigma_x", "fy": "sigma_x"}
     blocks = root_deviance(problem, z)
     assert list(blocks) == ["sigma_x"]

@@ -13,7 +13,6 @@ from tirefit.fitting.solve.inference import deviance
 from tirefit.fitting.uncertainty import posterior
 from tirefit.fitting.uncertainty.posterior import sample
 from tirefit.models import MODELS
-from tirefit.results import Outcome
 
 MOST = 512
 """Rows that 400 are padded to: cells of as many need no program of their own."""
@@ -145,13 +144,3 @@ def test_few_rows_and_time_series_are_not_condensed(given, small_files_too, monk
     assert condensed(solved._replace(problem=series), root) is None
     monkeypatch.setattr(condense, "FEWEST", 401)
     assert condensed(solved, root) is None
-
-
-def test_an_interrupt_while_cells_are_made_ends_the_sampling(given, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(posterior, "condensed", interrupted)
-    result = sample(given)
-    assert result.posterior is None
-    assert Outcome.INTERRUPTED in result.outcomes

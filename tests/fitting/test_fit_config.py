@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recipes import ESTIMATED, FZ, STD, curve, solved
+from recipes import STD, curve
 
 from tirefit.data.table import Source
 from tirefit.fitting.estimate import fit
@@ -18,13 +18,6 @@ WRONG = {
     "unknown nested key": (
         {"noise": {"fx_relativ": 0.1}}, "'noise.fx_relativ'", "'fx_relative'",
     ),
-    "unknown key of a parameter": (
-        {"parameters": {"mu": {"fre": True}}}, "'parameters.mu.fre'", "'free'",
-    ),
-    "unknown key of a prior": (
-        {"parameters": {"mu": {"prior": {"mean": 1.0, "std": 1.0, "sdt": 2.0}}}},
-        "'parameters.mu.prior.sdt'", "valid keys here: mean, std",
-    ),
     "missing key of a prior": (
         {"parameters": {"mu": {"prior": {"mean": 1.0}}}},
         "missing key 'parameters.mu.prior.std'", "add it",
@@ -32,15 +25,10 @@ WRONG = {
     "word for a whole number": (
         {"starts": "many"}, 'starts = "many": must be a valid integer', "whole number",
     ),
-    "truth for a whole number": ({"starts": True}, "starts = true: ", "whole number"),
     "fraction for a whole number": ({"seed": 3.0}, "seed = 3.0: ", "whole number"),
     "number in quotes": (
         {"parameters": {"mu": {"value": "0.9"}}},
         'parameters.mu.value = "0.9": must be a valid number', "without quotes",
-    ),
-    "truth for a number": ({"noise": {"fx": True}}, "noise.fx = true: ", "a number"),
-    "number in quotes as a constant": (
-        {"data": {"constants": {"fz": "4000"}}}, 'data.constants.fz = "4000"', "quotes",
     ),
     "number for a truth": (
         {"parameters": {"mu": {"free": 1}}}, "parameters.mu.free = 1: ", "true or f",
@@ -51,20 +39,12 @@ WRONG = {
     "parameter without a key": (
         {"parameters": {"mu": 0.9}}, "parameters.mu = 0.9: must be a table", "value,",
     ),
-    "no table": ({"parameters": 3}, "parameters = 3: must be a table", "keys"),
     "prior without spread": (
         {"parameters": {"mu": {"prior": {"mean": 1.0, "std": 0.0}}}},
         "parameters.mu.prior.std", "correct",
     ),
-    "negative noise": ({"noise": {"fx": -1.0}}, "noise.fx", "correct"),
-    "unknown loss": ({"noise": {"loss": "l7"}}, "noise.loss", "correct"),
-    "unknown solver": ({"solver": "newton"}, "solver", "correct"),
     "unknown force": ({"force": "fq"}, "force = \"fq\": must be 'fx', 'f", "correct"),
-    "one unknown force": ({"force": ["fx", "fq"]}, 'force = "fq": must be', "correct"),
     "no force": ({"force": []}, "force = []: must have at least 1 item", "correct"),
-    "unknown sampler": ({"posterior": {"sampler": "hmc"}}, "sampler", "correct"),
-    "too few ensembles": ({"posterior": {"ensembles": 3}}, "ensembles", "correct"),
-    "negative seed": ({"seed": -1}, "seed", "correct"),
 }  # fmt: skip
 
 
@@ -107,7 +87,6 @@ PRIOR = {"mean": 1.0, "std": 0.1}
 # content -> the start of every reason
 CONTRADICTIONS = {
     "tied and free": (of_mu(tied="D", free=True), ["parameters.mu: free contradicts tied = 'D'"]),
-    "tied and fixed": (of_mu(tied="D", free=False), ["parameters.mu: free contradicts tied = 'D'"]),
     "tied and all else": (
         of_mu(tied="D", value=1, lower=0.1, upper=2, prior=PRIOR, per_run=True),
         [
@@ -128,7 +107,6 @@ CONTRADICTIONS = {
         ["parameters.mu: factor = 0 ties it to nothing"],
     ),
     "bounds": (of_mu(lower=2, upper=1), ["parameters.mu: lower = 2 is not below upper = 1"]),
-    "equal bounds": (of_mu(lower=1, upper=1), ["parameters.mu: lower = 1 is not below upper = 1"]),
     "noise": (
         {"noise": {"fx": 40, "fx_relative": 0.01, "fy": 40, "fy_relative": 0.01}},
         ["noise: fx contradicts fx_relative", "noise: fy contradicts fy_relative"],
@@ -136,10 +114,6 @@ CONTRADICTIONS = {
     "slips": (
         {"data": {"slip_min": 0.3, "slip_max": 0.1}},
         ["data: slip_min = 0.3 is not below slip_max = 0.1"],
-    ),
-    "equal slips": (
-        {"data": {"slip_min": 0.1, "slip_max": 0.1}},
-        ["data: slip_min = 0.1 is not below slip_max = 0.1"],
     ),
     "beside wrong keys": (
         {
@@ -193,9 +167,6 @@ IMPOSSIBLE = {
         "brush", {"mu": {"upper": 9.0}},
         {"mu: bounds [0.01, 9] are empty or outside the model's [0.01, 5]": "`tirefit"},
     ),
-    "lower above the model's": (
-        "brush", {"mu": {"lower": 6.0}}, {"mu: bounds [6, 5] are empty": "lower and"},
-    ),
     "value outside": (
         "brush", {"mu": {"value": 1.5, "upper": 1.2}},
         {"mu: value 1.5 outside its bounds [0.01, 1.2]": "choose a value"},
@@ -208,10 +179,6 @@ IMPOSSIBLE = {
         "brush", {"mu": {"prior": {"mean": 0.9, "std": 1e-300}}},
         {"mu: prior std 1e-300 leaves it no room in [0.01, 5]": "value = 0.9 and free"},
     ),
-    "prior without room on many decades": (
-        "brush", {"cpa2": {"prior": {"mean": 5e4, "std": 1e-12}}},
-        {"cpa2: prior std 1e-12 leaves it no room": "value = 50000"},
-    ),
     "tied to a fixed one": (
         "brush", {"mu": {"free": False}, "cpa2": {"tied": "mu"}},
         {"cpa2: tied to 'mu', which is not free": "free a parameter",
@@ -221,17 +188,9 @@ IMPOSSIBLE = {
         "brush", {"mu": {"tied": "mu"}},
         {"mu: tied to 'mu', itself": "tie it to one of cpa2"},
     ),
-    "tied to nothing": (
-        "brush", {"mu": {"tied": "nu"}},
-        {"mu: tied to 'nu', which the model does not have": "tie it to one of cpa2"},
-    ),
     "tied to a tied one": (
         "brush-d", {"mu": {"tied": "d"}, "d": {"tied": "cpa2", "factor": 1e-9}},
         {"mu: tied to 'd', which is not free: parameters.d is tied to 'cpa2'": "cpa2"},
-    ),
-    "nothing free": (
-        "brush", {"mu": {"free": False}, "cpa2": {"free": False}},
-        {"no free parameter": "[parameters]"},
     ),
     "settings of one that is not estimated": (
         "brush-h", {"v_st": {"lower": 2, "prior": {"mean": 3, "std": 1}}},
@@ -269,10 +228,7 @@ def test_impossible_parameters_are_refused(model, parameters, expected):
 # [noise] -> key of each that is refused
 NO_NOISE = {
     "fx": ({"fx": 1e-300}, ["fx"]),
-    "below the limit": ({"fx": 0.9e-9 * FZ}, ["fx"]),
     "fx without end": ({"fx": 1e300}, ["fx"]),
-    "relative": ({"fx_relative": 1e-150}, ["fx_relative"]),
-    "of the slip": ({"sigma_x": 1e-150}, ["sigma_x"]),
     "both": ({"fx": 1e-300, "sigma_x": 1e-150}, ["fx", "sigma_x"]),
 }
 
@@ -287,16 +243,6 @@ def test_impossible_noise_is_refused_with_other_problems(noise, keys):
     for problem, key in zip(others, keys, strict=True):
         assert problem.reason.startswith(f"noise.{key} = {noise[key]:g} is not a noise")
         assert f"leave noise.{key} out" in problem.remedy and problem.file == "my.toml"
-
-
-def test_noise_just_above_the_limit_ends_in_a_verdict():
-    tiny = 1.1e-9 * np.abs(curve()["fx"]).max()
-    config = {"noise": {"fx": tiny}, "solver": "gauss-newton"}
-    result = fit(curve(), config=config)
-    assert result.status == "poor fit"
-    # The inflation by chi2/dof gives back what the residuals alone say.
-    plain = solved(curve(), ESTIMATED)
-    np.testing.assert_allclose(result.covariance, plain.covariance, rtol=0.05)
 
 
 def test_impossible_noise_columns_are_refused_with_row_and_column():
@@ -319,16 +265,12 @@ def test_impossible_noise_columns_are_refused_with_row_and_column():
     [
         ({"fx": 7.5}, "noise of fx: column fx_std; noise.fx = 7.5 not used beside it"),
         (
-            {"fx_relative": 0.25},
-            "noise of fx: column fx_std; noise.fx_relative = 0.25 not used beside it",
-        ),
-        (
             {"sigma_x": 0.125},
             "noise of sigma_x: column sigma_x_std; noise.sigma_x = 0.125 not used beside it",
         ),
         ({"fy": 7.5}, "noise of fx: column fx_std"),
     ],
-    ids=["force", "share of the load", "slip", "another force"],
+    ids=["force", "slip", "another force"],
 )
 def test_a_noise_column_overrides_the_settings_and_is_reported(noise, said):
     stds = {"fx_std": np.full(20, STD), "sigma_x_std": np.full(20, 5e-4)}
@@ -358,24 +300,11 @@ def test_unknown_model_is_refused_with_the_closest(name, hint):
     assert hint in str(caught.value)
 
 
-def test_unreadable_files_are_refused(tmp_path):
+def test_a_file_with_a_mark_of_its_encoding_is_read(tmp_path):
     path = tmp_path / "fit.toml"
-    with pytest.raises(UsageError, match="cannot read it"):
-        load_config(path)
-    path.write_text("model = \n")
-    with pytest.raises(UsageError, match="not valid TOML"):
-        load_config(path)
-    path.write_bytes(b"model = '\xff'\n")
-    with pytest.raises(UsageError, match="not valid TOML"):
-        load_config(path)
-    path.write_text(
-        "\ufeffmodel = 'brush-d'\nseed = 3\n[noise]\nfx = 40\n"
-        "[parameters.mu]\nprior = {mean = 1.0, std = 0.1}\nper_run = true\n",
-        encoding="utf-8",
-    )
+    path.write_text("\ufeffmodel = 'brush-d'\n[parameters.mu]\nprior = {mean = 1.0, std = 0.1}\n")
     config = load_config(path)
-    assert (config.model, config.seed, config.noise.fx) == ("brush-d", 3, 40.0)
-    assert config.parameters["mu"].prior.std == 0.1
+    assert config.model == "brush-d" and config.parameters["mu"].prior.std == 0.1
 
 
 def test_errors_name_the_file_of_a_setting(tmp_path):
@@ -390,9 +319,3 @@ def test_errors_name_the_file_of_a_setting(tmp_path):
     assert "source" not in FitConfig.model_fields
     with pytest.raises(UsageError, match=r"fit\(\): seed = -1"):
         fit(curve(n=20), config=config, seed=-1)
-
-
-def test_an_empty_file_gives_the_default(tmp_path):
-    path = tmp_path / "fit.toml"
-    path.write_text("")
-    assert load_config(path).model_dump() == FitConfig().model_dump()

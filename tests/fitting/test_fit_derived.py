@@ -15,7 +15,7 @@ from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve.inference import deviance
-from tirefit.fitting.uncertainty.derived import derived_channel, derived_values, quantities
+from tirefit.fitting.uncertainty.derived import derived_values, quantities
 from tirefit.fitting.uncertainty.extremes import _bowl
 from tirefit.fitting.uncertainty.posterior import sample
 from tirefit.models import MODELS
@@ -53,16 +53,6 @@ def test_the_plateau_begins_at_full_sliding(model, extra, rho, channel):
     assert set(found) == set(quantities(channel))
 
 
-def test_the_slope_is_named_after_the_fitted_force():
-    assert next(iter(quantities("fx").items())) == ("C_x", ("N", "slope at zero slip"))
-    assert next(iter(quantities("fy"))) == "C_alpha"
-    assert quantities("fx")["slip_at_peak"][1].startswith("sigma_x")
-    assert quantities("fy")["slip_at_peak"][1].startswith("tan(alpha)")
-    assert derived_channel(("fy", "fx")) == "fx"
-    assert derived_channel(("mz", "fy")) == "fy"
-    assert derived_channel(("mz",)) is None
-
-
 @pytest.mark.parametrize("m", [0.7, 0.85])
 def test_the_peak_is_found_with_kinetic_friction(m):
     found = derived("brush-m", TRUTH | {"m": m})
@@ -73,12 +63,6 @@ def test_the_peak_is_found_with_kinetic_friction(m):
     peak = (4 - 3 * m) / (3 - 2 * m) ** 2
     np.testing.assert_allclose(found["F_max"], mu * FZ * peak, rtol=1e-12)
     np.testing.assert_allclose(found["F_max_over_fz"], mu * peak, rtol=1e-12)
-
-
-def test_uniform_pressure_has_no_peak():
-    found = derived("uniform", TRUTH)
-    assert np.isnan(found["slip_at_peak"])
-    assert found["F_max"] < TRUTH["mu"] * FZ
 
 
 def test_magic_formula_has_no_static_friction():
@@ -110,12 +94,6 @@ def test_a_quantity_of_one_parameter_has_its_interval(name, request):
             assert found.std is None
         else:
             np.testing.assert_allclose(found.std, factor * parameter.std, rtol=1e-3)
-
-
-def test_undetermined_quantities_are_not_identified(vague):
-    slip = vague.derived["slip_at_peak"]
-    assert not slip.identified and slip.std is None
-    assert vague.derived["C_x"].identified and vague.derived["C_x"].std > 0
 
 
 def brute_force(data, of, start, bounds, reach):
@@ -164,18 +142,6 @@ def test_peak_of_three_parameters_agrees_with_brute_force():
     np.testing.assert_allclose(found.ci95, ends, atol=0.01 * np.ptp(ends))
     # Nearly a parabola here: twice 1.96 standard deviations.
     np.testing.assert_allclose(np.ptp(ends), 3.92 * found.std, rtol=0.03)
-
-
-def test_slip_of_two_parameters_agrees_with_brute_force(given):
-    found = given.derived["slip_at_peak"]
-    ends = brute_force(
-        curve(),
-        lambda t, x: {"cpa2": x[0], "mu": t * x[0] / 1.5 / FZ},
-        [5e4],
-        ([1e3], [1e6]),
-        (0.9 * found.value, 1.1 * found.value),
-    )
-    np.testing.assert_allclose(found.ci95, ends, atol=0.01 * np.ptp(ends))
 
 
 def test_the_peak_is_right_with_a_parameter_at_its_bound():
@@ -276,19 +242,6 @@ def test_posterior_quantities_use_the_posterior_draws(given, chunk):
     assert sampled.parameters["mu"].value == np.median(mu)
     assert sampled.source == "posterior median and central 95 %"
     assert sampled.to_dict()["source"] == sampled.source
-
-
-def test_least_squares_is_the_source_without_a_posterior(given):
-    assert given.source == "least squares, profile likelihood"
-    assert given.to_dict()["source"] == given.source
-
-
-def test_a_tied_parameter_follows_its_estimate():
-    config = {"parameters": {"d": {"tied": "mu", "factor": -0.2}}}
-    problem = build(curve(), "brush-d", parse_config(config)).problem
-    mu = Estimate(0.5, 0.25, "-", (0.25, 1.0))
-    found = with_fixed({"cpa2": Estimate(5e4, 1.0, "N", (1.0, 2.0)), "mu": mu}, problem)
-    assert found["d"] == Estimate(-0.1, 0.05, "-", (-0.2, -0.05))
 
 
 def test_a_parameter_tied_to_one_per_run_has_an_estimate_per_run():

@@ -12,7 +12,7 @@ from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie, choose_la
 from tirefit.fitting.problem.likelihood import root_deviance
 from tirefit.fitting.solve.inference import linearise, minima, residuals
 from tirefit.fitting.solve.least_squares import least_squares
-from tirefit.fitting.solve.multistart import laid_out
+from tirefit.fitting.solve.multistart import with_densities
 from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import UsageError
@@ -30,11 +30,6 @@ LAYOUT = Layout(
 VALUES = {"cpa2": 4e4, "mu[dry]": 1.1, "mu[wet]": 0.7, "mu[ice]": 0.1, "d": 0.3}
 
 
-def test_labels_are_in_the_order_of_z():
-    assert LAYOUT.labels == ("cpa2", "mu[dry]", "mu[wet]", "mu[ice]", "d")
-    assert LAYOUT.size == 5
-
-
 def test_natural_inverts_unconstrained():
     z = LAYOUT.unconstrained(VALUES)
     np.testing.assert_allclose(LAYOUT.vector(z), list(VALUES.values()), rtol=1e-12)
@@ -42,12 +37,6 @@ def test_natural_inverts_unconstrained():
     np.testing.assert_allclose(named["mu"], [1.1, 0.7, 0.1], rtol=1e-12)
     np.testing.assert_allclose(named["d"], 0.3, rtol=1e-12)
     assert named["cpa2"].shape == () and named["mu"].shape == (3,)
-
-
-def test_unconstrained_inverts_vector():
-    z = jnp.linspace(-4, 4, 5)
-    values = dict(zip(LAYOUT.labels, LAYOUT.vector(z), strict=True))
-    np.testing.assert_allclose(LAYOUT.unconstrained(values), z, atol=1e-10)
 
 
 def test_one_value_by_name_serves_every_run():
@@ -64,11 +53,6 @@ def test_prior_residuals_are_deviations_in_prior_standard_deviations():
     pulls = LAYOUT.prior_residual(LAYOUT.unconstrained(VALUES))
     expected = [(v - 0.9) / 0.05 for v in (1.1, 0.7, 0.1)] + [(0.3 - 0.1) / 0.2]
     np.testing.assert_allclose(pulls, expected, rtol=1e-9)
-
-
-def test_without_priors_there_are_no_pseudo_measurements():
-    plain = Layout((FreeParameter("mu", SPECS["mu"]),))
-    assert plain.prior_residual(jnp.zeros(1)).shape == (0,)
 
 
 def test_log_volume_is_the_jacobian_up_to_a_constant():
@@ -207,7 +191,7 @@ def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
     task = build(table(columns, run=run, runs=RUNS), "brush", config)
     truth = {"cpa2": 5e4, "mu[dry]": 1.0, "mu[wet]": 0.7, "mu[ice]": 0.4}
     z = jnp.asarray(task.problem.layout.unconstrained(truth))
-    problem = laid_out(task.problem, {}, z + 0.01)
+    problem = with_densities(task.problem, {}, z + 0.01)[0]
     assert problem.layout.is_sparse and problem.layout.size == 4
 
     def whole(z):

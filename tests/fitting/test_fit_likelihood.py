@@ -11,7 +11,7 @@ from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.latent_slip import _erfcx, _normal_part
 from tirefit.fitting.problem.likelihood import LOSSES, root_deviance, row_moments
-from tirefit.fitting.solve.multistart import laid_out
+from tirefit.fitting.solve.multistart import with_densities
 
 OFF = {"cpa2": 4.6e4, "mu": 0.97}
 TAU = 0.004
@@ -23,7 +23,7 @@ def small(n=11, loss="squares", tau=None, values=OFF, force_std=STD):
     data = curve(n=n, seed=8, slip_std=tau or 0.0)
     task = build(data, "brush", parse_config({"noise": noise}))
     z = np.asarray(task.problem.layout.unconstrained(values))
-    return data, laid_out(task.problem, {}, z)
+    return data, with_densities(task.problem, {}, z)[0]
 
 
 def blocks(problem, values=OFF):

@@ -6,11 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import xarray as xr
-from recipes import GIVEN, brush_force, curve, table
+from recipes import brush_force
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.store import posterior_content
 from tirefit.fitting.uncertainty.importance import draw_weighted, smoothed
 from tirefit.fitting.uncertainty.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
@@ -197,17 +195,6 @@ def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, chun
     assert content["k_hat"] == summary.k_hat and content["note"] == summary.note
 
 
-def test_importance_interrupted_before_any_point_is_reported(given, monkeypatch):
-    from tirefit.fitting.uncertainty import posterior
-
-    def interrupted(u):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(posterior, "_density", lambda solved: interrupted)
-    result = sample(given, sampler="importance")
-    assert Outcome.INTERRUPTED in result.outcomes and result.posterior is None
-
-
 def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
     written = {path.name for path in save_figures(weighted, tmp_path)}
     assert "corner.png" in written and "trace.png" not in written
@@ -215,18 +202,6 @@ def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
         weighted.plot("trace")
     text = " ".join(fit_report(weighted).split())
     assert "k-hat" in text and "no chain" in text and "R-hat" not in text
-
-
-def test_arviz_reads_weighted_draws(arviz, weighted, tmp_path):
-    path = tmp_path / "posterior.nc"
-    path.write_bytes(posterior_content(weighted))
-    with xr.open_datatree(path, engine="h5netcdf") as tree:
-        posterior = tree["posterior"].to_dataset().load()
-    assert posterior.attrs["sampler"] == "importance"
-    assert posterior.sizes["chain"] == 1
-    for label in weighted.labels:
-        ess = float(arviz.ess(posterior[label].values, method="mean"))
-        assert ess / weighted.posterior.ess[label] == pytest.approx(1, abs=0.15)
 
 
 @pytest.mark.long
@@ -271,35 +246,6 @@ def test_nuts_counts_divergences():
     density = partial(gaussian_or_funnel, funnel=np.array(True))
     *_, state = nuts_chunk(density, nuts_start(density, 2, 4, 8, 0), 50)
     assert state["divergences"] > 0
-
-
-def runs_of(count: int):
-    """``count`` brushes whose stiffness and friction differ, one run each."""
-    generator = np.random.default_rng(4)
-    parts = [
-        curve({"cpa2": 5e4 * a, "mu": b}, n=60, seed=i, name=f"r{i}")
-        for i, (a, b) in enumerate(generator.uniform(0.8, 1.2, (count, 2)))
-    ]
-    columns = {k: np.concatenate([p.columns[k] for p in parts]) for k in ("sigma_x", "fx", "fz")}
-    names = tuple(f"r{i}" for i in range(count))
-    return table(columns, run=np.repeat(np.arange(count), 60), runs=names)
-
-
-@pytest.mark.long
-def test_nuts_samples_many_parameters():
-    """Four runs with separate stiffness and friction: 8 parameters, whose posterior
-    factors into runs, so that each interval agrees with its profile."""
-    each = {"per_run": True}
-    config = GIVEN | {"parameters": {"mu": each, "cpa2": each}}
-    result = fit(runs_of(4), "brush", config=config)
-    assert len(result.labels) == 8
-    drawn = sample(result, sampler="nuts", effective_samples=500)
-    assert drawn.posterior.outcome is Outcome.CONVERGED
-    assert drawn.posterior.divergences == 0
-    for label in result.labels:
-        low, high = drawn.intervals["posterior"][label]
-        below, above = result.intervals["profile"][label]
-        assert abs(low - below) + abs(high - above) < 0.2 * (above - below), label
 
 
 def test_a_density_is_differentiable_and_batched(given):

@@ -1,8 +1,5 @@
 """Least squares: every solver compared with SciPy and certified values."""
 
-import subprocess
-import sys
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -228,26 +225,3 @@ def test_what_is_no_solver_is_refused_with_the_choices(solver):
         fit(curve(), "brush", config=config)
     for name in SOLVERS:
         assert name in str(refused.value)
-
-
-DEFAULT_FIT = """
-import sys
-
-import jax
-
-jax.config.update("jax_enable_x64", True)
-import tirefit
-
-fitted = tirefit.fit(tirefit.read(sys.argv[1], convention="braking"), "brush")
-print(fitted.status, "jaxopt" in sys.modules)
-"""
-
-
-def test_a_fit_imports_jaxopt_only_if_it_is_chosen(tmp_path):
-    """The default solver works where jaxopt does not work with the installed JAX."""
-    data = curve()
-    rows = np.transpose([data[name] for name in ("sigma_x", "fx", "fz")])
-    np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="sigma_x,fx,fz", comments="")
-    program = [sys.executable, "-c", DEFAULT_FIT, tmp_path / "d.csv"]
-    done = subprocess.run(program, capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "ok False\n"), done.stderr

@@ -1,10 +1,10 @@
-"""Fits of a transient model, of one with a reference load, of a tabulated pressure."""
+"""Fits of a transient model, and of one with a reference load."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from recipes import GIVEN, brush_force, curve, solved, table
+from recipes import brush_force, solved, table
 
 import tirefit
 from tirefit.data.table import Source
@@ -14,7 +14,7 @@ from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.batch import fit_many
 from tirefit.fitting.solve.far_rows import settle
 from tirefit.fitting.uncertainty.bands import fitted_force
-from tirefit.models import MODELS, Brush, Tabulated, TireInputs
+from tirefit.models import TireInputs
 from tirefit.results import DataError, UsageError
 
 LENGTH, V, FZ, NOISE = 0.5, 10.0, 4000.0, 20.0
@@ -153,14 +153,6 @@ def test_runs_that_alternate_are_refused():
     assert error.value.problems[0].row == 202
 
 
-def test_time_and_speed_are_needed():
-    columns = {k: v for k, v in DATA.columns.items() if k not in ("time", "v")}
-    with pytest.raises(DataError) as error:
-        build(table(columns), "brush-relaxation", parse_config(CONFIG))
-    text = str(error.value)
-    assert "needs v " in text and "needs time " in text
-
-
 def test_settings_that_remove_history_are_refused():
     """All problems at once: limits of the slip, and its noise."""
     config = {"noise": {"sigma_x": 0.01}, "data": {"slip_max": 0.1, "slip_min": -1.0}}
@@ -214,16 +206,3 @@ def test_fit_recovers_the_load_dependence_of_parameters():
     assert list(values) == list(truth)
     np.testing.assert_allclose(list(values.values()), list(truth.values()), rtol=0.05)
     np.testing.assert_allclose(found.chi2_dof, 1.0, atol=0.3)
-
-
-# A pressure of one's own
-
-
-@pytest.mark.long
-def test_a_tabulated_pressure_is_fitted_under_its_name(monkeypatch):
-    """4,000 chords of the parabola give the same estimate and covariance."""
-    law = Tabulated.from_function(lambda xi: 1 - xi**2)
-    monkeypatch.setitem(MODELS, "mine", Brush(pressure=law))
-    mine, plain = solved(curve(), GIVEN, "mine"), solved(curve(), GIVEN)
-    np.testing.assert_allclose(mine.z, plain.z, atol=1e-6)
-    np.testing.assert_allclose(mine.covariance, plain.covariance, rtol=1e-3)

@@ -38,13 +38,6 @@ def test_noise_given_ten_times_too_small_is_a_poor_fit(given):
         np.testing.assert_allclose(ratio, 1.0, rtol=0.1)
 
 
-def test_noise_given_too_large_is_believed(given):
-    result = fit(curve(), config=GIVEN | {"noise": {"fx": STD * 2}})
-    ratio = result.least_squares["mu"].std / given.least_squares["mu"].std
-    np.testing.assert_allclose(ratio, 2.0, rtol=1e-3)
-    assert result.statistics.chi2_dof < 0.5
-
-
 def test_a_good_fit_gives_no_warning(given, estimated):
     for result in (given, estimated):
         assert result.status == "ok" and result.warnings == ()
@@ -52,18 +45,6 @@ def test_a_good_fit_gives_no_warning(given, estimated):
         assert result.outcomes == ()
     assert 0.8 < given.statistics.chi2_dof < 1.2
     assert estimated.statistics.chi2_dof is None
-
-
-def test_estimated_noise_is_reported_and_right(estimated):
-    assert estimated.noise["fx"]["source"] == "estimated"
-    assert "noise of fx: estimated from the residuals" in estimated.noise["notes"]
-    np.testing.assert_allclose(estimated.noise["fx"]["median_std"], STD, rtol=4 / np.sqrt(800))
-
-
-def test_unidentified_parameter_is_named(vague):
-    assert vague.status == "not identified"
-    assert any(s.startswith("mu is not identified") for s in vague.warnings)
-    assert vague.to_dict()["outcomes"][0] == "not_identified"
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
@@ -255,46 +236,6 @@ def test_a_force_that_the_model_lacks_is_refused(model, asked, missing):
     data = curve(extra={"alpha": slip, "mz": slip, "fy": slip})
     with pytest.raises(UsageError, match=missing):
         build(data, model, parse_config({"force": asked}))
-
-
-def test_unknown_solver_is_refused():
-    with pytest.raises(UsageError, match="solver"):
-        fit(curve(), solver="newton")
-
-
-@pytest.mark.parametrize(
-    ("stiffness_power", "mu_load", "hinted"),
-    [(1.6, 0.0, True), (0.0, -0.3, True), (0.0, 0.0, False)],
-)
-def test_residuals_that_follow_the_load_hint_at_brush_load(stiffness_power, mu_load, hinted):
-    from tirefit.sim.simulate import simulate
-
-    values = {
-        "cpa2": 5e4,
-        "mu": 0.9,
-        "stiffness_power": stiffness_power,
-        "mu_load": mu_load,
-        "fz0": 4000.0,
-    }
-    made = simulate("rig", model="brush-load", values=values, load=[2000.0, 4000.0, 6000.0], seed=1)
-    data = read_frame(dict(made.columns), convention="braking")
-    said = " ".join(fit(data, "brush").warnings)
-    assert ("use brush-load: fitted to these rows" in said) is hinted
-    assert ("loads from 2000 to 6000 N" in said) is hinted
-    assert "brush-load lets" not in " ".join(fit(data, "brush-load").warnings)
-
-
-def test_a_fit_with_slip_noise_at_several_loads_has_a_verdict():
-    """Without one residual per row and force there is no hint."""
-    from tirefit.sim.simulate import simulate
-
-    values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": 1.6, "fz0": 4000.0}
-    made = simulate("rig", model="brush-load", values=values, load=[2000.0, 6000.0], seed=1)
-    columns = {name: column[::4] for name, column in made.columns.items()}
-    data = read_frame(columns, convention="braking")
-    result = fit(data, "brush", config={"noise": {"sigma_x": 0.001}})
-    assert result.status != "ok"
-    assert "brush-load lets" not in " ".join(result.warnings)
 
 
 @pytest.mark.parametrize("factor", [2.0, 1000.0])

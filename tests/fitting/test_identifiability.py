@@ -130,6 +130,8 @@ def test_a_bound_does_not_determine_a_parameter():
         (gate,) = identifiability(read_frame(frame), [model]).gates
         (last,) = gate.parameters[-1:]
         assert last.name in "nh" and last.grade != "well"
+        # The ends of its interval are more than a factor of ten apart.
+        assert (gate.parameters[0].name, gate.parameters[0].grade) == ("cpa2", "not")
 
 
 def test_default_and_given_models_are_evaluated():

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.data.tir.tir_keys import COEFFICIENTS, ONLY_IN
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.parts import NEVER_FITTED, PARTS, VERSIONS, coefficients_of, influences
+from tirefit.fitting.mf.parts import NEVER_FITTED, PARTS, coefficients_of, influences
 from tirefit.fitting.mf.priors import normal_form, published_priors
 from tirefit.fitting.mf.solve import Problem, blocks_of, minimise, row_gradients
 from tirefit.fitting.problem.noise import NoiseLaw, noise_law
@@ -249,7 +249,3 @@ def test_data_without_the_force_or_with_few_rows_are_refused():
     in_bar = table | {"pressure": np.full(len(table["fz"]), 2.2)}
     with pytest.raises(DataError, match=r"2\.2 Pa(.|\n)*units=.*bar"):
         fit_magic_formula(read_frame(in_bar), "mf61")
-
-
-def test_versions_agree_with_the_models():
-    assert {k: v.version for k, v in MAGIC_FORMULAS.items()} == VERSIONS

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig import MF52, MF61, NOISE, TIRES, Plan, family_of, measured, points, sweeps, tire_of
+from rig import MF61, NOISE, TIRES, Plan, family_of, measured, points, sweeps, tire_of
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir.tir import read_tir
-from tirefit.diagnosis.diagnose import diagnose
 from tirefit.fitting.mf import fit as fit_module
-from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import save_magic_formula, tir_of
 from tirefit.fitting.predict import predict
@@ -108,31 +106,6 @@ def test_forces_are_recovered_within_and_beyond_the_loads(monkeypatch, tmp_path)
         np.testing.assert_allclose(of_file[force], own[force], rtol=1e-9, atol=1e-6)
         for name in (force, f"{force}_std"):
             np.testing.assert_allclose(stored[name], own[name], rtol=1e-9, atol=1e-6)
-
-
-@pytest.mark.statistics
-def test_a_version_is_converted_to_another():
-    """F_x of 5.2 is exact in 6.1, and F_y nearly."""
-    fit = converted(read_tir(MF52), "mf61", 0.3, [5000.0, 9000.0, 13000.0])
-    assert fit.fitted["fx"][0] < 1e-3
-    assert fit.fitted["fy"][0] < 10.0
-    assert fit.tire.nominal.FNOMIN == 9416.6
-
-
-@pytest.mark.statistics
-def test_a_drift_is_named_with_a_magic_formula_simulator():
-    """A friction that falls by 8 % over a test with loads in random order."""
-    table = measured(MF61, n=30, loads=4)
-    pure = np.abs(table["sigma_x"]) < 1e-9
-    names = ("alpha", "fz", "gamma", "pressure", "fy", "run")
-    table = {name: table[name][pure] for name in names}
-    runs = np.unique(table["run"])
-    order = np.random.default_rng(5).permutation(len(runs))
-    place = np.searchsorted(runs, table["run"])
-    table["time"] = 40.0 * order[place] + np.tile(np.arange(30.0), len(runs))
-    table["fy"] = table["fy"] * (1 - 0.08 * table["time"] / table["time"].max())
-    found = diagnose(read_frame(table), "mf61")
-    assert found.verdict.effects[0] == "friction_drift"
 
 
 @pytest.mark.statistics

@@ -16,11 +16,6 @@ LOADS = (1500.0, 3000.0, 4500.0, 6000.0, 7500.0)
 SLIP = np.linspace(-0.2, 0.2, 60)
 
 
-def four_coefficients(alpha, B, C, D, E, fz):
-    x = B * alpha
-    return D * fz * np.sin(C * np.arctan(x - E * (x - np.arctan(x))))
-
-
 def over_settings(column, values, force, noise=0.006):
     """One sweep at each value of a column; ``force`` of (alpha, value, load)."""
     generator, parts = np.random.default_rng(3), []
@@ -30,24 +25,6 @@ def over_settings(column, values, force, noise=0.006):
         both = {"alpha": SLIP, "fy": fy, "fz": fz, column: value}
         parts.append(np.array([np.broadcast_to(v, SLIP.shape) for v in both.values()]))
     return table(dict(zip(both, np.concatenate(parts, axis=1), strict=True)))
-
-
-@pytest.mark.long
-def test_misfit_over_the_load_is_reported_as_systematic():
-    """A tire whose stiffness factor and friction fall with the load."""
-
-    def force(alpha, fz):
-        B, D = 11.0 * (fz / 4000) ** -0.3, 1.3 - 0.1 * fz / 4000
-        return four_coefficients(alpha, B, 1.45, D, -0.6, fz)
-
-    result = fit(over_settings("fz", LOADS, force), "magic-formula")
-    assert result.statistics.r2 > 0.99
-    assert "not identified" not in result.outcomes
-    assert result.status == "systematic misfit"
-    first = result.warnings[0]
-    assert "depends on the load" in first and "mf61" in first
-    assert "loads from 1500 to 7500 N" in first
-    assert not any("anything from" in s for s in result.warnings)
 
 
 def kinetic(alpha, mu, cpa2=6e4, fz=4000.0):

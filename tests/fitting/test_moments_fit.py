@@ -102,14 +102,6 @@ def test_the_files_reproduce_the_moments(tmp_path):
         assert np.max(own) < noise
 
 
-@pytest.mark.long
-def test_one_moment_is_fitted_with_the_forces_it_depends_on():
-    fit = fitted(part="my")
-    assert fit.parts == ("fx", "fy", "combined", "my")
-    assert fit.coefficients["QSY1"] == whole().coefficients["QSY1"]
-    assert "QSX1" not in fit.coefficients
-
-
 def test_an_overturning_moment_needs_a_lateral_force():
     """A given coefficient of it is written to the file all the same."""
     fit = fitted(without=("fy",), QSX3={"value": 0.02})

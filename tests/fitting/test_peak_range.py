@@ -1,6 +1,5 @@
 """Below the peak the verdict gives the range of the peak over models of other shapes."""
 
-import json
 from itertools import product
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from tirefit.fitting.verdict.family import (
     solved_as,
 )
 from tirefit.report.fit_report import fit_report
-from tirefit.results import ExitCode, Outcome, exit_code
 
 HALF = 0.5  # of full sliding, where a brush has 1 - 0.5^3 = 87.5 % of its peak
 
@@ -61,21 +59,6 @@ def test_range_is_that_of_separate_fits(below):
     np.testing.assert_allclose(one.models["brush-d"], alone, rtol=1e-3)
     # A curve that is analytic at zero slip does not bend as a brush: both sides contradict it.
     assert one.worse == ("magic-formula",)
-
-
-def test_file_has_the_range(below):
-    stored = json.loads(below.to_json())
-    (one,) = below.peak_range.values()
-    assert stored["peak_range"]["F_max_over_fz"]["low"] == one.low
-    assert stored["verdict"]["status"] == below.status
-    assert stored["outcomes"] == ["shape_dependent"]
-
-
-def test_exit_code_is_its_own():
-    assert exit_code([Outcome.SHAPE_DEPENDENT]) == ExitCode.SHAPE_DEPENDENT == 6
-    both = [Outcome.SHAPE_DEPENDENT, Outcome.NOT_IDENTIFIED]
-    assert exit_code(both, strict=True) == ExitCode.NOT_IDENTIFIED
-    assert exit_code([Outcome.NOT_CONVERGED, *both]) == ExitCode.NOT_CONVERGED
 
 
 def test_rows_that_reach_the_peak_are_ok():

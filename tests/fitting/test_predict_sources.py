@@ -25,14 +25,9 @@ def fitted():
     return tirefit.fit(ROWS | {"fx": force}, "brush")
 
 
-def test_a_saved_fit_predicts_as_the_fit(fitted, tmp_path):
-    fitted.save(tmp_path)
-    expected, found = tirefit.predict(fitted, ROWS), tirefit.predict(tmp_path / "fit.json", ROWS)
-    assert found.keys() == expected.keys() == {"fx", "fx_std"}
-    for name, values in expected.items():
-        np.testing.assert_allclose(found[name], values, rtol=1e-12)
+def test_values_together_with_a_fit_are_refused(fitted):
     with pytest.raises(UsageError, match="values together with a fit"):
-        tirefit.predict(tmp_path / "fit.json", ROWS, {"mu": 0.5})
+        tirefit.predict(fitted, ROWS, {"mu": 0.5})
 
 
 def test_rows_outside_the_fitted_ranges_are_counted(fitted, tmp_path):

@@ -37,12 +37,6 @@ def test_completion_offers_results_and_no_internals(fit):
     assert not offered & {"problem", "solved", "asked", "internal", "text_by", "page_by"}
 
 
-def test_help_of_fit_lists_the_settings():
-    text = tirefit.fit.__doc__
-    for name in ("parameters", "lower", "prior", "per_run", "noise", "loss", "sampler"):
-        assert name in text
-
-
 def test_predict_of_a_fit_is_the_function(fit):
     rows = {"sigma_x": np.array([0.02, 0.4]), "fz": np.array([3000.0, 5000.0])}
     own, other = fit.predict(rows), tirefit.predict(fit, rows)
@@ -102,9 +96,3 @@ def test_a_diagnosis_gives_a_data_frame():
     assert frame.loc[("effect", name), "value"] == size.value == pytest.approx(0.006, abs=0.001)
     assert frame.loc[("gap", "rms"), "value"] == found.gap.rms
     assert "frame" not in dir(found) and "to_frame" in dir(found)
-
-
-def test_fits_of_a_mapping_can_be_compared(fit, swept):
-    fits = {"brush": fit, "elliptic": tirefit.fit(swept.columns, "elliptic")}
-    table = tirefit.compare(fits.values())
-    assert {one.model for one in table.models} == {*fits} and table.models[0].model == "brush"

@@ -9,10 +9,9 @@ from scipy.stats import binom
 from slip_bound import smallest_scatter
 
 from tirefit.data.read import read_frame
-from tirefit.fitting.estimate import _noise_record, fit
+from tirefit.fitting.estimate import _noise_record
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.far_rows import settle
-from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
 from tirefit.report.fit_tables import noise_text
 from tirefit.results import DataError
 
@@ -121,30 +120,6 @@ def test_the_report_states_the_part_of_the_slip_noise_in_the_scatter():
     text = noise_text(SimpleNamespace(noise=record, data={}))
     assert f"noise of sigma_x: {100 * share:.2g} % of the variance of fx" in text
     assert "true slips: a smooth density that is estimated here" in text
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("shape", "fy_std"), [("uniform", 5.0), ("sine", 200.0)])
-def test_weighted_draws_have_the_moments_of_the_posterior_on_a_grid(shape, fy_std):
-    """Within four standard errors of the number of draws. The draws need few points, as each
-    is an integral for every row: 27 s of processor for 5,120 of them were too many."""
-    data, config = file_of(shape, fy_std, 0.02, 0)
-    result = fit(data, "brush", config=config)
-    drawn = sample(result)
-    assert drawn.posterior.sampler == "importance" and drawn.posterior.steps <= 1536
-    draws = drawn.walkers.reshape(-1, 2)
-    density, (center, root) = _density(result.solved), _whitening(result.solved)
-    axis = np.linspace(-6.0, 6.0, 48)
-    u = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    log = np.concatenate([np.asarray(density(part)) for part in np.split(u, 9)])
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
-    values = result.problem.layout.vector((center + u @ root.T).T).T
-    mean = weight @ values
-    std = np.sqrt(weight @ (values - mean) ** 2)
-    assert len(draws) >= 1000
-    assert np.all(np.abs(draws.mean(axis=0) - mean) < 4 * std / np.sqrt(len(draws)))
-    assert np.all(np.abs(draws.std(axis=0) / std - 1) < 4 / np.sqrt(2 * len(draws)))
 
 
 @pytest.mark.long

@@ -61,13 +61,9 @@ def predict_forces(
     Returns:
         (force, variance): dicts of arrays (n,) for each force that is modelled.
     """
-    force, variance = _linearised(
-        model, layout, np.asarray(z), np.asarray(covariance), inputs, np.asarray(run)
-    )
-    return (
-        {k: np.asarray(v) for k, v in force.items()},
-        {k: np.asarray(v) for k, v in variance.items()},
-    )
+    at = np.asarray(z), np.asarray(covariance), inputs, np.asarray(run)
+    force, variance = jax.tree.map(np.asarray, _linearised(model, layout, *at))
+    return force, variance
 
 
 def _inputs(data: TireData) -> TireInputs:
@@ -78,7 +74,7 @@ def _inputs(data: TireData) -> TireInputs:
 
 
 def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
-    if not any(parameter.per_run for parameter in layout.free):
+    if not layout.is_sparse:
         return data.run[data.used]
     unknown = [run for run in data.runs if run not in layout.runs]
     if unknown:
@@ -160,8 +156,7 @@ def predict(
         )
     for channel in fitted:
         out[channel] = force[channel]
-        known = noise.get(channel)
-        std = _noise_std(data, channel, known, force[channel], reference)
+        std = _noise_std(data, channel, noise[channel], force[channel], reference)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
@@ -198,12 +193,10 @@ def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
     return messages
 
 
-def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):
+def _noise_std(data: TireData, channel: str, record: Mapping, force, reference):
     """Noise of one measurement, from a column of the data or from the fit."""
     if f"{channel}_std" in data:
         return data[f"{channel}_std"]
-    if record is None:
-        return 0.0
     names = np.array(data.runs)[data.run]
     return noise_std(record, data["fz"], force, names, reference["fz"])
 

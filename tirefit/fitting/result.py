@@ -326,7 +326,7 @@ class FitResult(Record):
             "reference": self.reference,
             "correlation": {"labels": list(self.labels), "matrix": self.correlation},
             "fit": asdict(self.statistics),
-            "posterior": _posterior_dict(self.posterior),
+            "posterior": None if self.posterior is None else asdict(self.posterior),
             "prediction": {
                 "labels": list(self.labels),
                 "z": self.z,
@@ -347,12 +347,6 @@ class FitResult(Record):
     def to_json(self) -> str:
         """Text of ``fit.json``, with a checksum."""
         return json_text(sealed(self.to_dict()))
-
-
-def _posterior_dict(summary: PosteriorSummary | None) -> dict | None:
-    if summary is None:
-        return None
-    return asdict(summary)
 
 
 def layout_record(layout: Layout, model: AbstractTire) -> dict:

@@ -321,18 +321,10 @@ def record_of_fit(content: Mapping, result: str) -> FileRecord:
         result: the path of the fit.
     """
     rows = [
-        Row(
-            kind,
-            name,
-            one["value"],
-            one["std"],
-            one["ci95"][0],
-            one["ci95"][1],
-            one["unit"],
-            one["identified"],
-        )
+        Row(kind, name, one["value"], one["std"], low, high, one["unit"], one["identified"])
         for kind, section in (("parameter", "parameters"), ("derived", "derived"))
         for name, one in content[section].items()
+        for low, high in [one["ci95"]]
     ]
     rows += [Row("statistic", name, content["fit"][name]) for name in _STATISTICS]
     return FileRecord(

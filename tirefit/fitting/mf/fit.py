@@ -131,7 +131,8 @@ def fit_magic_formula(
     found = {force: rig_settings(of_force) for force, of_force in rows.items()}
     settings = {force: own for force, (own, _) in found.items()}
     rows = {force: replace(of, setting=found[force][1]) for force, of in rows.items()}
-    start = _start(problem, first) if first else None
+    centre = np.zeros(len(problem.names))
+    start = problem.started(centre, normal_form(first)) if first else None
     # As many stages as kinds of rows, and about as many parts left out.
     steps, done = 2 * sum(len(set(of.pure)) for of in rows.values()), count()
 
@@ -230,17 +231,6 @@ def nominal_of(
         if name not in given
     ]
     return with_values(empty, assumed | given), notes
-
-
-def _start(problem: Problem, first: Mapping[str, float]) -> np.ndarray:
-    """u (p,) of the given coefficients where they are free, else of the centres."""
-    u = np.zeros(len(problem.names))
-    for name, value in normal_form(first).items():
-        if name in problem.names:
-            i = problem.names.index(name)
-            if problem.free[i] and (value > 0 or not problem.log[i]):
-                u[i] = problem.unit(name, value)
-    return u
 
 
 def _rounded(value: float) -> float:

@@ -9,7 +9,7 @@ evaluations; forward tangents would cost one evaluation per coefficient. Blocks 
 sizes, so that all files, forces and stages share three compiled programs.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -94,6 +94,14 @@ class Problem:
         if self.log[i]:
             return float(np.log(value / self.centre[i]) / self.spread[i])
         return float((value - self.centre[i]) / self.spread[i])
+
+    def started(self, u: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """u (p,) with the free coefficients at these values, where they can have them."""
+        u = u.copy()
+        for i, name in enumerate(self.names):
+            if name in values and self.free[i] and (values[name] > 0 or not self.log[i]):
+                u[i] = self.unit(name, values[name])
+        return u
 
     def with_free(self, names: Sequence[str]) -> "Problem":
         """The same problem with exactly these coefficients free."""

@@ -282,17 +282,10 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
 
 def _starts(work: Search, group: Group) -> list[np.ndarray]:
     """First values of u; in combined slip, the end of the stage of pure slip."""
-    problem = work.problem
     if work.groups[group.force]:
         return [work.u]
-    starts = [work.u] if work.near else []
-    for values in first_values(group):
-        u = work.u.copy()
-        for i, name in enumerate(problem.names):
-            if name in values and problem.free[i]:
-                u[i] = problem.unit(name, values[name])
-        starts.append(u)
-    return starts
+    near = [work.u] if work.near else []
+    return near + [work.problem.started(work.u, values) for values in first_values(group)]
 
 
 _SHAPES: dict[str, tuple[dict[str, float], ...]] = {

@@ -213,17 +213,22 @@ def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, flo
     guess = {p.name: float(parameter_values(model)[p.name]) for p in layout.free}
     if name is None:
         return guess
-    slip, force = data.usable(CHANNEL_SLIP[name]), data.usable(name)
-    fz = data.usable("fz")
-    size = np.abs(slip)
-    low = size <= max(np.quantile(size, 0.3), 0.15 * size.max())
-    stiffness = float(slip[low] @ force[low] / max(slip[low] @ slip[low], 1e-12))
-    peak = float(np.quantile(np.abs(force) / fz, 0.97))
-    load = float(np.median(fz))
-    stiffness = max(1.2 * stiffness, peak * load / max(size.max(), 1e-6))
+    stiffness, peak, load = slope_and_peak(data, name)
+    largest = np.max(np.abs(data.usable(CHANNEL_SLIP[name])))
+    stiffness = max(1.2 * stiffness, peak * load / max(largest, 1e-6))
     peak = min(max(1.03 * peak, 0.02), 4.0)
     of_curve = guess_from_curve(stiffness, peak, load)
     return {name: of_curve.get(name, value) for name, value in guess.items()}
+
+
+def slope_and_peak(data: TireData, force: str) -> tuple[float, float, float]:
+    """Slope of a force at small slip [N], its largest value over the load, and the typical
+    load [N]."""
+    slip, value, load = data.usable(CHANNEL_SLIP[force]), data.usable(force), data.usable("fz")
+    size = np.abs(slip)
+    low = size <= max(np.quantile(size, 0.3), 0.15 * size.max())
+    slope = float(slip[low] @ value[low] / max(slip[low] @ slip[low], 1e-12))
+    return slope, float(np.quantile(np.abs(value) / load, 0.97)), float(np.median(load))
 
 
 def guess_from_curve(stiffness, peak, load) -> dict:

@@ -365,11 +365,8 @@ def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
 
 def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
     """:func:`moments` of a problem's own rows, without padding."""
-    mean, variance = moments(problem, z)
-    return (
-        {name: problem.used(value) for name, value in mean.items()},
-        {name: problem.used(value) for name, value in variance.items()},
-    )
+    mean, variance = jax.tree.map(problem.used, moments(problem, z))
+    return mean, variance
 
 
 @partial(jax.jit, compiler_options=BRIEF)

@@ -6,6 +6,7 @@ import numpy as np
 
 from tirefit.data.rig.levels import levels
 from tirefit.data.table import TireData
+from tirefit.fitting.problem.build import slope_and_peak
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
 from tirefit.fitting.problem.noise import autocorrelation_time
 
@@ -81,11 +82,7 @@ def scatter_of(data: TireData, force: str, parts) -> Scatter:
 
 def curve_of(data: TireData, force: str) -> tuple[float, float, float]:
     """Slope of the force at small slip [N], largest force over load, typical load."""
-    slip, value = data.usable(CHANNEL_SLIP[force]), data.usable(force)
-    load = data.usable("fz")
-    size = np.abs(slip)
-    low = size <= max(np.quantile(size, 0.3), 0.15 * size.max())
-    slope = float(slip[low] @ value[low] / max(slip[low] @ slip[low], 1e-12))
-    peak = float(np.clip(np.quantile(np.abs(value) / load, 0.97), 0.02, 3.0))
-    typical = float(np.median(load))
-    return max(slope, peak * typical / float(size.max())), peak, typical
+    slope, peak, typical = slope_and_peak(data, force)
+    peak = float(np.clip(peak, 0.02, 3.0))
+    largest = float(np.max(np.abs(data.usable(CHANNEL_SLIP[force]))))
+    return max(slope, peak * typical / largest), peak, typical

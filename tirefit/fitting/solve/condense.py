@@ -16,7 +16,7 @@ slip), cells are also cut by the residual. The deviance itself shows if they are
 """
 
 import heapq
-from typing import NamedTuple
+import itertools
 
 import jax
 import numpy as np
@@ -27,7 +27,6 @@ from tirefit.fitting.result import FitResult
 from tirefit.fitting.solve.inference import Linearised, deviance, linearise
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.padding import pad_rows
-from tirefit.params import unconstrain
 
 FEWEST = 4096  # smallest number of rows that are condensed; fewer are as fast as cells
 
@@ -45,8 +44,6 @@ _MOVES = 3
 """Steps that give cells the slope of the rows; one is enough if deviances are squares."""
 
 _COMPARED = 64
-
-_SAMPLED = 2**16  # largest number of rows by which the cells are cut
 
 
 def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | None:
@@ -80,8 +77,7 @@ def apart(sampled: FitResult, cells: FitProblem) -> float:
         return 0.0
     flat = sampled.chains.reshape(-1, sampled.chains.shape[-1])
     some = flat[np.linspace(0, len(flat) - 1, _COMPARED).astype(int)]
-    pairs = zip(some.T, cells.layout.elements, strict=True)
-    points = np.stack([unconstrain(values, p.spec) for values, (_, p) in pairs], axis=1)
+    points = cells.layout.unconstrained(dict(zip(sampled.labels, some.T, strict=True))).T
     errors = [deviance(cells, z) - deviance(sampled.problem, z) for z in points]
     return float(np.std(errors) / 2)
 
@@ -101,13 +97,10 @@ def cells_of(
         share: of the squared change that may be lost; fewer cells are used if possible.
     """
     problem = solved.problem
-    per_run = any(parameter.per_run for parameter in problem.layout.free)
     run = problem.used(problem.rows.run)
-    sample = np.random.default_rng(0).permutation(problem.n)[:_SAMPLED]
-    place, group = _places(solved), run if per_run else np.zeros(problem.n, int)
-    change = _changes(solved, points, sample)
-    tree = _grown(place[sample], change, group[sample], most, share)
-    return _of_cells(solved, tree.leaf_of(place, group), most)
+    group = run if problem.layout.is_sparse else np.zeros(problem.n, int)
+    code = _codes(_places(solved), _changes(solved, points), group, most, share)
+    return _of_cells(solved, code, most)
 
 
 def _is_plain(problem: FitProblem) -> bool:
@@ -135,72 +128,48 @@ def _residuals(solved: Solved) -> dict[str, np.ndarray]:
     }
 
 
-def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
-    """The change of each row of the sample from the estimate to each point: of forces in
-    standard deviations of a common row, or of deviances if these are not squares."""
+def _changes(solved: Solved, points) -> Float[np.ndarray, "n m"]:
+    """The change of each row from the estimate to each point: of forces in standard
+    deviations of a common row, or of deviances if these are not squares."""
     problem, at, changes = solved.problem, solved.at, []
     for point in points:
         if _is_plain(problem):
             mean, _ = row_moments(problem, point)
             for name, force in mean.items():
                 precision = np.mean(problem.used(problem.rows.scale[name]) ** -2)
-                moved = (force - at.mean[name])[sample]
-                changes.append(moved * np.sqrt(precision))
+                changes.append((force - at.mean[name]) * np.sqrt(precision))
             continue
         for name, block in root_deviance(problem, point).items():
-            changes.append((problem.used(block) ** 2 - at.values[name] ** 2)[sample])
+            changes.append(problem.used(block) ** 2 - at.values[name] ** 2)
     return np.stack(changes, axis=1)
 
 
-class _Tree(NamedTuple):
-    """A tree that divides the coordinates of rows, by node, roots first."""
+def _codes(place, change, group, most: int, share: float) -> Int[np.ndarray, " n"]:
+    """The cell of each row. Cells are cut one by one: always the cell with the largest loss."""
+    number = itertools.count()
+    queue: list[tuple[float, int, np.ndarray]] = []  # - loss, number, rows of each cell
+    whole: list[tuple[float, int, np.ndarray]] = []  # those of one place
 
-    groups: np.ndarray  # the root of each group
-    axis: np.ndarray  # axis of the cut; -1 for a leaf
-    cut: np.ndarray  # coordinate of the cut
-    below: np.ndarray  # first of the two nodes below, or number of the leaf
+    def add(rows) -> float:
+        loss = _loss(change[rows])
+        heapq.heappush(queue, (-loss, next(number), rows))  # the smallest is popped first
+        return loss
 
-    def leaf_of(self, place: np.ndarray, group: np.ndarray) -> Int[np.ndarray, " n"]:
-        """Number of the leaf of each row."""
-        node = np.searchsorted(self.groups, group)
-        moving = np.arange(len(node))
-        while len(moving):
-            here = node[moving]
-            moving, here = moving[self.axis[here] >= 0], here[self.axis[here] >= 0]
-            above = place[moving, self.axis[here]] > self.cut[here]
-            node[moving] = self.below[here] + above
-        return self.below[node]
-
-
-def _grown(place, change, group, most: int, share: float) -> _Tree:
-    """Cells, cut one by one: always the cell with the largest loss."""
-    groups = np.unique(group)
-    rows = [np.flatnonzero(group == code) for code in groups]
-    axis, cut, below = ([-1] * len(rows), [0.0] * len(rows), [0] * len(rows))
-    losses = [_loss(change[part]) for part in rows]
-    queue = [(-loss, node) for node, loss in enumerate(losses)]
-    heapq.heapify(queue)
-    lost, bearable, leaves = sum(losses), share * float(np.sum(change**2)), len(rows)
-    while queue and leaves < most and lost > bearable:
-        loss, node = heapq.heappop(queue)
-        part, rows[node] = rows[node], np.empty(0, int)
-        where = _best_cut(place[part], change[part])
+    lost = sum(add(np.flatnonzero(group == code)) for code in np.unique(group))
+    bearable = share * float(np.sum(change**2))
+    while queue and len(queue) + len(whole) < most and lost > bearable:
+        least, _, rows = cell = heapq.heappop(queue)
+        where = _best_cut(place[rows], change[rows])
         if where is None:
+            whole.append(cell)
             continue
-        axis[node], cut[node], below[node] = *where, len(rows)
-        above = place[part, axis[node]] > cut[node]
-        lost += loss
-        for half in (part[~above], part[above]):
-            heapq.heappush(queue, (-_loss(change[half]), len(rows)))
-            lost += _loss(change[half])
-            rows.append(half)
-            axis.append(-1)
-            cut.append(0.0)
-            below.append(0)
-        leaves += 1
-    is_leaf = np.array(axis) < 0
-    numbered = np.where(is_leaf, np.cumsum(is_leaf) - 1, below)
-    return _Tree(groups, np.array(axis), np.array(cut), numbered)
+        axis, middle = where
+        above = place[rows, axis] > middle
+        lost += least + add(rows[~above]) + add(rows[above])
+    code = np.empty(len(place), int)
+    for k, (_, _, rows) in enumerate(sorted([*whole, *queue], key=lambda cell: cell[1])):
+        code[rows] = k
+    return code
 
 
 def _loss(change: np.ndarray) -> float:

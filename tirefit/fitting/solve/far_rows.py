@@ -15,7 +15,9 @@ Each row is compared with what the *other* rows predict for it, with the uncerta
 that prediction: a row that alone determines a parameter is kept, however extreme its
 slip or load. The scale is that of the smallest 90 % of the residuals, or of the row's
 neighbours in slip and load where that is larger: rows that miss the curve together
-show a wrong model, not outliers.
+show a wrong model, not outliers. This one rule decides, except that a load far from all others
+is always excluded. Other values far from their column (``data.far``) only give the first set, and
+the column to look at first.
 """
 
 from dataclasses import dataclass
@@ -46,17 +48,11 @@ _ROUNDS = 8
 _NEAR, _MISSED = 6, 2.0
 """Number of neighbours, and standard deviations: where the median residual of the
 neighbours is larger, the row is compared with it, as all miss the curve together."""
+_ON_A_LINE = np.sqrt(1.5)
+"""Standard deviation of a residual from the mean of two others."""
 _AROUND, _LOUDER = 30, 1.4
 """Number of neighbours, and ratio: where the noise of the neighbours exceeds that of all
 rows by this ratio, it is used instead."""
-_ON_A_LINE = np.sqrt(1.5)
-"""Standard deviation of a residual from the mean of two others."""
-_CLEAR = 2.0
-"""A row whose slip is far from all others is kept if it lies within this many standard
-deviations of the prediction, as 95 % of the rows do."""
-_NEVER = 1e-9
-"""The same for a load far from all others, whose row may agree by chance: at small slip
-the force hardly depends on the load, and such a row would dominate the slope."""
 _REMEMBERED = 30
 """Rows on either side that an error in one row of a transient tire may affect."""
 _ROUNDING = 1e-6  # share of a force's range below which no deviation is an outlier
@@ -100,16 +96,17 @@ class _Judged(NamedTuple):
     """How far the rows lie: by channel (k, n), but for the leverage."""
 
     distance: np.ndarray  # from what the others predict, in standard deviations
-    ratio: np.ndarray  # of this distance to the one at which a row is excluded
+    ratio: np.ndarray  # of this distance, less that of the neighbours, to the limit
     predicted: np.ndarray  # force
     leverage: np.ndarray  # (n,) largest share of the information on a parameter
+    limit: float  # distance at which a row is excluded
 
 
 def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     """Solve a fit without outliers.
 
-    Values far from the others of their column are excluded at first, so that they do not affect the
-    prediction; rows are then excluded and restored until the set is stable. With a loss other than
+    Values far from the others of their column are excluded at first: a transient tire remembers a
+    wrong slip. Rows are then excluded and restored until the set is stable. With a loss other than
     ``trimmed`` all rows are kept, and the outliers are only listed.
 
     Raises:
@@ -123,8 +120,10 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     kept = ~_leaving_runs(first, whole)
     for _ in range(_ROUNDS):
         task, solved = _fitted(whole, kept, config)
-        judged = _judge(whole, task, solved, kept, suspects, limit)
+        judged = _judge(whole, task, solved, kept, limit)
         ratio = np.max(judged.ratio, axis=0)
+        # At small slip the force hardly depends on the load: a wrong load may agree by chance.
+        ratio[[i for i, value in suspects.items() if value.column == "fz"]] = np.inf
         if whole.problem.model.transient:
             ratio = _worst_in_time(ratio, kept)
         beyond = _leaving_runs(ratio > 1, whole)
@@ -188,10 +187,9 @@ def _worst_in_time(ratio, kept):
 
 def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:
     """At most ``most`` of the rows beyond the limit, the farthest first."""
-    if beyond.sum() <= most:
-        return beyond
     chosen = np.zeros_like(beyond)
-    chosen[np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")[:most]] = True
+    order = np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")
+    chosen[order[: min(most, np.count_nonzero(beyond))]] = True
     return chosen
 
 
@@ -206,13 +204,12 @@ def _fitted(whole: FitTask, kept, config: FitConfig) -> tuple[FitTask, Solved]:
     return task, solve_problem(task, config)
 
 
-def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judged:
+def _judge(whole: FitTask, task, solved: Solved, kept, limit: float) -> _Judged:
     """Distances of all rows from what a fit of the kept rows predicts."""
     problem, at = solved.problem, solved.at
     if not kept.all():
         problem, at = on_rows(whole, kept, task, solved)
     root = _root_of_covariance(at, kept)
-    limits, alone = _limits(problem.n, suspects, limit)
     by_channel, leverage = [], np.zeros(problem.n)
     for channel in problem.channels:
         slopes = at.slopes[problem.block_of(channel)] @ root
@@ -229,18 +226,14 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
         floor = _ROUNDING * np.ptp(observed[kept]) / np.median(unit[kept])
         scale = max(_scale(np.abs(off[kept])), floor, np.finfo(float).tiny)
         off /= scale if channel.noise_estimated else max(scale, 1.0)
-        ratio = np.abs(off) / limits
+        ratio = np.abs(off) / limit
         beyond = np.flatnonzero(ratio > 1)
         if len(beyond):
             order = like_slips(whole.data, CHANNEL_SLIP[channel.name])
-            rows = beyond[~alone[beyond]]
-            ratio[rows] = _beside(rows, off, order, kept) / limits[rows]
-            # A row with an extreme input has neighbours only in the order of the file.
-            rows, order = beyond[alone[beyond]], np.arange(problem.n)
-            ratio[rows] = _beside(rows, off, order, order >= 0) / limits[rows]
+            ratio[beyond] = _beside(beyond, off, order, kept) / limit
         by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
     distance, ratio, predicted = map(np.array, zip(*by_channel, strict=True))
-    return _Judged(distance, ratio, predicted, leverage)
+    return _Judged(distance, ratio, predicted, leverage, limit)
 
 
 def _by_density(problem: FitProblem, at: Linearised, channel) -> Float[np.ndarray, " n"]:
@@ -249,18 +242,6 @@ def _by_density(problem: FitProblem, at: Linearised, channel) -> Float[np.ndarra
     scale = problem.used(problem.rows.scale[channel.name])
     spread = np.log(at.variance[channel.name] / scale**2)
     return np.sqrt(np.maximum(at.unlikely[channel.slip] - spread, 0.0))
-
-
-def _limits(n: int, suspects: dict[int, FarValue], limit: float):
-    """Distances above which rows are excluded (n,), and which rows have a far input."""
-    limits, alone = np.full(n, limit), np.zeros(n, bool)
-    for i, value in suspects.items():
-        alone[i] = value.column not in CHANNEL_SLIP
-        if value.column in CHANNEL_SLIP.values():
-            limits[i] = _CLEAR
-        elif value.column == "fz":
-            limits[i] = _NEVER
-    return limits, alone
 
 
 def _root_of_covariance(at: Linearised, kept) -> Float[np.ndarray, "p p"]:
@@ -349,8 +330,9 @@ def _far_row(whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, 
     if beyond or not kept:
         messages.append(off)
         remedy = _REMEDY if kept else _KEEP
-    elif suspect is not None and distance <= _CLEAR:
-        messages.append(f"kept: its {force} is what the other rows predict")
+    elif suspect is not None and distance <= judged.limit:
+        away = f"{distance:.2g} standard deviations from what the other rows predict"
+        messages.append(f"kept: its {force} is {away}")
     elif suspect is not None:
         messages += [off, "kept: its neighbours or much of its run deviate as well"]
     if kept and judged.leverage[i] > _RESTS:

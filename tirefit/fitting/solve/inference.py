@@ -226,8 +226,7 @@ def covariance(
     """Covariance of z: the inverse of the curvature of the deviance.
 
     The Gauss-Newton curvature J'J; with slip noise the Hessian, because the
-    deviance is then not a sum of squares. Directions without information get the
-    variance of a parameter spread over its whole range.
+    deviance is then not a sum of squares.
     """
     if problem.rows.nodes:
         information = _curvature(problem, z)
@@ -236,7 +235,13 @@ def covariance(
             slope.T @ slope / inflation(problem, name)
             for name, slope in ((k, np.asarray(v)) for k, v in at.slopes.items())
         )
-    values, vectors = np.linalg.eigh(np.asarray(information))
+    return inverse_of(np.asarray(information))
+
+
+def inverse_of(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """The covariance of z from its information; an element without information is spread over
+    its whole range."""
+    values, vectors = np.linalg.eigh(information)
     return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
 
 

@@ -106,21 +106,17 @@ def _scaled(problem: FitProblem, factors: Mapping[str, float]):
     return {k: np.asarray(v) * factors.get(k, 1.0) for k, v in problem.rows.scale.items()}
 
 
-def laid_out(problem: FitProblem, factors: Mapping[str, float], z, *, counted=None):
-    """The same problem with scaled force noise, and nodes and density of the true slips.
+def with_densities(
+    problem: FitProblem, factors: Mapping[str, float], z, *, counted=None
+) -> tuple[FitProblem, dict[str, SlipDensity]]:
+    """The problem with scaled force noise, and nodes and density of the true slips; and the
+    densities by noisy slip.
 
     Args:
         factors: of the force noise, by channel; 1 for channels without one.
         z: parameters at which the forces say something of the true slips.
         counted: (n,) bool, rows by which the density of the slips is estimated; None: all.
     """
-    return with_densities(problem, factors, z, counted=counted)[0]
-
-
-def with_densities(
-    problem: FitProblem, factors: Mapping[str, float], z, *, counted=None
-) -> tuple[FitProblem, dict[str, SlipDensity]]:
-    """:func:`laid_out`, and the densities by noisy slip."""
     rows, nodes, knots = problem.rows, {}, {}
     problem = problem.with_rows(scale=_scaled(problem, factors))
     if not rows.slip_std:
@@ -332,7 +328,7 @@ def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitPro
         fitted = solved.problem.used(solved.problem.rows.scale[channel.name])
         scales[channel.name] = float(np.median(fitted / mine))
     problem = replace(whole.problem, model=solved.problem.model)
-    problem = laid_out(problem, scales, solved.z, counted=kept)
+    problem, _ = with_densities(problem, scales, solved.z, counted=kept)
     every = _used(problem, linearise(problem, solved.z))
 
     def joined(all_rows, fitted):

@@ -11,7 +11,6 @@ from tirefit.fitting.result import FitResult
 from tirefit.fitting.solve.inference import half_width_95
 from tirefit.models import TireInputs
 from tirefit.padding import pad_rows, padded_size
-from tirefit.params import unconstrain
 
 _DRAWS = 400
 _ROOM = 8192  # rows for which 400 evaluations take as long as compiling a program
@@ -68,11 +67,7 @@ def _z_draws(result: FitResult) -> np.ndarray:
     """At most 400 posterior draws in the unconstrained space, (n, p)."""
     flat = np.asarray(result.chains).reshape(-1, len(result.labels))
     flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
-    columns = [
-        np.asarray(unconstrain(jnp.asarray(flat[:, i]), parameter.spec))
-        for i, (_, parameter) in enumerate(result.problem.layout.elements)
-    ]
-    return np.stack(columns, axis=1)
+    return result.problem.layout.unconstrained(dict(zip(result.labels, flat.T, strict=True))).T
 
 
 def _quantile(result: FitResult) -> float:

@@ -82,7 +82,7 @@ def reference_points(problem: FitProblem) -> dict[str, float]:
     """Load and speed of the derived quantities; ``fz[run]`` and ``v[run]`` for runs with
     per-run parameters that were held at other values."""
     shared = reference_point(problem)
-    own = any(parameter.per_run for _, parameter in problem.layout.elements)
+    own = problem.layout.is_sparse
     return shared | {
         f"{name}[{run}]": value
         for code, run in enumerate(problem.layout.runs if own else ())

@@ -11,11 +11,10 @@ from tirefit.params import Spec, constrain, log_jacobian
 
 def limited(spec: Spec, low: float, high: float) -> bool:
     """Whether an interval within the bounds identifies the parameter."""
-    ends = low <= spec.lower, high >= spec.upper
-    return not _not_identified(spec, low, high, *ends)
+    return not not_identified(spec, low, high, low <= spec.lower, high >= spec.upper)
 
 
-def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
+def not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
     """Whether an interval does not really limit the parameter.
 
     That is the case if it is open on both sides; or open on one side and wider than half
@@ -52,21 +51,13 @@ def profile_estimates(
         profile = profiles[i]
         low = spec.lower if profile.open_low else float(constrain(profile.low, spec))
         high = spec.upper if profile.open_high else float(constrain(profile.high, spec))
-        free = _not_identified(spec, low, high, profile.open_low, profile.open_high)
+        free = not_identified(spec, low, high, profile.open_low, profile.open_high)
         if free and ends is not None:
             left, right = ends[:, i]
-            free = _not_identified(
-                spec,
-                float(constrain(left, spec)),
-                float(constrain(right, spec)),
-                left <= -REACH,
-                right >= REACH,
-            )
-        identified = not free
-        known = identified and not at_bound(spec, value)
-        estimates[label] = Estimate(
-            value, std if known else None, spec.unit, (low, high), identified
-        )
+            cut = left <= -REACH, right >= REACH
+            free = not_identified(spec, constrain(left, spec), constrain(right, spec), *cut)
+        known = not free and not at_bound(spec, value)
+        estimates[label] = Estimate(value, std if known else None, spec.unit, (low, high), not free)
         by_covariance[label] = (value - quantile * std, value + quantile * std)
     return estimates, by_covariance
 

@@ -77,19 +77,7 @@ def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
     return partial(_log_density, problem=problem, center=center, root=root, base=base)
 
 
-def _random_states(seed: int, count: int) -> list[tuple]:
-    """Full generator states: emcee silently ignores an integer seed."""
-    children = np.random.SeedSequence(seed).spawn(count)
-    return [_state_of(np.random.RandomState(np.random.MT19937(child))) for child in children]
-
-
-def _state_of(generator: np.random.RandomState) -> tuple:
-    state = generator.get_state(legacy=True)
-    assert isinstance(state, tuple)  # because of ``legacy``
-    return state
-
-
-def _pack(state: tuple) -> np.ndarray:
+def _pack(state) -> np.ndarray:
     """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
     _, keys, position, has_gauss, cached = state
     return np.concatenate([keys.astype(float), [position, has_gauss, cached]])
@@ -102,15 +90,15 @@ def _unpack(packed: np.ndarray) -> tuple:
 
 def _emcee_start(density, size: int, ensembles: int, walkers: int, seed: int):
     coordinates, packed, values = [], [], []
-    for state in _random_states(seed, ensembles):
-        generator = np.random.RandomState()
-        generator.set_state(state)
+    # Full generator states: emcee silently ignores an integer seed.
+    for child in np.random.SeedSequence(seed).spawn(ensembles):
+        generator = np.random.RandomState(np.random.MT19937(child))
         # Wider than the posterior, so that R-hat can see ensembles that disagree.
         start = 1.3 * generator.standard_normal((walkers, size))
         halves = [np.asarray(density(half)) for half in np.split(start, 2)]
         coordinates.append(start)
         values.append(np.concatenate(halves))
-        packed.append(_pack(_state_of(generator)))
+        packed.append(_pack(generator.get_state()))
     return {
         "coordinates": np.array(coordinates),
         "values": np.array(values),
@@ -280,8 +268,13 @@ def sample(
     done = _sampled(result, cells, run)
     off = apart(done, cells)
     if off <= _ALIKE or Outcome.INTERRUPTED in done.outcomes:
-        count = f"{solved.problem.n} rows as {cells.n} cells of like rows"
-        return _noted(done, f"{count}, with an error of {off:.2g} in the log density")
+        text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
+        text += f" {off:.2g} in the log density"
+        posterior = done.posterior
+        if posterior is None:
+            return done
+        note = "; ".join(filter(None, (posterior.note, text)))
+        return replace(done, posterior=replace(posterior, note=note))
     return _sampled(result, solved.problem, run._replace(resume=False))
 
 
@@ -322,14 +315,6 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     if keeper.fault:
         notes.append(f"the chain was not kept for --resume: {keeper.fault}")
     return _of_chain(result, chain, outcome, chained, run, weighted, notes)
-
-
-def _noted(result: FitResult, text: str) -> FitResult:
-    posterior = result.posterior
-    if posterior is None:
-        return result
-    note = "; ".join(part for part in (posterior.note, text) if part)
-    return replace(result, posterior=replace(posterior, note=note))
 
 
 def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):

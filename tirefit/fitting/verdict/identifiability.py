@@ -27,7 +27,8 @@ from tirefit.fitting.problem.scatter import (
     some_rows,
     stretches,
 )
-from tirefit.fitting.solve.inference import REACH, linearise
+from tirefit.fitting.solve.inference import inverse_of, linearise
+from tirefit.fitting.uncertainty.identified import not_identified
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
@@ -44,10 +45,6 @@ _INSIDE = 4.0
 """Largest unconstrained value tried, 2 % of the range from either bound: closer to it, a
 step of the parameter would not change the force."""
 _STEPS = 12
-_TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
-"""Ratio of the ends of a 95 % interval above which ``fit`` calls a scale or a positive
-coefficient not identified."""
-_SHARE_TOLD = 0.8  # of the allowed range: the same limit for any other parameter
 _WELL = 0.15
 """Half of the interval over the value, or over a quarter of the range, up to which a
 parameter counts as well determined."""
@@ -271,12 +268,6 @@ def _settled(problem: FitProblem, z):
     return z, values, slopes
 
 
-def _covariance(information: np.ndarray) -> np.ndarray:
-    """As in a fit: an element without information is spread over its whole range."""
-    values, vectors = np.linalg.eigh(information)
-    return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
-
-
 def _is_size(spec: Spec) -> bool:
     return spec.scale == "log" or spec.lower > 0
 
@@ -284,31 +275,21 @@ def _is_size(spec: Spec) -> bool:
 def _grade(spec: Spec, value: float, std: float) -> str:
     """How well an interval determines a parameter, by the rules of a fit."""
     half = 1.96 * std
-    if _is_size(spec):
-        if spec.scale == "log":
-            ratio = float(np.exp(min(2 * half / value, 50.0)))
-        else:
-            low = max(value - half, spec.lower)
-            ratio = min(value + half, spec.upper) / low
-        most = _TIMES_TOLD if spec.scale == "log" else _TIMES_KNOWN
-        if ratio > most:
-            return NOT
-        return WELL if half <= _WELL * value else ROUGHLY
-    size = spec.upper - spec.lower
-    width = min(value + half, spec.upper) - max(value - half, spec.lower)
-    if width > _SHARE_TOLD * size:
+    if spec.scale == "log":
+        times = float(np.exp(min(half / value, 25.0)))
+        low, high = value / times, value * times
+    else:
+        low, high = max(value - half, spec.lower), min(value + half, spec.upper)
+    if not_identified(spec, low, high, False, False):
         return NOT
-    return WELL if half <= _WELL * max(abs(value), size / 4) else ROUGHLY
+    size = value if _is_size(spec) else max(abs(value), (spec.upper - spec.lower) / 4)
+    return WELL if half <= _WELL * size else ROUGHLY
 
 
 def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
     """The parameter at the likely point that determines it least."""
-    worst = None
-    for z, _, slopes in likely:
-        gate = _judged(problem, k, z, _information(slopes, weight))
-        if worst is None or _rank(gate) > _rank(worst):
-            worst = gate
-    assert worst is not None  # the best point is always likely
+    gates = [_judged(problem, k, z, _information(slopes, weight)) for z, _, slopes in likely]
+    worst = max(gates, key=_rank)
     if worst.grade != NOT:
         return worst
     return worst._replace(remedy=_remedy(problem, k, likely, weight))
@@ -329,7 +310,7 @@ def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
     spec = parameter.spec
     slope = float(np.exp(log_jacobian(z[k], spec)))
     value = float(constrain(z[k], spec))
-    cov = _covariance(information)
+    cov = inverse_of(information)
     std = slope * float(np.sqrt(cov[k, k]))
     grade, beside = _grade(spec, value, std), ""
     if grade != WELL and information[k, k] > 0:
