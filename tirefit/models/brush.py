@@ -24,17 +24,10 @@ from tirefit.params import par, parameter_values, with_values
 from tirefit.slip import kappa_from_sigma, lateral_slip
 
 
-def bristle_stiffness():
-    """The field of c_p a^2."""
-    return par(
-        5e4,
-        (1e-2, 1e9),
-        "N",
-        "bristle stiffness c_p a^2; C_x = 2 c_p a^2",
-        "S(12)",
-        r"c_p a^2",
-        scale="log",
-    )
+def bristle_stiffness(relation: str = "C_x = 2 c_p a^2", source: str = "S(12)"):
+    """The field of c_p a^2, with its relation to the slip stiffness."""
+    meaning = f"bristle stiffness c_p a^2; {relation}"
+    return par(5e4, (1e-2, 1e9), "N", meaning, source, r"c_p a^2", scale="log")
 
 
 def friction_coefficient():

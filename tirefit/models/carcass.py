@@ -37,7 +37,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
-from tirefit.models.brush import friction_coefficient, half_contact_length, polar
+from tirefit.models.brush import bristle_stiffness, friction_coefficient, half_contact_length, polar
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par
 from tirefit.slip import lateral_slip
@@ -62,15 +62,7 @@ class AbstractCarcass(AbstractTire):
     below the static one can cause several breakaway points.
     """
 
-    cpa2: float = par(
-        5e4,
-        (1e-2, 1e9),
-        "N",
-        "bristle stiffness c_p a^2; with the carcass in series C_alpha < 2 c_p a^2",
-        "S(15)",
-        r"c_p a^2",
-        scale="log",
-    )
+    cpa2: float = bristle_stiffness("with the carcass in series C_alpha < 2 c_p a^2", "S(15)")
     mu: float = friction_coefficient()
     half_length: float = half_contact_length()
     pressure: AbstractPressure = Parabolic()

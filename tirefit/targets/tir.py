@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from textwrap import wrap
 
+import equinox as eqx
+import jax
 import numpy as np
 
 from tirefit.data.tir.tir import new_tir, parse_tir, reduced_tir
@@ -120,12 +122,8 @@ def _new_file(tire: Tire) -> TirFile:
 
 def _alike(one: MFTire, other: MFTire) -> bool:
     """Whether two tires differ only by the rounding of a file."""
-    same = ("version", "similarity", "ellipse", "lacks", "starred", "digression")
-    if any(getattr(one, name) != getattr(other, name) for name in same):
-        return False
-    values, others = parameter_values(one), parameter_values(other)
-    near = (math.isclose(values[k], others[k], rel_tol=1e-12) for k in values)
-    return values.keys() == others.keys() and all(near)
+    pair = (jax.tree.map(lambda x: np.asarray(x, float), tire) for tire in (one, other))
+    return bool(eqx.tree_equal(*pair, rtol=1e-12))
 
 
 def _comments(lines) -> str:

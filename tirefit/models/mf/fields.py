@@ -73,44 +73,24 @@ def _scale(symbol: str, of: str, equation: str, default: float = 1.0):
     )
 
 
+def _stated(default: float, bounds: tuple, unit: str, meaning: str, equation: str, symbol: str):
+    """The field of a positive number of the tire or its measurement, which is never estimated."""
+    return par(default, bounds, unit, meaning, f"P({equation})", symbol, free=False, scale="log")
+
+
 class Nominal(eqx.Module):
     """The tire and the state in which it was measured."""
 
-    FNOMIN: float = par(
-        4000.0, (1.0, 1e6), "N", "nominal wheel load", "P(4.E1)", "F_{z0}", free=False, scale="log"
+    FNOMIN: float = _stated(4000.0, (1.0, 1e6), "N", "nominal wheel load", "4.E1", "F_{z0}")
+    UNLOADED_RADIUS: float = _stated(
+        0.3, (1e-3, 1e2), "m", "radius of the free tire", "4.E42", "R_0"
     )
-    UNLOADED_RADIUS: float = par(
-        0.3, (1e-3, 1e2), "m", "radius of the free tire", "P(4.E42)", "R_0", free=False, scale="log"
+    LONGVL: float = _stated(16.7, (1e-3, 1e3), "m/s", "speed of the measurement", "4.E7", "V_0")
+    NOMPRES: float = _stated(
+        2.2e5, (1e3, 1e8), "Pa", "nominal inflation pressure", "4.E2b", "p_{i0}"
     )
-    LONGVL: float = par(
-        16.7,
-        (1e-3, 1e3),
-        "m/s",
-        "speed of the measurement",
-        "P(4.E7)",
-        "V_0",
-        free=False,
-        scale="log",
-    )
-    NOMPRES: float = par(
-        2.2e5,
-        (1e3, 1e8),
-        "Pa",
-        "nominal inflation pressure",
-        "P(4.E2b)",
-        "p_{i0}",
-        free=False,
-        scale="log",
-    )
-    INFLPRES: float = par(
-        2.2e5,
-        (1e3, 1e8),
-        "Pa",
-        "inflation pressure unless a sample has its own",
-        "P(4.E2b)",
-        "p_i",
-        free=False,
-        scale="log",
+    INFLPRES: float = _stated(
+        2.2e5, (1e3, 1e8), "Pa", "inflation pressure unless a sample has its own", "4.E2b", "p_i"
     )
 
 
