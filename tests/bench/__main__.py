@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.bench.exported import exported_tire
 from tests.bench.magic_formula_fit import whole_magic_formula
 
 HERE = Path(__file__).parent
@@ -174,18 +173,17 @@ def evaluations(name: str, compiled, arrays, peer, cost=None, pairs: int = 7) ->
 
 def magic_formula() -> None:
     """Combined slip of a MF 6.1 tire: F_x, F_y and M_z."""
-    from collections import defaultdict
-
     import jax
 
-    from tests.bench.magic_formula_peer import magic_formula_61
+    from tests.bench.magic_formula_peer import Coefficients
+    from tests.bench.magic_formula_peer import magic_formula as in_numpy
     from tirefit.data.tir.tir import read_tir
     from tirefit.fitting.tir import tire_of
     from tirefit.models import TireInputs
 
     folder = HERE.parent / "data" / "tir" / "mfeval_julia"
     tir = read_tir(folder / "MagicFormula61_Parameters.tir")
-    tire, coefficients = tire_of(tir), defaultdict(float, tir.numbers)
+    tire, coefficients = tire_of(tir), Coefficients(tir.numbers)
     generator = np.random.default_rng(0)
     limits = ((-0.3, 0.3), (-0.3, 0.3), (2e3, 1e4), (-0.05, 0.05), (2e5, 2.6e5))
     kappa, alpha, fz, gamma, pressure = (generator.uniform(*ends, MILLION) for ends in limits)
@@ -199,7 +197,7 @@ def magic_formula() -> None:
     compiled = jax.jit(jax.vmap(one)).lower(*arrays).compile()
 
     def peer():
-        return magic_formula_61(coefficients, kappa, alpha, gamma, fz, pressure)
+        return in_numpy(coefficients, kappa, alpha, gamma, fz, pressure)
 
     evaluations("10^6 MF 6.1, combined slip", compiled, arrays, peer)
 
@@ -549,7 +547,7 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
 
 ENTRIES = (
     help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior, online,
-    braking_stops, whole_magic_formula, exported_tire,
+    braking_stops, whole_magic_formula,
 )  # fmt: skip
 
 OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log, fleet)

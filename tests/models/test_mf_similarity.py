@@ -46,16 +46,23 @@ def isotropic():
     return mf_tire("6.1", ISOTROPIC | {"QSX1": 0.0, "QSY1": 0.0})
 
 
-def test_the_force_of_an_isotropic_tire_opposes_the_slip():
-    """(kappa, tan alpha) is then one slip, whose force is its Magic Formula."""
-    found = iso(isotropic(), KAPPA, ALPHA)
-    slip = np.hypot(KAPPA, np.tan(ALPHA))
-    x = 20.0 / (1.5 * 1.1) * slip
+def test_the_force_turns_from_the_deflection_to_the_sliding_velocity():
+    """Unlike stiffnesses and frictions, without shifts: the pure forces of the resultant s of
+    the normalised slips, in a direction that a share of the sticking bristles mixes."""
+    values = ISOTROPIC | {"PKX1": 30.0, "PDX1": 1.3, "QSX1": 0.0, "QSY1": 0.0}
+    limits, slips = (1.3 / 30, 1.1 / 20), (KAPPA, np.tan(ALPHA))
+    stuck = [slip / limit for slip, limit in zip(slips, limits, strict=True)]
+    s, slid = np.hypot(*stuck), np.hypot(*slips)
+    psi = np.minimum(s / 3, 1.0)
+    share = 3 * (1 - psi) ** 2 / (3 - 3 * psi + psi**2)
+    found = iso(mf_tire("6.1", values), KAPPA, ALPHA)
     # The lateral curve is over alpha, the longitudinal one over kappa.
-    angle = 20.0 / (1.5 * 1.1) * np.arctan(slip)
-    for force, b, part in ((found.fx, x, KAPPA), (found.fy, angle, -np.tan(ALPHA))):
-        curve = np.sin(1.5 * np.arctan(b + 0.5 * (b - np.arctan(b))))
-        np.testing.assert_allclose(force, 4400.0 * curve * part / slip, atol=1e-3)
+    arguments = 30 / (1.5 * 1.3) * s * limits[0], 20 / (1.5 * 1.1) * np.arctan(s * limits[1])
+    for k, (force, mu) in enumerate(((found.fx, 1.3), (-found.fy, 1.1))):
+        x = arguments[k]
+        curve = mu * 4000.0 * np.sin(1.5 * np.arctan(x + 0.5 * (x - np.arctan(x))))
+        cosine = share * stuck[k] / s + (1 - share) * slips[k] / slid
+        np.testing.assert_allclose(force, curve * cosine, atol=1e-3)
 
 
 @EACH

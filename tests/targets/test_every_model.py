@@ -22,7 +22,6 @@ WHEEL = {
     ),
     "tir": {"radius": 0.3},
 }  # fmt: skip
-USUAL = {"sigma_x": [-0.2, 0.2], "alpha": [-0.2, 0.2], "fz": [3000.0, 5000.0]}
 REFUSED = {"slipx": "SlipX is for 1:10 cars"}
 
 

@@ -3,7 +3,6 @@
 import ctypes
 import functools
 import importlib.util
-import json
 import re
 import shutil
 import subprocess
@@ -23,7 +22,6 @@ from tirefit.cli.commands import app
 from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, TireInputs, forces
-from tirefit.params import parameter_values
 from tirefit.results import UsageError
 from tirefit.slip import CONVENTIONS, sigma_from_kappa
 from tirefit.targets.code import Draft, c_source
@@ -69,13 +67,13 @@ def _slopes(tire, kappa, alpha, load):
     def fy(alpha, kappa, load):
         return -tire(TireInputs(sigma_from_kappa(-kappa), alpha, load, SPEED, CAMBER, PRESSURE)).fy
 
-    return jax.vmap(jax.grad(fy))(alpha, kappa, load)
+    return jax.vmap(jax.grad(fy, (1, 0)))(alpha, kappa, load)
 
 
 @functools.cache
 def own_slopes(source):
-    """Our derivatives of F_y by the angle, in the signs of ISO-W."""
-    return np.asarray(_slopes(model_of(source), KAPPA[SOME], ALPHA[SOME], LOAD[SOME]))
+    """Our derivatives (n, 2) of F_y by slip and angle, in the signs of ISO-W."""
+    return np.stack(_slopes(model_of(source), KAPPA[SOME], ALPHA[SOME], LOAD[SOME]), axis=1)
 
 
 @functools.cache
@@ -195,8 +193,8 @@ def test_c_export_reproduces_forces_and_slopes(source, single, flags, tmp_path):
     found, slopes = np.array(found)[:, :2], np.array(slopes)
     limit = 1e-4 if single else 1e-9
     assert np.max(np.abs(found - own(source)) / LOAD[:, None]) < limit
-    # The second row is that of fy, its second place the derivative by alpha.
-    got, rel = slopes[SOME, 3 + 1], 2e-3 if single else 1e-9
+    # The second row is that of fy, its first places are the derivatives by kappa and alpha.
+    got, rel = slopes[SOME, 3:5], 2e-3 if single else 1e-9
     assert got == pytest.approx(own_slopes(source), rel=rel, abs=0.5)
 
 
@@ -336,12 +334,6 @@ def test_all_that_is_wrong_is_reported_at_once(tmp_path):
     assert not (tmp_path / "tire.h").exists()
 
 
-@pytest.mark.parametrize("name", ["double", "lambda", "np"])
-def test_a_reserved_word_is_refused_as_a_name(name, tmp_path):
-    done = ran("brush", "--to", "c", "--out", tmp_path / f"{name}.h")
-    assert done.exit_code == 2 and "not valid as a name" in done.stderr
-
-
 def test_a_wrong_file_ending_or_an_input_file_is_refused(tmp_path):
     assert ran("brush", "--to", "c", "--out", tmp_path / "tire.py").exit_code == 2
     source = tmp_path / "tire.tir"
@@ -364,15 +356,3 @@ def test_a_file_name_cannot_end_a_comment(tmp_path):
     tirefit.export(source, "numpy", tmp_path / "tire.py")
     lines = (tmp_path / "tire.py").read_text().splitlines()
     assert not any(line.startswith("import this") for line in lines)
-
-
-def test_the_list_names_every_target():
-    done = ran("--list")
-    assert done.exit_code == 0
-    for target in ("casadi", "c", "numpy"):
-        assert f"{target} " in done.stdout
-
-
-def test_the_exported_parameters_are_those_of_the_tire():
-    tire = tire_of("brush", {"mu": 0.7})
-    assert json.dumps(parameter_values(tire.model)["mu"]) == "0.7"

@@ -1,5 +1,7 @@
 """Refits of simulators' formulas; reports and refusals of an export."""
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -120,6 +122,10 @@ def test_a_fit_of_an_axle_is_converted_to_one_tire(tmp_path, vehicle):
     content = yaml.safe_load(path.read_text())
     assert content["nominal_load"] == pytest.approx(axle / 2)
     assert content["linear"]["c_kappa"] == pytest.approx(130.0, rel=1e-3)
+    tirefit.export(None, "gazebo", tmp_path / "wheel.sdf", front=fit, vehicle=vehicle)
+    text = (tmp_path / "wheel.sdf").read_text()
+    (load,) = re.findall("<wheel_normal_force>(.*)</wheel_normal_force>", text)
+    assert float(load) == pytest.approx(axle / 2)
 
 
 def test_contradicting_options_are_refused(tmp_path):

@@ -1,6 +1,7 @@
 """Tire property files and Chrono's JSON, read like their programs read them."""
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -300,6 +301,19 @@ def test_chrono_reads_both_files_and_reproduces_the_forces(tmp_path):
         wanted = given_by(tire, np.array([kappa]), np.array([alpha]), np.array([fz]))
         found = of_chrono(values, kappa, alpha, fz)
         assert np.max(np.abs(found - wanted[0])) < 1e-4 * fz
+
+
+def test_data_of_the_wheel_are_converted_from_the_units_of_the_file(tmp_path):
+    """Of a file in milliseconds: its damping of 500 N ms/m is 0.5 N s/m."""
+    text = (TIR / "MagicFormula52_Parameters.tir").read_text().replace("'second'", "'ms'")
+    text = re.sub(r"(?m)^((?:LONGVL|VXLOW) *= *)([\d.]+)", r"\g<1>\g<2>e-3", text)
+    (tmp_path / "ms.tir").write_text(text)
+    given = {name: WHEEL[name] for name in ("mass", "ixx", "iyy")}
+    path = tmp_path / "wheel.json"
+    tirefit.export(tmp_path / "ms.tir", "chrono", path, wheel=given, force=True)
+    values = chrono_values(path.with_suffix(".tir"))
+    assert float(values["VERTICAL", "VERTICAL_DAMPING"]) == pytest.approx(0.5)
+    assert float(values["VERTICAL", "VERTICAL_STIFFNESS"]) == 463000
 
 
 def test_limits_of_chrono_are_reported(tmp_path):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_replay import TOML
 from typer.testing import CliRunner
 
 import tirefit
@@ -25,10 +26,11 @@ from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
 from tirefit.vehicle.applied import Applied, applied
-from tirefit.vehicle.car import cubic, delayed, lagged, with_play
+from tirefit.vehicle.car import State, cubic, delayed, lagged, with_play
 from tirefit.vehicle.diagnose import subject_of
-from tirefit.vehicle.effects import CAR_EFFECTS, Samples, Setting
-from tirefit.vehicle.model import Model
+from tirefit.vehicle.effects import CAR_EFFECTS, Reading, Samples, Setting, Steering
+from tirefit.vehicle.model import Model, steered
+from tirefit.vehicle.model import logged as seen_in_log
 from tirefit.vehicle.windows import cut_in_windows
 
 FEW = ("steering_delay", "yaw_inertia", "steering_offset", "relaxation_length")
@@ -292,22 +294,68 @@ def test_the_error_of_an_amplitude_is_at_least_that_between_parts(spread):
     assert std == pytest.approx(max(0.2, np.sqrt(3) * spread * np.sqrt(0.5)))
 
 
-def test_a_log_is_corrected_for_its_errors(late):
-    """Written with errors of the sideslip, the yaw rate and the point."""
-    vehicle, sizes = load_vehicle(late[1]), {"sideslip_zero": 0.02, "yaw_rate_zero": 0.03}
-    sizes["tracked_point"] = 0.1
+@pytest.fixture(scope="module")
+def errors_of_the_log():
+    """A model of errors of the sideslip (0.02 rad), the yaw rate (0.03 rad/s) and the point
+    (a tenth of the wheelbase), and its coefficients."""
+    sizes = {"sideslip_zero": 0.02, "yaw_rate_zero": 0.03, "tracked_point": 0.1}
     atoms = tuple(Atom(one) for one in CAR_EFFECTS if one.id in sizes)
     scales = tuple(atom.effect.scale for atom in atoms)
     z = np.append(np.zeros(4), np.divide([sizes[atom.effect.id] for atom in atoms], scales))
-    true, v_x = {"v_y": np.array([0.3, -0.2]), "yaw_rate": np.array([0.5, 0.8])}, np.array([2, 3])
-    ahead = 0.1 * (vehicle.l_f + vehicle.l_r)
+    return Model(atoms, scales, 2), z
+
+
+@pytest.mark.parametrize("poses", [False, True])
+def test_a_log_is_corrected_for_its_errors(late, tmp_path, errors_of_the_log, poses):
+    """Written with errors of the sideslip, the yaw rate and the point."""
+    (tmp_path / "poses.toml").write_text(TOML)
+    vehicle = load_vehicle(tmp_path / "poses.toml" if poses else late[1])
+    v_x, ahead = np.array([2.0, 3.0]), 0.1 * (vehicle.l_f + vehicle.l_r)
+    true = {"v_y": np.array([0.3, -0.2]), "yaw_rate": np.array([0.5, 0.8])}
     logged = {
         "v_y": true["v_y"] + 0.02 * v_x + ahead * true["yaw_rate"],
         "yaw_rate": true["yaw_rate"] + 0.03,
     }
-    found = Applied(Model(atoms, scales, 2), z, 1.0).corrected(logged, v_x, vehicle)
+    if poses:
+        place, heading = np.array([1.0 + 2.0j, -3.0j]), np.array([0.4, -2.0])
+        true |= {"heading": heading, "x": place.real, "y": place.imag}
+        moved = place + ahead * np.exp(1j * heading)
+        logged |= {"heading": heading - 0.02, "x": moved.real, "y": moved.imag}
+    found = Applied(*errors_of_the_log, 1.0).corrected(logged, v_x, vehicle)
     for name, right in true.items():
         np.testing.assert_allclose(found[name], right, rtol=1e-9, err_msg=name)
+
+
+def test_effects_applied_to_a_log_depend_on_its_own_motion(late, errors_of_the_log):
+    """Over the mean speed and about the middle of the time of the logs that were diagnosed."""
+    log, vehicle, tires = late
+    vehicle, tires = load_vehicle(vehicle), [axle_tire(one) for one in tires]
+    (cut,) = cut_in_windows([log], vehicle, 1.0).values()
+    motion, rows = cut.motion, np.arange(200, 240)[None]
+    found = Applied(*errors_of_the_log, 7.5).samples(motion, rows, vehicle, tires)
+    np.testing.assert_allclose(found.speed, motion.v_x[rows] / 7.5)
+    np.testing.assert_allclose(found.across, motion.a_y[rows] / vehicle.gravity)
+    np.testing.assert_allclose(found.turn, motion.yaw_rate[rows] / motion.v_x[rows])
+    np.testing.assert_array_equal(found.time, 0.0)
+
+
+def test_what_a_log_has_of_a_state_follows_its_errors():
+    """The velocity of a point ahead, turned by a small angle to the left; a larger sideslip
+    is a smaller heading."""
+    state, error = State(0.3, 0.5, 0.4, 1.0, 2.0), Reading(1e-6, 0.03, 0.25)
+    seen = (2.0 + 1j * (0.3 + 0.25 * 0.5)) * np.exp(1e-6j)
+    rates = seen_in_log(2, state, error, 2.0)
+    np.testing.assert_allclose(rates, [seen.imag, 0.53], rtol=1e-11)
+    place = (1 + 2j) + 0.25 * np.exp(0.4j)
+    poses = seen_in_log(3, state, error, 2.0)
+    np.testing.assert_allclose(poses, [0.4 - 1e-6, place.real, place.imag], rtol=1e-12)
+
+
+def test_wheels_turn_by_ratio_and_offset_and_yield_to_the_side_force():
+    command, across = np.linspace(-0.2, 0.3, 60), np.linspace(0.5, -0.4, 50)
+    of = Steering(ratio=1.2, offset=0.03, yields=0.04)
+    found = steered(of, jnp.asarray(command), jnp.asarray(across), 0.01)
+    np.testing.assert_allclose(found, 1.2 * command[10:] + 0.03 - 0.04 * across, atol=1e-7)
 
 
 def test_every_withheld_effect_is_one_of_the_library():
