@@ -37,7 +37,7 @@ from tirefit.diagnosis.summary.forecast import (
     size_apart,
 )
 from tirefit.diagnosis.summary.views import _look_curve, regions
-from tirefit.models import Brush, TireInputs
+from tirefit.models import MODELS, Brush, TireInputs
 from tirefit.results import UsageError
 
 
@@ -47,6 +47,10 @@ def test_the_null_state_gives_the_base_model():
         inputs = TireInputs(slip, 0.0, 4000.0, 10.0)
         ours = force_of_state(tire, None, null_state(), slip, 0.0, inputs)
         np.testing.assert_allclose(ours[0], tire(inputs).fx, rtol=1e-12, atol=1e-9)
+    # Of another model at both slips: tan(alpha) is the lateral one over 1 + sigma_x.
+    tire, inputs = MODELS["magic-formula-combined"], TireInputs(0.3, np.arctan(0.2 / 1.3), 4e3)
+    ours = force_of_state(tire, (5e4, 0.9, 0.1), null_state(), 0.3, 0.2, inputs)
+    np.testing.assert_allclose(ours[:2], tire(inputs)[:2], rtol=1e-9)
 
 
 @pytest.mark.parametrize(("skew", "flat"), [(0.3, 0.0), (-0.2, 0.4), (0.5, 0.9)])

@@ -7,7 +7,7 @@ from conftest_diagnosis import brush
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.rows.noise import slip_scatter
+from tirefit.diagnosis.rows.noise import between, noise_in_motion, slip_scatter
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import shown_slip_noise
@@ -36,6 +36,16 @@ def test_scatter_at_steep_slopes_gives_the_slip_noise():
     found = [shown(seed, NOISE) for seed in range(10)]
     assert np.mean(found) == pytest.approx(NOISE, rel=0.1)
     assert np.std(found) < 0.15 * NOISE
+
+
+def test_the_noise_of_a_slip_that_moves_is_what_its_forces_do_not_follow():
+    """Of 2 mrad beside a motion of 10 mrad from row to row. Its variance is known to 4 %."""
+    generator, count = np.random.default_rng(0), 20_000
+    noise, moved, force = generator.normal(size=(3, count)) * [[0.002], [0.01], [20.0]]
+    slope = 5e4 * np.exp(0.5 * generator.normal(size=count))
+    off = between(noise + moved, [np.arange(count)])
+    found = noise_in_motion(force - slope * noise, slope, off, np.hypot(0.002, 0.01))
+    assert found == pytest.approx(0.002, rel=0.08)
 
 
 @pytest.mark.parametrize("growing", [0.0, 0.01])
