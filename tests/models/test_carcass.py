@@ -34,7 +34,6 @@ from tirefit.models import (
     TireInputs,
     Uniform,
     forces,
-    modelled,
 )
 from tirefit.params import specs, with_values
 from tirefit.slip import LOCKED
@@ -281,15 +280,6 @@ def test_forces_and_gradients_are_finite_everywhere(kind):
     np.testing.assert_array_equal(moment[silent], 0)
     assert (np.abs(force) <= fz * (1 + 1e-12)).all()
     assert (force[~silent] * alpha[~silent] > 0).all()
-
-
-def test_the_registry_has_the_model():
-    for kind in CARCASSES:
-        tire = MODELS[f"carcass-{kind}"]
-        assert isinstance(tire, CARCASSES[kind])
-        assert modelled(tire) == ("fy", "mz")
-        assert tire.needs == ()
-        assert specs(tire)["flexibility"].lower == 0
 
 
 def test_lateral_slip_grows_with_braking_slip():

@@ -227,13 +227,6 @@ def test_forces_are_odd_in_slip(name):
         np.testing.assert_array_equal(braked.fx, -driven.fx)
 
 
-def test_the_magic_formula_is_odd_in_kappa():
-    kappa = np.array([1e-9, 0.01, 0.2, 0.5])
-    plus = forces(MODELS["magic-formula"], TireInputs(kappa / (1 - kappa), 0.0, 3e3))
-    minus = forces(MODELS["magic-formula"], TireInputs(-kappa / (1 + kappa), 0.0, 3e3))
-    np.testing.assert_allclose(plus.fx, -minus.fx, rtol=1e-14)
-
-
 @EVERY
 def test_speed_matters_only_if_the_model_declares_it(name):
     model = MODELS[name]
@@ -329,18 +322,6 @@ def test_pytree_round_trip_keeps_the_model(name):
 
 
 @DECLARED
-def test_with_values_changes_only_the_given_parameter(name):
-    model = MODELS[name]
-    before = _values(model)
-    for key in before:
-        changed = with_values(model, {key: 0.123})
-        assert _values(changed) == {**before, key: 0.123}
-    assert _values(model) == before
-    with pytest.raises(KeyError, match="no parameter.*nonsense"):
-        with_values(model, {"nonsense": 1.0})
-
-
-@DECLARED
 def test_every_parameter_has_a_specification(name):
     model = MODELS[name]
     found = specs(model)
@@ -371,16 +352,6 @@ def test_a_batch_agrees_with_single_samples(name):
         assert part.shape == (2,)
         assert all(one.shape == () for one in parts)
         np.testing.assert_allclose(part, np.stack(parts), rtol=1e-13, atol=1e-9)
-
-
-@EVERY_FORMULA
-def test_compiled_and_uncompiled_agree(name):
-    inputs = TireInputs(*np.array(SAMPLES).T)
-    compiled = forces(MODELS[name], inputs)
-    with jax.disable_jit():
-        plain = forces(MODELS[name], inputs)
-    for part, same in zip(jax.tree.leaves(compiled), jax.tree.leaves(plain), strict=True):
-        np.testing.assert_allclose(part, same, rtol=1e-12, atol=1e-9)
 
 
 def test_scalars_broadcast_against_arrays():
@@ -468,35 +439,6 @@ def test_second_derivatives_at_rest_are_finite(name, dtype):
     found = jax.jit(second)(jax.tree.map(cast, MODELS[name]), cast(points))
     assert all(part.dtype == dtype for part in found)
     assert all(np.isfinite(part).all() for part in found)
-
-
-@EVERY_CALL
-def test_a_float32_process_gives_close_forces(name):
-    """The result of a user without 64-bit floats, including transient models."""
-    slips, time = np.array([0.0, 0.02, 0.05, 0.3]), np.arange(4) / 100
-    inputs = TireInputs(slips, 0.1 * slips, 4000.0, 20.0, time=time)
-    with briefly(MODELS[name]):
-        good = forces(MODELS[name], inputs)
-        with jax.enable_x64(False):
-            rounded = forces(MODELS[name], inputs)
-    for part, exact in zip(jax.tree.leaves(rounded), jax.tree.leaves(good), strict=True):
-        assert part.dtype == np.float32
-        np.testing.assert_allclose(part, exact, rtol=2e-4, atol=0.05)
-
-
-@pytest.mark.parametrize(
-    "name", ["brush", "brush-d", "uniform", "quartic", "brush-m", "brush-m-peak"]
-)
-def test_full_sliding_gives_kinetic_friction(name):
-    values = _values(MODELS[name])
-    m = values.get("m", 1.0)
-    mu = values.get("mu")
-    if mu is None:
-        mu = values["mu_peak"] * (3 - 2 * m) ** 2 / (4 - 3 * m)
-    result = forces(MODELS[name], TireInputs(LOCKED, 0.0, 4000.0))
-    # The uniform patch never slides entirely; it comes within 1e-8 at a locked wheel.
-    tolerance = 1e-7 if name == "uniform" else 1e-14
-    np.testing.assert_allclose(result.fx, m * mu * 4000.0, rtol=tolerance)
 
 
 def test_the_registry_accepts_all_spellings():

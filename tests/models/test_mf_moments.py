@@ -10,12 +10,10 @@ import pytest
 from tirefit.data.tir.tir import read_tir
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import Mirrored, mf_tire
-from tirefit.params import parameter_values, with_values
+from tirefit.params import parameter_values
 
 FOLDER = Path(__file__).parents[1] / "data" / "tir" / "mfeval_julia"
 EVERY = pytest.mark.parametrize("number", [52, 61, 62])
-# 6.2 has the moments of 6.1.
-EITHER = pytest.mark.parametrize("number", [52, 61])
 N = 300
 
 
@@ -97,13 +95,6 @@ def test_moments_agree_with_the_manuals(number, busy):
     np.testing.assert_allclose(found.my, -expected, rtol=1e-10)
 
 
-@EITHER
-def test_a_tire_resists_rolling_and_more_so_under_load(number):
-    fz = np.append(0.0, np.linspace(500, 9000, N - 1))
-    rolling = np.asarray(forces(tire_of(number), TireInputs(fz=fz, v=10.0)).my)
-    assert rolling[0] == 0 and (np.diff(rolling) > 0).all()
-
-
 def test_rolling_resistance_depends_on_pressure_and_speed():
     tire, c = tire_of(61), numbers(61)
     # The speed 0 stands for the stated one. Of as many rows as elsewhere.
@@ -111,28 +102,6 @@ def test_rolling_resistance_depends_on_pressure_and_speed():
     soft, hard, stated, still = forces(tire, TireInputs(fz=4e3, v=v, pressure=pressure)).my[:4]
     np.testing.assert_allclose(hard / soft, 1.5 ** c["QSY8"], rtol=1e-9)
     assert still == stated
-
-
-@EITHER
-def test_the_side_of_the_vehicle_mirrors_only_the_overturning_moment(number):
-    """A symmetric tire has no M_x at zero camber and lateral force, and is its own
-    mirror image; QSX1 and the ply steer of F_y are not symmetric."""
-    odd = ("PHY1", "PHY2", "PVY1", "PVY2", "PEY3", "RHX1", "RBY3", "RVY1", "RVY2")
-    tire = with_values(tire_of(number), dict.fromkeys((*odd, "QSX1"), 0.0))
-    at = inputs()
-    here, there = forces(tire, at), forces(Mirrored(tire), at)
-    np.testing.assert_allclose(here.mx, there.mx, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(here.my, there.my, rtol=1e-12)
-    upright = forces(tire, at._replace(alpha=0.0 * at.alpha, gamma=0.0 * at.gamma))
-    np.testing.assert_allclose(upright.mx, 0.0, atol=1e-9)
-    assert np.max(np.abs(forces(tire_of(number), at).mx)) > 20
-
-
-def test_the_lateral_force_shifts_the_load():
-    """F_y of the road pushes the patch to its side, where F_z then acts: M_x = y F_z
-    has the sign of F_y, in ISO-W axes and in ours."""
-    found = forces(tire_of(52), TireInputs(0.0, np.resize([-0.05, 0.05], N), 4e3, 10.0))
-    assert (np.sign(found.mx) == np.sign(found.fy)).all()
 
 
 def test_without_coefficients_there_is_no_moment():

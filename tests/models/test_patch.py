@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numeric_patch import holding_ratio, integrate_patch, reference_tire
+from numeric_patch import holding_ratio, reference_tire
 from visits import visiting
 
 from tirefit.models import (
@@ -194,40 +194,6 @@ def test_pressure_integrals_agree_with_the_density(law):
     assert load[0] == moment[0] == 0.0
     np.testing.assert_allclose(load[-1], 1.0, rtol=1e-15)
     assert float(density.min()) >= 0.0
-
-
-def test_static_friction_determines_the_breakaway():
-    """The reference is independent: S(12) and the printed numbers."""
-    patch = integrate_patch("brush", 0.0, 5e4, 1.0, 1.0, 3600.0, 0.05)
-    x = 5e4 * 0.05
-    closed = 2 * x - 4 / 3 * x**2 / 3600 + 8 / 27 * x**3 / 3600**2
-    np.testing.assert_allclose(patch.force, closed, rtol=1e-13)
-    lower = integrate_patch("brush", 0.0, 5e4, 1.0, 0.7, 3600.0, 0.05)
-    assert lower.breakaway == patch.breakaway
-    assert lower.force < patch.force
-
-
-@pytest.mark.parametrize("name", ["brush", "brush-d", "uniform", "quartic"])
-def test_constant_friction_gives_the_smaller_of_demand_and_limit(name):
-    """For mu_k = mu_s each of 200,000 bristles gives min(need, limit)."""
-    n = 200_000
-    xi = -1 + (2 * np.arange(n) + 1) / n
-    family = name.partition("-")[0]
-    demand = np.array([0.1, 0.3, 0.7, 0.95, 1.5])
-    d = np.array([-0.3, 0.1, 0.6, 0.9, 0.2]) * (name == "brush-d")
-    values, inputs = draw(name, 3, d, np.ones(5), demand)
-    result = evaluate(name, values, inputs)
-    for i in range(5):
-        slip, load = np.tan(abs(inputs[1, i])), values["mu"][i] * inputs[2, i]
-        need = values["cpa2"][i] * slip * (1 - xi)
-        limit = load * holding_ratio(family, d[i], xi) * (1 - xi)
-        each = np.minimum(need, limit) * 2 / n
-        side = np.sign(inputs[1, i])
-        arm = values["half_length"][i]
-        np.testing.assert_allclose(result.fy[i], side * each.sum(), rtol=1e-9)
-        np.testing.assert_allclose(
-            result.mz[i], side * arm * (xi * each).sum(), rtol=0, atol=1e-9 * load * arm
-        )
 
 
 def smooth_samples(name, seed, n=400):

@@ -7,8 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tirefit.models import MODELS, Brush, Relaxed, TireInputs, forces
-from tirefit.models.relaxation import lag
-from tirefit.params import with_values
 
 LENGTH, FZ = 0.4, 4000.0
 
@@ -71,26 +69,6 @@ def test_the_lag_solves_its_equation(felt):
     assert np.abs(result.sigma_x - inputs.sigma_x).max() > 0.05
     for name in ("fz", "v", "gamma", "pressure", "time"):
         np.testing.assert_array_equal(getattr(result, name), getattr(inputs, name))
-
-
-def test_a_step_decays_over_the_relaxation_length():
-    """The lagged slip after a step is 1 - exp(-distance / L), at any speed."""
-    for v in (2.0, 40.0):
-        distance = np.append(0.0, np.linspace(1e-9, 2.0, 41))
-        slip = np.append(0.0, np.full(41, 0.1))
-        inputs = TireInputs(slip, 0.0, FZ, v, time=distance / v)
-        tire = with_values(MODELS["brush-relaxation"], {"relaxation_length": LENGTH})
-        expected = 0.1 * -np.expm1(-distance / LENGTH)
-        steady = forces(tire.tire, TireInputs(expected, 0.0, FZ, v)).fx
-        np.testing.assert_allclose(forces(tire, inputs).fx, steady, rtol=1e-6, atol=1e-4)
-
-
-def test_a_ramp_lags_by_the_relaxation_length():
-    distance = np.linspace(0, 8, 81)
-    behind = jax.jit(lag)(0.01 * distance, np.full(81, 0.1), LENGTH, np.arange(81) == 0)
-    behind = np.asarray(behind)
-    np.testing.assert_allclose(behind[-1], -0.01 * LENGTH, rtol=1e-8)
-    assert behind[0] == 0 and (np.diff(behind) < 0).all()
 
 
 def test_each_run_starts_in_steady_state_in_any_order(felt):

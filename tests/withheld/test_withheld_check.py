@@ -1,29 +1,17 @@
 """Checks of goals, reliability, unlisted effects, forest and bound."""
 
-import builtins
 from collections import Counter
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
-from fits.withheld import (
-    baselines,
-    bound,
-    forest,
-    injected,
-    lack_of_fit,
-    library,
-    observer,
-    patch,
-    trials,
-)
+from fits.withheld import bound, lack_of_fit, library, observer, patch, trials
 from fits.withheld.designs import DESIGNS, make_world
 from fits.withheld.generate import write_csv
 from fits.withheld.goals import goals
 from fits.withheld.judge import judge
 from fits.withheld.open_mix import mix_rows
-from fits.withheld.reliability import draw_reliability, reliability
+from fits.withheld.reliability import reliability
 from fits.withheld.strange import FOREIGN, SEALED, UNLISTED, suits
 
 C, MU = 5e4, 0.9
@@ -75,15 +63,6 @@ def test_goals_count_only_gaps_above_the_noise():
     assert found["listed, strong: exact"].found == "1.000 (1)"
     assert found["listed, weak: exact"].verdict == "FAIL"
     assert found["pairs exact"].verdict == "not measured"
-
-
-def test_an_answer_without_effects_does_not_count_for_closure():
-    outcomes = {
-        name: judge(name, label("null"), said("none"))._replace(claimed=claimed, closed=closed)
-        for name, claimed, closed in (("a", 0.0, 0.0), ("b", 0.8, 0.7), ("c", None, None))
-    }
-    found = {c.requirement: c for c in goals(dict.fromkeys("abc", label("null")), outcomes)}
-    assert found["closure, claimed against true, median"].found == "0.100 (1)"
 
 
 def test_with_an_unlisted_effect_only_present_effects_may_be_named():
@@ -184,12 +163,6 @@ def test_reliability_agrees_with_hand_calculation():
     assert (high.low, high.high) == pytest.approx((0.493, 0.963), abs=1e-3)
 
 
-def test_the_reliability_diagram_is_drawn(tmp_path):
-    right = judge("t", label("null"), said("none", p=0.95))
-    draw_reliability({"tirefit": reliability([right] * 9)}, tmp_path / "r.png")
-    assert np.ptp(imread(tmp_path / "r.png")) > 0.5
-
-
 # --- mixture and strangers --------------------------------------------------
 
 
@@ -199,13 +172,6 @@ def test_shares_of_the_sets_are_right():
     assert count["simulators"] / all_sets == pytest.approx(0.25, abs=0.01)
     assert strangers / all_sets >= 0.25
     assert set(count) == set(trials.SETS)
-
-
-def test_there_are_at_least_ten_unlisted_effects():
-    assert len(UNLISTED) >= 10
-    assert set(SEALED) < set(UNLISTED)
-    for kind in UNLISTED:
-        assert any(suits(kind, d) for d in DESIGNS.values() if not d.sealed)
 
 
 @pytest.mark.parametrize("kind", [*UNLISTED, *FOREIGN])
@@ -234,29 +200,6 @@ def test_development_trials_have_no_sealed_effect():
         assert suits(trial.label["kind"], DESIGNS[trial.label["design"]])
 
 
-def test_an_amplifier_limits_and_play_absorbs_slip():
-    world = make_world(DESIGNS["G"], 450, C, MU, np.random.default_rng(4))
-    plain = patch.forces(world)["fx"]
-    UNLISTED["amplifier_limit"](world, 0.05, None)
-    cut = patch.forces(world)["fx"]
-    assert np.abs(cut).max() == pytest.approx(0.8 * np.abs(plain).max())
-    world = make_world(DESIGNS["G"], 450, C, MU, np.random.default_rng(4))
-    UNLISTED["dead_zone"](world, 0.04, None)
-    small = np.abs(world.sensed) < 0.006
-    assert small.any() and np.all(patch.forces(world)["fx"][small] == 0)
-
-
-def test_hysteresis_after_a_turn_fades():
-    world = make_world(DESIGNS["G"], 900, C, MU, np.random.default_rng(4))
-    plain = patch.forces(world)["fx"]
-    UNLISTED["after_turn"](world, 0.05, np.random.default_rng(1))
-    off = np.abs(patch.forces(world)["fx"] - plain) / (MU * world.fz)
-    first = np.flatnonzero(world.run == 0)
-    turn = first[np.argmax(world.slip[first])]
-    assert off[turn + 1] > 0.08
-    assert off[turn + 20] < 0.5 * off[turn + 1]
-
-
 def test_the_gap_over_the_noise_is_right_for_a_known_offset():
     """A brush with one sign cannot absorb a force offset: its RMS over the noise."""
     made = trials.draw(522, 12, ["singles"], ["F"], ["rig"], [900], False)
@@ -283,17 +226,6 @@ def inputs(world, slip_std):
     )
 
 
-@pytest.fixture(scope="module")
-def plain():
-    """Inputs and forces of a plain brush in sweeps, and the same with a ripple."""
-    g = np.random.default_rng(8)
-    world = make_world(DESIGNS["G"], 240, C, MU, g)
-    x = inputs(world, 0.001)
-    noise = library.spread(x, C, MU) * g.normal(size=240)
-    base = library.predict(x, None, 0, C, MU)
-    return x, base + noise, 0.05 * MU * world.fz * np.sin(40 * world.slip)
-
-
 def test_lack_of_fit_detects_a_wave_and_accepts_noise():
     g = np.random.default_rng(9)
     noise = g.normal(size=(400, 200))
@@ -303,75 +235,6 @@ def test_lack_of_fit_detects_a_wave_and_accepts_noise():
         assert test(np.sin(np.arange(200) / 6) + 0.5 * noise[0]) < 1e-4
     assert lack_of_fit.runs(np.zeros(20)) == 1.0
     assert lack_of_fit.local_means(np.ones(5)) == 1.0
-
-
-def test_bic_with_a_check_says_unknown_of_a_ripple(plain):
-    x, observed, ripple = plain
-    as_before, careful = baselines.checked(x, observed)
-    assert careful["verdict"] == as_before["verdict"]
-    named, unknown = baselines.checked(x, observed + ripple)
-    assert named["verdict"]["status"] != "unknown"
-    assert unknown["verdict"]["effects"] == ["unknown"]
-    assert unknown["candidates"] == named["candidates"]
-
-
-def test_features_have_one_length_and_respond_to_the_gap(plain):
-    x, observed, ripple = plain
-    found = forest.features(x, observed)
-    made = trials.draw(523, 8, forest.SETS, None, ["rig"], [200], False)
-    for trial in made:
-        assert trial.label["set"] in forest.SETS
-        xs, forces = baselines.from_columns(trial.columns, {})
-        assert forest.features(xs, forces).shape == found.shape
-        assert np.all(np.isfinite(forest.features(xs, forces)))
-    assert np.abs(forest.features(x, observed + ripple) - found).max() > 5
-
-
-def test_the_forest_learns_and_can_abstain(plain):
-    pytest.importorskip("sklearn")
-    x, observed, ripple = plain
-    g = np.random.default_rng(10)
-    table, classes = [], []
-    tilt = 0.05 * MU * x.fz * np.sign(x.slip)
-    for _ in range(12):
-        noise = 0.01 * x.fz * g.normal(size=len(x.fz))
-        for name, gap in (
-            ("none", 0),
-            ("drive_brake_asymmetry", np.abs(tilt)),
-            ("unknown", ripple),
-        ):
-            table.append(forest.features(x, observed + noise + gap))
-            classes.append(name)
-    trained = forest.fitted(np.array(table), classes)
-    answer = forest.by_forest(trained, x, observed + np.abs(tilt))
-    assert answer["verdict"]["effects"] == ["drive_brake_asymmetry"]
-    assert answer["verdict"]["status"] == "named"
-    assert forest.by_forest(trained, x, observed)["verdict"]["status"] == "none"
-    without = forest.by_forest(
-        trained, x.without(["drive_brake_asymmetry"]), observed + np.abs(tilt)
-    )
-    assert without["verdict"]["effects"] != ["drive_brake_asymmetry"]
-
-
-def test_without_its_package_the_forest_is_skipped(monkeypatch, capsys, tmp_path):
-    there = builtins.__import__
-
-    def missing(name, *rest, **more):
-        if name.startswith("sklearn"):
-            raise ImportError(name)
-        return there(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
-    assert forest.fitted(np.zeros((2, 3)), ["none", "unknown"]) is None
-    assert "no scikit-learn" in capsys.readouterr().out
-    assert forest.trained(tmp_path / "none.npz") is None
-    assert "no features" in capsys.readouterr().out
-
-
-def test_labels_are_mapped_to_classes():
-    assert forest.class_of(label("null")) == "none"
-    assert forest.class_of(label("foreign")) == "unknown"
-    assert forest.class_of(label("singles", "conicity")) == "conicity"
 
 
 # --- bound ------------------------------------------------------------------
@@ -413,17 +276,6 @@ def test_equal_evidence_gives_the_drawn_frequencies():
     found = observer.beliefs(x, {(): 0.0, one: 0.0, two: 0.0})
     assert found[()] / found[one] == pytest.approx(134 / (200 / 3))
     assert found[one] / found[two] == pytest.approx((200 / 3) / (33 / 3))
-
-
-def test_evidence_counts_the_amplitude_once():
-    """Pure noise gains a hypothesis half a square at most and costs its range."""
-    g = np.random.default_rng(12)
-    world = make_world(DESIGNS["F"], 200, C, MU, g)
-    x = inputs(world, 0.0).without([e for e in trials.EFFECTS if e != "force_offset"])
-    plain = library.predict(x, None, 0, C, MU)
-    found = observer.evidence(x, plain + 0.01 * world.fz * g.normal(size=200))
-    # Half its typical size, 40 N, is some 14 standard errors of 200 rows away.
-    assert found["force_offset",] < found[()] - 30
 
 
 def test_a_known_pair_is_found_only_if_both_effects_show():
@@ -504,41 +356,4 @@ def test_only_unlisted_effects_that_cannot_be_imitated_can_be_flagged():
         ["unlisted, weak, one of 1000 shapes", "1", "0.457", "0.000"],
         ["family left out", "1", "0.000", "1.000"],
         ["family left out, one of 1000 shapes", "1", "0.018", "1.000"],
-    ]
-
-
-def test_changes_of_measured_data_are_sized_by_the_change_of_residuals():
-    """Linear in a force; almost zero if a friction near the fitted one explains it."""
-    data = injected.half(1)
-
-    def size(force):
-        return bound.size_of_change(data, data | {"fy": data["fy"] + force})
-
-    assert size(0.0) == 0.0
-    assert size(0.6) == pytest.approx(2 * size(0.3)) and size(0.3) > bound.SHOWS
-    slip = np.tan(data["alpha"])
-    usual, more = (
-        patch.plain_brush(slip, data["fz"], injected.C, mu)[0]
-        for mu in (injected.MU, 1.002 * injected.MU)
-    )
-    whole = np.linalg.norm(more - usual)
-    late = (more - usual) * (data["time"] > np.median(data["time"]))
-    assert size(more - usual) / whole < 0.1 * size(late) / np.linalg.norm(late)
-
-
-def test_injected_and_named_effects_are_counted_by_kind(tmp_path):
-    """A delay of 0.1 s in a driven log shows, one of zero does not."""
-    data = injected.half(1)
-    labels = {}
-    for name, delay in (("late", 0.1), ("same", 0.0)):
-        moved = data | injected.CHANGES["channel_delay"][0](data, delay, None)
-        (tmp_path / "trials").mkdir(exist_ok=True)
-        write_csv(tmp_path / "trials" / f"{name}.csv", moved)
-        about = {"half": 1, "kind": "channel_delay", "file": f"{name}.csv"}
-        labels[name] = label("injected", "channel_delay") | about
-    answers = {"late": said("incomplete", "channel_delay"), "same": said("none")}
-    outcomes = {k: judge(k, labels[k], answers[k]) for k in labels}
-    assert bound.injected_that_show(tmp_path, labels, outcomes) == [
-        ["injected", "2", "0.500", "0.500"],
-        ["injected: channel_delay", "2", "0.500", "0.500"],
     ]

@@ -1,13 +1,10 @@
 """Simulators with wrong parameters for a measurement: files, truth and score."""
 
-import json
-
 import numpy as np
 import pytest
 
-from fits.withheld import generate, run, trials
-from fits.withheld.goals import goals
-from fits.withheld.judge import judge, kind_of
+from fits.withheld import trials
+from fits.withheld.judge import judge
 from fits.withheld.patch import plain_brush
 
 
@@ -55,31 +52,6 @@ def test_the_budget_sums_to_the_measured_distance(beside):
         noise = np.mean((trial.columns["fx"] - trial.truth["fx"]) ** 2)
         # Apart from what noise and gap share by chance.
         assert shares["noise"] == pytest.approx(noise / distance, rel=0.35)
-
-
-def test_without_effects_the_parameters_have_the_whole_budget(beside):
-    alone = [t for t in beside if t.label["of"] == "null"]
-    assert alone
-    for trial in alone:
-        shares = trial.label["budget"]
-        assert shares["effects"] == 0
-        assert shares["unexplained"] < 1e-3
-        assert shares["parameters"] == pytest.approx(1 - shares["noise"], abs=1e-3)
-
-
-def test_an_unlisted_effect_has_no_name_in_the_budget(beside):
-    strange = [t for t in beside if t.label["of"] == "procedural"]
-    assert strange
-    for trial in strange:
-        label = trial.label
-        assert label["budget"]["effects"] == 0
-        assert label["mimic_free"] > 0
-        rest = label["gap_rms"] ** 2
-        noise = np.mean((trial.columns["fx"] - trial.truth["fx"]) ** 2)
-        wanted = rest / noise
-        found = label["budget"]["unexplained"] / label["budget"]["noise"]
-        # gap_rms belongs to the same fit at the slip without noise.
-        assert found == pytest.approx(wanted, rel=0.3)
 
 
 def test_shares_agree_with_shapley_values():
@@ -170,51 +142,3 @@ def test_parameters_scaled_by_an_effect_are_not_scored():
             assert not said["cpa2"]["scored"] and said["mu"]["scored"]
         if scales == {"measurement"}:
             assert said["mu"]["scored"] and said["cpa2"]["scored"]
-
-
-def test_goals_of_simulators_are_checked(beside):
-    labels = {str(k): t.label for k, t in enumerate(beside)}
-
-    def found(**given):
-        outcomes = {
-            name: judge(name, t.label, answered(t, _right_status(t), **given))
-            for (name, t) in zip(labels, beside, strict=True)
-        }
-        return {c.requirement: c.verdict for c in goals(labels, outcomes)}
-
-    hold = "simulator: 90 % intervals contain the true parameter"
-    shares = "simulator: shares of the budget, median error of a part"
-    good, bad = found(), found(off=3.0, wrong=0.2)
-    assert (good[hold], bad[hold]) == ("pass", "FAIL")
-    assert (good[shares], bad[shares]) == ("pass", "FAIL")
-    assert good["simulator: the same, no more than"] == "FAIL"  # all of them: too wide
-    assert good["false alarms"] == "pass"
-
-
-def _right_status(trial):
-    return {"singles": "named", "null": "none", "procedural": "unknown"}[kind_of(trial.label)]
-
-
-def test_files_with_a_simulator_are_recognised(beside, tmp_path):
-    plain = trials.draw(514, 4, ["null"], ["F"], ["rig"], [200], False)
-    generate.write_all([*beside[:3], *plain], tmp_path)
-    told = run.simulated(tmp_path)
-    assert set(told.values()) == {False, True}
-    for name, beside_one in told.items():
-        for path in (tmp_path / "trials" / name).glob("*.csv"):
-            assert ("_sim" in path.read_text().split("\n", 1)[0]) == beside_one
-    labels = json.loads((tmp_path / "labels.json").read_text())
-    for label in labels.values():
-        group = label["file"].split("/")[0]
-        assert told[group] == (label["set"] == "simulators")
-
-
-def test_run_uses_the_simulator_only_for_its_files(tmp_path):
-    for group in ("rig00", "rig01"):
-        (tmp_path / "trials" / group).mkdir(parents=True)
-    (tmp_path / "simulators.json").write_text('{"rig00": true, "rig01": false}')
-    words = run.more_words(tmp_path, resume=False)
-    assert words == {"rig00": ["--sim"], "rig01": []}
-    assert run.more_words(tmp_path, resume=True)["rig01"] == ["--resume"]
-    line = run.command(tmp_path / "trials/rig00", ["a"], tmp_path / "out", "--sim")
-    assert line[-1] == "--sim" and "--without" in line

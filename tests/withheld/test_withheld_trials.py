@@ -11,21 +11,10 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from fits import formulas
-from fits.withheld import (
-    effects,
-    forms_rig,
-    generate,
-    injected,
-    library,
-    measure,
-    patch,
-    strange,
-    trials,
-)
+from fits.withheld import effects, forms_rig, generate, injected, library, patch, strange, trials
 from fits.withheld.designs import DESIGNS, make_world
 from fits.withheld.effects import EFFECTS
 from fits.withheld.patch import World
-from fits.withheld.procedural import procedural
 
 FOLDER = Path(generate.__file__).parent
 C, MU = 5e4, 0.9
@@ -157,15 +146,6 @@ def test_the_plain_brush_agrees_with_the_patch():
     assert closed[1][4] < 0  # the force acts behind the centre
 
 
-def test_weakening_lies_between_the_two_frictions():
-    slips = np.array([0.05, 0.08, 0.12])
-    static = patch.forces(steady(slips))["fx"]
-    kinetic = changed(steady(slips), "kinetic_friction", "two_frictions", 0.3)["fx"]
-    slow = changed(steady(slips), "kinetic_friction", "slip_weakening", 0.3)["fx"]
-    assert np.all(kinetic < slow)
-    assert np.all(slow < static)
-
-
 def test_the_carcass_absorbs_its_share_of_the_slip():
     # While all bristles stick, F = 2 c (slip - chi F) in both forms.
     chi = 0.01 / (MU * 4000)
@@ -184,32 +164,12 @@ def test_lag_solves_its_equation():
     assert found == pytest.approx(wanted, abs=1e-8)
 
 
-def test_lag_of_slip_and_force_agree_for_a_linear_tire():
-    forms = EFFECTS["relaxation_length"].forms
-    first, second = sweep(), sweep()
-    for world, form in ((first, "slip_lag"), (second, "force_lag")):
-        forms[form](world, 0.5, NOTHING)
-    small = first.sensed < 0.003
-    found = [patch.forces(world)["fx"][small] for world in (first, second)]
-    assert found[0] == pytest.approx(found[1], abs=0.02 * found[0].max())
-    assert first.sensed[-1] > first.slip[-1]  # what is logged does not lag
-
-
 def test_delay_shifts_within_runs():
     world = sweep()
     plain = patch.forces(sweep())["fx"]
     found = changed(world, "channel_delay", "delay", 0.02)["fx"]
     assert found[20:] == pytest.approx(plain[:-20], abs=1)
     assert found[0] == plain[0]
-
-
-def test_moment_and_force_have_the_same_delay():
-    worlds = [sweep(), sweep()]
-    for world in worlds:
-        world.force, world.moment = "fy", True
-    plain = patch.forces(worlds[0])["mz"]
-    found = changed(worlds[1], "channel_delay", "delay", 0.02)["mz"]
-    assert found[20:] == pytest.approx(plain[:-20], abs=0.1)
 
 
 def test_the_inertia_effect_is_the_torque_of_wheel_acceleration():
@@ -231,15 +191,6 @@ def test_combined_slip_is_isotropic():
     assert found == pytest.approx(wanted, abs=2)
 
 
-@pytest.mark.parametrize("form", EFFECTS["combined_slip"].forms)
-def test_the_other_slip_acts_as_in_the_file(form):
-    world = steady([0.02, 0.04])
-    world.cross = np.array([0.05, 0.03])
-    changed(world, "combined_slip", form, 0.1)
-    alpha = measure._extra(world, "alpha", np.random.default_rng(0))
-    np.testing.assert_allclose(np.tan(alpha) * [1.02, 1.04], [0.1, 0.06])
-
-
 def test_lugre_agrees_with_the_sum_of_its_bristles():
     # z(x) = (g/sigma0)(1 - exp(-sigma0 slip x/g)) along the patch, S(17) at rest.
     world = steady([0.01, 0.05, 0.2])
@@ -253,18 +204,6 @@ def test_lugre_agrees_with_the_sum_of_its_bristles():
         level = MU * (1 + (ratio - 1) * np.exp(-np.sqrt(speed / knee)))
         stress = quad(lambda x, s=slip, n=level: n * -np.expm1(-sigma0 * s * x / n), 0, length)
         assert force == pytest.approx(4000 * stress[0] / length, rel=1e-6)
-
-
-def test_no_unlisted_effect_is_a_temporary_road_change():
-    g = np.random.default_rng(0)
-    said = {procedural(sweep(51), 0.01, g).split(", ")[0] for _ in range(1500)}
-    shapes = {"friction by kinked", "friction by periodic"}
-    for quantity in ("time", "distance"):
-        of = {kind for kind in said if kind.endswith(f" of {quantity}")}
-        friction = {kind for kind in of if kind.startswith("friction")}
-        assert friction == {f"{shape} of {quantity}" for shape in shapes}
-        assert f"force by local of {quantity}" in of
-    assert "friction by local of slip" in said
 
 
 def test_a_load_cell_offset_acts_as_another_load():
@@ -397,14 +336,6 @@ def inputs(world, **given):
     )
 
 
-def test_an_effect_is_free_of_imitations_only_when_left_out():
-    world = make_world(DESIGNS["F"], 300, C, MU, np.random.default_rng(2))
-    x = inputs(world)
-    truth = library.predict(x, "drive_brake_asymmetry", 0.1, C, MU)
-    assert library.mimic_free(x, truth) < 1
-    assert library.mimic_free(x.without(["drive_brake_asymmetry"]), truth) > 10
-
-
 @pytest.mark.parametrize(
     ("effect", "amplitude"), [("slip_offset", 0.004), ("slip_definition", 1.0)]
 )
@@ -438,49 +369,6 @@ def test_files_contain_no_label(tmp_path):
     for name, label in labels.items():
         has_truth = label["set"] not in ("injected", "raw")
         assert (f"{name}_{label['force']}" in truth) == has_truth
-
-
-def test_left_out_families_are_named(tmp_path):
-    generate.write_all(draws(8, 6, ["leave_out", "singles"]), tmp_path)
-    labels = json.loads((tmp_path / "labels.json").read_text())
-    told = json.loads((tmp_path / "leave_out.json").read_text())
-    for label in labels.values():
-        without = told[label["file"].split("/")[0]]
-        if label["set"] == "leave_out":
-            assert label["effects"][0] in without
-        else:
-            assert without == []
-
-
-def test_other_trials_are_refused_in_a_folder_with_answers(tmp_path):
-    trial = draws(8, 1, ["singles"])
-    generate.write_all(trial, tmp_path)
-    (tmp_path / "answers").mkdir()
-    generate.write_all(trial, tmp_path)
-    before = (tmp_path / "labels.json").read_text()
-    with pytest.raises(SystemExit, match="contains answers to other trials"):
-        generate.write_all(draws(9, 1, ["singles"]), tmp_path)
-    assert (tmp_path / "labels.json").read_text() == before
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        ["--design", "T"],
-        ["--set", "nosuch"],
-        ["--noise", "foo"],
-        ["--rows", "0"],
-        ["--trials", "0"],
-        ["--seed", "-1"],
-    ],
-    ids=lambda words: words[0],
-)
-def test_impossible_draws_are_reported(tmp_path, wrong, capsys):
-    words = ["--seed", "5", "--trials", "1", "--out", str(tmp_path)]
-    with pytest.raises(SystemExit):
-        generate.main([*words, *wrong])
-    assert wrong[0] in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
 
 
 def test_seeds_are_distinct(tmp_path):
