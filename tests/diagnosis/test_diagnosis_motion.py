@@ -214,6 +214,35 @@ def test_without_noise_the_past_slip_is_the_measured_one(interval):
     assert np.sqrt(np.mean((np.asarray(late) - right) ** 2)) < 1e-4
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("rate", "each"), [(80, 3.0), (200, 10.0)])
+def test_relaxation_in_fast_sweeps_is_the_only_named_effect(rate, each):
+    """The equation itself, integrated between the rows, from 0.15 to 2 Hz, in two sweeps
+    of ``each`` seconds."""
+    time, length = np.arange(0.0, 2 * each, 1 / rate), 0.3
+    v = np.where(time < each, 10.0, 20.0)
+    swept = np.where(time < each, time, time - each)
+    slip = 0.09 * np.sin(2 * np.pi * (0.15 * swept + 1.85 * swept**2 / 2 / each))
+    late, behind = np.zeros(len(time)), 0.0
+    for row in range(1, len(time)):
+        rise = (slip[row] - slip[row - 1]) * rate * length / v[row]
+        left = np.exp(-v[row] / length / rate)
+        behind = slip[row] - rise + (behind - slip[row - 1] + rise) * left
+        late[row] = behind
+    noise = 80 * np.random.default_rng(4).standard_normal(len(time))
+    frame = {
+        "time": time,
+        "alpha": np.arctan(slip),
+        "fz": np.full(len(time), 4000.0),
+        "fy": brush(late, 4e4, 0.9, 4000.0) + noise,
+        "v": v,
+    }
+    found = diagnose(read_frame(frame), rig=Rig(noise={"fy": 80.0}))
+    assert found.effects == ("relaxation_length",)
+    (value,) = found.candidates[0].parameters.values()
+    assert value.value == pytest.approx(length, rel=0.03)
+
+
 def test_a_relaxation_of_10_ms_is_named_from_thinned_rows():
     time, slip, rate, late = np.arange(0.0, 50.0, 0.2), 0.0, 0.0, 0.0
     for size, turn, phase in ((0.05, 5.3, 0.0), (0.04, 13.1, 1.0)):
@@ -346,3 +375,28 @@ def test_an_interval_from_few_runs_uses_students_t():
     assert high == pytest.approx(t.ppf(0.95, 2) * error) and low == -high
     assert of_so_few_runs(0.0, -0.5, 0.5, one_less[:, 0] / 100) == (-0.5, 0.5)
     assert len(without_each(terms, np.zeros(6, int))) == 0
+
+
+FRONT = pytest.mark.xfail(
+    strict=True, reason="toe and force hysteresis take the shared error of the slips, at 0.88"
+)
+
+REAR = pytest.mark.xfail(
+    strict=True,
+    reason="carcass, relaxation and toe together draw what the motion knows of it:"
+    " none is known to half its size, and the status is unknown at 0.5",
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("axle", "seed"), [pytest.param("front", 2, marks=FRONT), pytest.param("rear", 3, marks=REAR)]
+)
+def test_exact_motion_channels_with_noisy_slip_give_no_effect(axle, seed):
+    """The only error is a noise of the slip angle, 3 mrad, stated in the rig file; yaw
+    rate and accelerations are exact and together nearly determine the slip."""
+    frame = drive(Car(), axle, measured=True)
+    noise = 0.003 * np.random.default_rng(seed).normal(size=len(frame["alpha"]))
+    noisy = read_frame(frame | {"alpha": frame["alpha"] + noise})
+    verdict = diagnose(noisy, rig=Rig(noise={"alpha": 0.003})).verdict
+    assert verdict.status == "none"

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 import tirefit
+from tests.targets import gymkhana_tire_model as gymkhana
 from tests.targets.support import (
     LOAD,
     SLIPS,
@@ -32,8 +33,8 @@ from tirefit.targets.tire import tire_of
 
 
 def std_forces(formulas, p, kappa, alpha, load=LOAD):
-    """Forces over load (2, n) as the single-track drift model computes them: its kappa is
-    positive when braking."""
+    """Forces over load (2, n) as the single-track drift models compute them: their
+    kappa is positive when braking."""
     found = []
     for s, angle in zip(-kappa, alpha, strict=True):
         along = formulas.formula_longitudinal(s, 0, load, p)
@@ -102,13 +103,14 @@ def test_a_magic_formula_of_commonroad_is_recovered_exactly(tmp_path):
             assert np.max(np.abs(got - own(tire, *at, load))) < 1e-9
 
 
-def test_gymkhana_has_the_parameters_of_commonroad_with_other_keys(tmp_path):
-    """The formulas of gymkhana 1.2.0 (``dynamic_models/tire_model.py``) are CommonRoad's."""
-    found = []
-    for target in ("commonroad", "gymkhana"):
-        tirefit.export("brush", target, tmp_path / "tire.yaml", force=True)
-        found.append(yaml.safe_load((tmp_path / "tire.yaml").read_text()))
-    assert found[1] == {f"tire_{name}": value for name, value in found[0]["tire"].items()}
+def test_gymkhana_has_the_forces_of_commonroad_with_other_keys(tmp_path):
+    path = tmp_path / "tire.yaml"
+    done = tirefit.export("brush", "gymkhana", path)
+    p = yaml.safe_load(path.read_text())
+    misses = {}
+    for kind, at in grids().items():
+        misses[kind] = largest(std_forces(gymkhana, p, *at) - own("brush", *at), kind)
+    held(misses, done.notes)
 
 
 # --- four coefficients --------------------------------------------------------------
@@ -217,6 +219,24 @@ def test_the_friction_of_slipx_falls_by_a_power_of_the_load(tmp_path):
     tirefit.export(mf_tire("5.2", given), "slipx", path, force=True)
     friction = yaml.safe_load(path.read_text())["friction"]
     assert friction["k_mu"] == pytest.approx(0.1, abs=0.005)
+
+
+@pytest.mark.long
+def test_slipx_falls_with_load_as_the_tire_does(tmp_path):
+    # The cornering stiffness is -15 F_z.
+    given = {"PDY1": 1.0, "PDY2": -0.1, "PKY1": -7.5e6, "PKY2": 1e6, "PCY1": 1.5}
+    tire = mf_tire("5.2", given | {"FNOMIN": 9.0})
+    path = tmp_path / "rubber_floor.yaml"
+    over = {"fz": (6.0, 12.0)}
+    done = tirefit.export(tire, "slipx", path, over=over, force=True)
+    slipx, spec, tyre = slipx_tyre(path, tmp_path)
+    # The friction falls by load to the power of 0.1, the stiffness over load does not.
+    assert 0.05 < spec.k_mu < 0.1
+    zero, worst = np.zeros_like(SLIPS), 0.0
+    for load in np.linspace(6.0, 12.0, 13):
+        got = np.array([slipx.mf_lite_fy(tyre, a, load) for a in SLIPS]) / load
+        worst = max(worst, np.max(np.abs(got - own(tire, zero, SLIPS, load)[1])))
+    held({"fy": worst}, done.notes)
 
 
 def test_slipx_refuses_a_full_size_car_and_other_names(tmp_path):
