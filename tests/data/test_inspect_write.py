@@ -53,14 +53,6 @@ def test_inspect_counts_loads_runs_and_directions():
     assert support(report, "fy from alpha").reason == "no fy and no alpha"
 
 
-def test_noisy_loads_are_levels():
-    slip = np.tile(RNG.uniform(-0.1, 0.1, 50), 3)
-    fz = np.repeat([2e3, 4e3, 6e3], 50) + RNG.normal(0, 20, 150)
-    kappa = slip + RNG.normal(0, 1e-3, 150)
-    (run,) = inspect(read_frame({"kappa": kappa, "fx": fz * kappa, "fz": fz})).runs
-    assert [level.n for level in run.loads] == [50, 50, 50]
-
-
 def test_combined_slip_is_reported():
     kappa = np.linspace(-0.1, 0.1, 41)
     alpha = 0.2 * np.cos(kappa * 50)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.columns import is_number
-from tirefit.data.readers.cells import Column, all_grouped, may_hold, parsed
+from tirefit.data.readers.cells import Column, parsed
 from tirefit.data.readers.own_tables import own_table
 from tirefit.data.signs import evidence_of, fitting_conventions
 from tirefit.data.units import base_column
@@ -311,17 +311,6 @@ def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
         " (--column run=HEADER), or correct the time; rows that are only out of order"
         " are no problem"
     ]
-
-
-def has_decimal_comma(columns) -> bool:
-    """Whether cells have commas, not all as in 4,000, and no number has a point."""
-    columns = [cells for cells in columns if not isinstance(cells, np.ndarray)]
-    if not any(may_hold(cells, ",") for cells in columns):
-        return False
-    with_point = (cells for cells in columns if may_hold(cells, "."))
-    if any("." in cell and is_number(cell) for cells in with_point for cell in cells):
-        return False
-    return not all(map(all_grouped, columns))
 
 
 def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, gaps: bool = False):

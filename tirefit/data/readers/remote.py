@@ -36,17 +36,9 @@ class RemoteFile:
         path = next(filter(None, paths), self.address).split("?")[0]
         return path.rstrip("/").rsplit("/", 1)[-1]
 
-    @property
-    def parent(self) -> "RemoteFile":
-        return RemoteFile(self.address.rstrip("/").rsplit("/", 1)[0])
-
     def exists(self) -> bool:
         """False, as results cannot replace a remote file."""
         return False
-
-    def iterdir(self) -> Iterable["RemoteFile"]:
-        """Empty: listing the folder would need another request to the server."""
-        return ()
 
     def open(self, mode: str = "rb") -> Any:
         """Open the file for reading bytes.
