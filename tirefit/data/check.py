@@ -139,8 +139,13 @@ def range_faults(
         convention: the one in which the file is read.
     """
     faults = []
-    for rule in _rules_for(columns):
-        values = columns[rule.column]
+    stds = (
+        Rule(name, lambda std: std <= 0, "is not a standard deviation: > 0 is needed", _CORRECT)
+        for name in columns
+        if name.endswith("_std")
+    )
+    for rule in (*_RULES, *stds):
+        values = columns.get(rule.column, np.empty(0))
         rows = np.flatnonzero(rule.is_bad(values))
         if not len(rows):
             continue
@@ -165,16 +170,6 @@ def _looks_like_percent(sigma: np.ndarray) -> bool:
     """Whether the slips are out of range in every sign convention."""
     low, high = np.nanmin(sigma), np.nanmax(np.where(sigma < LOCKED, sigma, np.nan))
     return low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)
-
-
-def _rules_for(columns: Mapping[str, np.ndarray]) -> list[Rule]:
-    text = "is not a standard deviation: > 0 is needed"
-    stds = [
-        Rule(name, lambda std: std <= 0, text, _CORRECT)
-        for name in columns
-        if name.endswith("_std")
-    ]
-    return [rule for rule in _RULES if rule.column in columns] + stds
 
 
 def _load_hint(text: str, columns, convention: str) -> tuple[str, str]:

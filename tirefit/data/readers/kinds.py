@@ -89,9 +89,8 @@ def _read(path: Place, declared: Collection[str]) -> Table:
         channels = tables.channels_of_arrow(content, file)
         return _of_channels(channels, path, digest, "metadata of the column")
     if tables.is_excel(content):
-        sheet = tables.sheet_of_excel(content, file, is_known)
-        rows = zip(sheet.numbers, sheet.rows, strict=True)
-        return table_of_rows(rows, path, digest, list(sheet.notes))
+        rows, notes = tables.sheet_of_excel(content, file, is_known)
+        return table_of_rows(rows, path, digest, notes)
     text, notes = decoded(content, path)
     if VBO.search(content) and is_vbo(text):
         return table_of_vbo(text, path, digest, notes)

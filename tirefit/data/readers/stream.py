@@ -103,12 +103,9 @@ class RowReader:
     def _with_sigma(self, row: dict[str, float]) -> dict[str, float]:
         definition, radius = self._plan.slip, self._options.rolling_radius
         if definition is not None:
-            slip, alpha = np.array([row.pop(definition)]), row.get("alpha")
-            angles = None if alpha is None else np.array([alpha])
+            slip = np.float64(row.pop(definition))
             with np.errstate(all="ignore"):
-                row["sigma_x"] = float(slip_to_sigma(slip, definition, angles)[0])
+                row["sigma_x"] = float(slip_to_sigma(slip, definition, row.get("alpha")))
         elif self._derives(row):
-            speeds = np.array([row["omega"]]), np.array([row["v"]])
-            with np.errstate(all="ignore"):
-                row["sigma_x"] = float(slip_from_speeds(*speeds, radius)[0])
+            row["sigma_x"] = float(slip_from_speeds(np.float64(row["omega"]), row["v"], radius))
         return row

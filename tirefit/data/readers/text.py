@@ -7,7 +7,7 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -175,8 +175,7 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
     """Cells of a .vbo file of Racelogic."""
     found = vbo_table(text, str(path))
     notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
-    rows = zip(found.numbers, found.rows, strict=True)
-    table = table_of_rows(rows, path, digest, notes)
+    table = table_of_rows(found.rows, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
     return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
 
@@ -188,9 +187,8 @@ def _content_lines(lines: list[str], comments: bool) -> list[str]:
     return ["\n" if line.lstrip()[:1] in ("", "#") else line for line in lines]
 
 
-def table_of_rows(rows: Iterable[Row], path: Place, digest: str, notes: list[str]) -> Table:
+def table_of_rows(rows: list[Row], path: Place, digest: str, notes: list[str]) -> Table:
     """A table of rows of cells, the header first."""
-    rows = list(rows)
     head = _head(rows[:2], path, notes, False)
     return _table_of([_of_rows(rows[head.rows :])], head, path, digest, notes)
 
