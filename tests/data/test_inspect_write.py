@@ -135,15 +135,6 @@ def test_columns_that_are_not_equally_long_are_refused():
         csv_text({"a": [1.0, 2.0], "b": [1.0]})
 
 
-def test_canonical_columns_are_written_and_read_exactly(tmp_path):
-    data = read_frame(sweep(v=20.0, fx_std=5.0))
-    write_csv(tmp_path / "a.csv", dict(data.columns))
-    again = read(tmp_path / "a.csv")
-    assert list(again.columns) == list(data.columns)
-    for name in data.columns:
-        np.testing.assert_array_equal(again[name], data[name])
-
-
 def test_predicted_std_has_the_unit_of_its_force():
     data = read_frame({**sweep(), "fx": sweep()["fx"] / 1000}, units={"fx": "kN"})
     out = to_convention(data, {"fx": np.array([2000.0]), "fx_std": np.array([500.0])})
