@@ -46,14 +46,6 @@ def test_the_same_data_are_accepted_in_every_form(given):
         np.testing.assert_array_equal(data[name], values)
 
 
-def test_a_fit_accepts_and_predicts_every_form(given):
-    result = tirefit.fit(given)
-    assert result.parameters["mu"].value == pytest.approx(0.875, rel=0.1)
-    predicted = tirefit.predict(result, given)["fx"]
-    np.testing.assert_allclose(predicted, COLUMNS["fx"], atol=200)
-    assert tirefit.inspect(given).rows == 40
-
-
 def test_only_needed_columns_are_required():
     inputs = {name: COLUMNS[name] for name in ("sigma_x", "fz")}
     assert tirefit.predict("brush", inputs)["fx"].shape == (40,)

@@ -96,15 +96,6 @@ def test_the_correlations_and_what_was_assumed_are_named(tmp_path, columns):
     assert np.corrcoef(slip, -force)[0, 1] > 0.99
 
 
-def test_a_stated_point_is_doubted_but_kept(tmp_path):
-    log = log_at(tmp_path, CAR.l_f, SLOW["bends of 10 s"])
-    found = derive(log, vehicle(tmp_path, CAR.l_r - 0.1, cutoff=1.0), believe=True)
-    (said,) = found.warnings
-    assert "m ahead of the rear axle, not 1.4 m; set tracked_point = [2.7" in said
-    other = derive(log, vehicle(tmp_path, BASE, cutoff=1.0))
-    assert not np.allclose(found.columns["alpha"], other.columns["alpha"], atol=1e-3)
-
-
 RIGHT = [
     pytest.param(name, seed, marks=[pytest.mark.long] * seed)
     for name, seed in product(SLOW | FAST, (0, 1))

@@ -408,29 +408,3 @@ def test_every_wrong_unit_of_a_log_is_found(tmp_path):
         scale = known_unit(text).scale
         wrong = log | {"c1": log["c1"] / scale, "c2": log["c2"] / scale}
         assert f"v_x and v_y are in {text}, " in refused(tmp_path, wrong, RATES)
-
-
-SIZES = {
-    "gain of a_y": ("c4", lambda one, time: 1.1 * one, ("gain", 1.1)),
-    "offset of a_y": ("c4", lambda one, time: one + 0.3, ("offset", 0.3)),
-    "delay of a_y of 40 ms": ("c4", lambda one, time: np.interp(time - 0.04, time, one), 0.04),
-    "delay of a_y of 100 ms": ("c4", lambda one, time: np.interp(time - 0.1, time, one), 0.1),
-    "degrees": ("c3", lambda one, time: DEG * one, ("gain", 1 / DEG)),
-    "sign": ("c3", lambda one, time: -one, ("gain", -1.0)),
-}
-"""Error -> column, change, and what the pair of a_y must show: a number is a delay [s]."""
-
-
-@pytest.mark.parametrize("error", SIZES)
-def test_each_error_is_found_with_its_size(tmp_path, error):
-    column, change, size = SIZES[error]
-    kind, true = size if isinstance(size, tuple) else ("delay", size)
-    log = log_of()
-    log[column] = change(log[column], log["time"])
-    found = pair(derived(tmp_path, log, RATES, believe=True), "a_y", "v_x r + dv_y/dt")
-    gain = found["gains"][0]
-    value, std = (
-        (gain["value"], gain["std"]) if kind == "gain" else (found[kind], found[f"{kind}_std"])
-    )
-    assert value == pytest.approx(true, abs=2 * std)
-    assert std < 0.02 * max(1.0, abs(true))

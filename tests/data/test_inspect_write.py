@@ -53,14 +53,6 @@ def test_inspect_counts_loads_runs_and_directions():
     assert support(report, "fy from alpha").reason == "no fy and no alpha"
 
 
-def test_noisy_loads_are_levels():
-    slip = np.tile(RNG.uniform(-0.1, 0.1, 50), 3)
-    fz = np.repeat([2e3, 4e3, 6e3], 50) + RNG.normal(0, 20, 150)
-    kappa = slip + RNG.normal(0, 1e-3, 150)
-    (run,) = inspect(read_frame({"kappa": kappa, "fx": fz * kappa, "fz": fz})).runs
-    assert [level.n for level in run.loads] == [50, 50, 50]
-
-
 def test_combined_slip_is_reported():
     kappa = np.linspace(-0.1, 0.1, 41)
     alpha = 0.2 * np.cos(kappa * 50)
@@ -141,15 +133,6 @@ def test_to_convention_restores_the_file(tmp_path, convention, definition):
 def test_columns_that_are_not_equally_long_are_refused():
     with pytest.raises(ValueError, match="shorter"):
         csv_text({"a": [1.0, 2.0], "b": [1.0]})
-
-
-def test_canonical_columns_are_written_and_read_exactly(tmp_path):
-    data = read_frame(sweep(v=20.0, fx_std=5.0))
-    write_csv(tmp_path / "a.csv", dict(data.columns))
-    again = read(tmp_path / "a.csv")
-    assert list(again.columns) == list(data.columns)
-    for name in data.columns:
-        np.testing.assert_array_equal(again[name], data[name])
 
 
 def test_predicted_std_has_the_unit_of_its_force():

@@ -133,18 +133,6 @@ def test_restarting_time_is_continued_as_its_definition_says(seed):
     np.testing.assert_allclose(found, expected, atol=1e-9)  # sums of 12 runs, rounded
 
 
-def test_the_stretches_of_a_motion_are_those_of_its_parts():
-    from types import SimpleNamespace
-
-    from tirefit.data.vehicle.motion import Motion
-
-    part = np.repeat([0, 1, 2, 5], [3, 1, 7, 2])
-    found = Motion.stretches.fget(SimpleNamespace(part=part))
-    assert [np.arange(len(part))[rows].tolist() for rows in found] == [
-        np.flatnonzero(part == number).tolist() for number in np.unique(part)
-    ]
-
-
 def test_long_logs_have_fewer_windows_at_larger_steps():
     from tirefit.vehicle.windows import _MOST, starts_in
 

@@ -288,8 +288,6 @@ def test_all_missing_columns_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is empty"),
-        ("t,x,y,psi\n", "no data rows"),
         ("t,x,y,psi\n0,0,0,0\n", "fewer than two samples"),
         ("t,x,y,psi\n1,0,0,0\n1,0,0,0\n0,1,0,0\n", "time does not rise"),
         ("t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n", "unit 'kg' is not a unit of angle"),
@@ -325,13 +323,3 @@ def test_title_semicolons_and_a_torn_last_row_change_nothing_else(tmp_path):
     np.testing.assert_array_equal(log.columns["alpha"], plain.columns["alpha"])
     assert log.rows == plain.rows + 1 and log.dropped_rows["a value is missing"] == 1
     assert any("before the header" in said for said in log.assumptions)
-
-
-def test_missing_and_damaged_files_are_refused(tmp_path):
-    settings = pose_vehicle(tmp_path)
-    with pytest.raises(DataError, match="does not exist"):
-        derive(tmp_path / "none.csv", settings)
-    damaged = tmp_path / "a.csv.gz"
-    damaged.write_bytes(gzip.compress(b"t,x,y,psi\n" * 50)[:30])
-    with pytest.raises(DataError, match="gzip file is damaged"):
-        derive(damaged, settings)

@@ -371,19 +371,8 @@ def test_the_filter_has_the_stated_gain_and_no_delay(bandwidth, rate):
         np.testing.assert_allclose(ratio.imag, 0, atol=1e-6)
 
 
-def lag_of(one, other):
-    """Samples by which the second series is late, to a tenth, by cross-correlation."""
-    product = np.fft.fft(one) * np.conj(np.fft.fft(other))
-    correlation = np.fft.ifft(product).real
-    top = int(np.argmax(correlation))
-    a, b, c = (correlation[(top + k) % len(one)] for k in (-1, 0, 1))
-    peak = top + 0.5 * (a - c) / (a - 2 * b + c)
-    return -(peak - len(one) if peak > len(one) / 2 else peak)
-
-
 def test_prepared_channels_have_the_same_gain_and_no_delay():
-    """A tone on every channel is the same in all; noise is not delayed, as one pass of
-    the filter alone would do."""
+    """A tone on every channel is the same in all, in phase."""
     script, rng = cornering(7071, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng, noise=0.2)
     tone = np.sin(2 * np.pi * 8.0 * seen["time"])
@@ -395,12 +384,6 @@ def test_prepared_channels_have_the_same_gain_and_no_delay():
         rest = (one.columns[name] - other.columns[name])[middle] / amplitude
         share = 2 * np.mean(rest * tone[middle])
         assert share == pytest.approx(np.sqrt(0.5), rel=1e-3)
-    chosen = zero_phase(8.0, 100.0)
-    noise = rng.normal(size=4096)
-    assert abs(lag_of(noise, chosen(noise))) < 0.02
-    from scipy.signal import sosfilt
-
-    assert lag_of(noise, sosfilt(chosen.sections, noise)) > 1.5
 
 
 @pytest.mark.parametrize(("shape", "most"), [("line", 2.2e-3), ("sine", 5.5e-3)])

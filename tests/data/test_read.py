@@ -127,6 +127,10 @@ def test_headers_may_hold_delimiters_and_line_ends(tmp_path, header, delimiter):
         None), ("W (IMU)", None, None), ("vicon time", None, None),
         ("sinkage_std_mm", None, None), ("fx_front", None, None),
         ("kappa_1", None, None), ("vx_cmd_mmps", None, None), ("", None, None),
+        ("MX", "mx", None), ("Mx_Nm", "mx", "Nm"), ("overturning moment", "mx", None),
+        ("Overturning Couple [ft-lb]", "mx", "ft-lb"), ("My (Nm)", "my", "Nm"),
+        ("rolling resistance", "my", None), ("mx std", "mx_std", None),
+        ("mx [uT]", None, None), ("Rolling resistance [N]", None, None),
     ],
 )  # fmt: skip
 def test_headers_are_recognised_or_ignored(header, name, unit):
@@ -319,34 +323,12 @@ def test_a_std_column_has_the_unit_of_its_column():
     assert said(data, "'fx_std' read as fx_std in kN (the unit of fx)")
 
 
-def test_tire_test_consortium_files_have_the_right_units(tmp_path):
-    header = ["ET", "V", "SA", "IA", "P", "FY", "FZ"]
-    rows = [[0.1 * i, 40, a, 0, 80, -2000 * a, -1000] for i, a in enumerate((-2, 1, 3))]
-    content = "\n".join("\t".join(map(str, row)) for row in [header, *rows])
-    data = read(write(tmp_path, content), convention="sae")
-    np.testing.assert_allclose(data["v"], 40 / 3.6)
-    np.testing.assert_allclose(data["alpha"], np.radians([2, -1, -3]))
-    np.testing.assert_allclose(data["pressure"], 80e3)
-    np.testing.assert_array_equal(data["fz"], 1000)
-    assert said(data, "as in Tire Test Consortium files")
-
-
 def test_unrecognised_columns_are_listed(tmp_path):
     frame = {**frame_of("kappa", KAPPA), "colour": ["red"] * 7, "fy_std": np.ones(7)}
     data = read_frame(frame)
     assert "fy_std" not in data
     assert said(data, "columns not read: 'colour', 'fy_std'")
     assert said(data, "column 'fy_std' not used: there is no fy")
-
-
-def test_a_data_frame_is_read_like_the_file(tmp_path):
-    pandas = pytest.importorskip("pandas")
-    path = write(tmp_path, TEXT)
-    frame = pandas.read_csv(path, sep=";")
-    from_file, from_frame = read(path), read_frame(frame, "named")
-    for name in from_file.columns:
-        np.testing.assert_array_equal(from_frame[name], from_file[name])
-    assert from_frame.runs == ("named",)
 
 
 @pytest.mark.parametrize(("n", "correlation"), [(8, -0.7), (5000, -0.15)])

@@ -99,12 +99,6 @@ CASES = {
     "long header": ("x" * 200_000 + "\n1\n", {}, ["row 1", "field larger than"]),
     "long cell": (lines("0.1," + "x" * 200_000), {}, ["row 6", "field larger than"]),
     "long number": (lines(f"0.1,{'1' * 999},4"), {}, ["row 6", f" {'1' * 27}... is"]),
-    "mixed delimiters": (
-        lines("0.1;1;4000"), {}, ["row 6: 1 fields where the header has 3"]
-    ),
-    "two header rows": (
-        HEADER + "slip,force,load\n" + GOOD, {}, ["row 2, column 'kappa'", "'slip' is"]
-    ),
     "unit in the cell": (
         lines("0.1,1 N,4000"), {}, ["row 6, column 'fx': '1 N' is text"]
     ),
@@ -197,11 +191,6 @@ CASES = {
         ["column 'sigma_x_std'", "but the slip column is kappa"],
     ),
     "spaces": ("kappa fx fz\n1 2\n", {}, ["'kappa fx fz' only; separate columns by"]),
-    "spaces, ragged": (
-        "kappa fx fz\n0.1 2 3\n0.2 2 3\n0.3 2\n", {},
-        ["row 4: 2 fields where the header has 3"],
-    ),
-    "strange names": ("Zeit;Kraft\ns;t\n1;2\n", {}, ["columns found: 'Zeit', 'Kraft'"]),
     "no such header": (
         WELL, {"columns": {"fx": "fxx"}}, ["column 'fxx'", "no such", "mean 'fx'"]
     ),
@@ -255,10 +244,6 @@ CASES = {
         table("alpha,fy,fz", SLIP, FORCE, LOAD), {},
         ["column 'fy'", "the side force rises with the slip angle, but", "--convention iso-w;"],
     ),
-    "signs in iso": (
-        table("alpha,fy,fz", SLIP, UP, LOAD), {"convention": "iso-w"},
-        ["signs contradict", "fit --convention braking or adapted-sae;"],
-    ),
     "backwards": (
         table("omega,v,fx,fz", [50, -1, 49], [10, 10, 10], [0, 1, 2], [9] * 3),
         {"rolling_radius": 0.2}, ["row 3, column 'omega'", "turning backwards"],
@@ -270,15 +255,11 @@ CASES = {
     "empty": ("", {}, ["the file is empty"]),
     "only comments": ("# a\n\n", {}, ["the file is empty"]),
     "no rows": (HEADER, {}, ["no data rows"]),
-    "no header between spaces": (
-        "0.1 2 3\n0.2 3 3\n", {}, ["row 1", "numbers, not column names"]
-    ),
     "no header": (GOOD, {}, ["row 1", "numbers, not column names", "header"]),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", {}, ["not a text file"]),
     "zeros": (b"kappa,fx,fz\n0.1,\x001,2\n", {}, ["row 2: not a text file"]),
     "no byte order mark": (WELL.encode("utf-16-le"), {}, ["like UTF-16", "as UTF-8"]),
     "utf-32": (WELL.encode("utf-32"), {}, ["UTF-32", "save it as UTF-8"]),
-    "gzip twice": (gzip.compress(gzip.compress(WELL.encode())), {}, ["binary data"]),
     "gzip and more": (gzip.compress(WELL.encode()) + b"x", {}, ["gzip file is dam"]),
     "only units": (HEADER + "-,N,N\n", {}, ["no data rows", "give at least"]),
     "no force to predict": (

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from tirefit.data.check import read_numbers
 from tirefit.data.read import read
-from tirefit.data.readers import kinds, text
+from tirefit.data.readers import text
 from tirefit.data.readers.cells import Lines
 from tirefit.results import DataError
 
@@ -56,8 +55,8 @@ def one_by_one(monkeypatch):
     used = []
     numbers = Lines.numbers
 
-    def counted(lines):
-        used.append(numbers(lines) is not None)
+    def counted(lines, commas):
+        used.append(numbers(lines, commas) is not None)
 
     def start():
         monkeypatch.setattr(Lines, "numbers", counted)
@@ -133,46 +132,3 @@ def test_numpy_and_csv_read_the_same(name, tmp_path, one_by_one):
         assert used == [True] * 3 + [True] * (len(used) > 3)
     if name in ("text", "a short row"):
         assert used.count(False) == 1
-
-
-def cells_of(path):
-    """The table of a text with its numbers, or the text of its errors."""
-    try:
-        table = kinds.read_table(path, [])
-    except DataError as error:
-        return str(error)
-    columns = [(list(c), *read_numbers(c, "", table.ragged)) for c in table.cells]
-    faults = [(list(f.rows), list(f.values), f.rule) for f in table.faults]
-    return repr(
-        (
-            [(text, values.tolist(), wrong) for text, values, wrong in columns],
-            faults,
-            table.headers,
-            table.lines.tolist(),
-            table.ragged.tolist(),
-            table.delimiter,
-            table.units_row,
-            table.notes,
-        )
-    )
-
-
-def test_damaged_texts_give_the_same_cells(tmp_path, one_by_one):
-    generator = np.random.default_rng(7)
-    clean, path = text_of(rows()).encode(), tmp_path / "log.csv"
-    marks = b',;\n\r"#. -+e1\tx\x00\xb5'
-    texts = []
-    for _ in range(60):
-        damaged = bytearray(clean)
-        for place in generator.integers(0, len(clean), generator.integers(1, 4)):
-            damaged[place] = generator.choice(list(marks))
-        texts.append(bytes(damaged))
-    by_numpy = []
-    for damaged in texts:
-        path.write_bytes(damaged)
-        by_numpy.append(cells_of(path))
-    used = one_by_one()
-    for damaged, expected in zip(texts, by_numpy, strict=True):
-        path.write_bytes(damaged)
-        assert cells_of(path) == expected, damaged
-    assert sum(used) > 40

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from rig_file import METRIC_UNITS, truth, ttc, tydex
+from rig_file import truth, ttc
 from test_read_kinds import (
     SHEET,
     arrow_table,
@@ -19,20 +19,7 @@ from test_read_kinds import (
 from tirefit.data.read import read
 from tirefit.results import DataError
 
-
-def save_text(path):
-    frame = ttc(truth(40))
-    rows = [" ".join(f"{v:.6g}" for v in row) for row in zip(*frame.values(), strict=1)]
-    path.write_text("\n".join(["title", " ".join(frame), " ".join(METRIC_UNITS), *rows]))
-
-
-def save_tydex(path):
-    path.write_text("\n".join(tydex(truth(40))))
-
-
 MADE = {
-    "text": save_text,
-    "TYDEX": save_tydex,
     "MATLAB 5": lambda path: save_5(path, consortium()),
     "MATLAB 7.3": lambda path: save_73(path, consortium()),
     "Parquet": lambda path: save_parquet(path, arrow_table(ttc(truth(40)))),

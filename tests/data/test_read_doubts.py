@@ -5,7 +5,6 @@ import pytest
 
 from tirefit.data.inspect import inspect
 from tirefit.data.read import read, read_frame
-from tirefit.data.table import join
 from tirefit.results import DataError
 
 RNG = np.random.default_rng(17)
@@ -284,13 +283,6 @@ def test_warnings_are_in_the_inspection_and_in_the_notes():
     assert tuple(rest) == data.source.assumptions
     quiet = inspect(read_frame(frame(KAPPA), **BRAKING))
     assert quiet.warnings == () and "warnings" not in quiet.summary()
-
-
-def test_warnings_of_joined_files_name_the_file():
-    one = read_frame(frame(KAPPA), "one", **BRAKING)
-    two = read_frame(frame(KAPPA), "two")
-    (text,) = join([one, two]).source.warnings
-    assert text.startswith("two: no convention declared")
 
 
 # --- percent, zeros, masked rows ------------------------------------------------

@@ -1,5 +1,7 @@
 """Vehicle logs: columns, units and signs; no slip, force or load is required."""
 
+import io
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,8 @@ def test_streamed_rows_have_the_same_columns(tmp_path):
         row = next(iter(reader))
     assert row["yaw_rate"] == pytest.approx(np.pi / 2) and row["torque_rr"] == 500
     assert {"offset", "omega_fl", "heading"} <= set(reader.columns)
+    reader = RowReader(io.StringIO("run,kappa,fz\n1,0.1,4000\n"), constants={"v": 20.0})
+    assert set(reader.columns) == set(next(iter(reader))) == {"v", "sigma_x", "fz"}
 
 
 def test_x_and_y_are_positions_only_with_a_heading():

@@ -113,15 +113,6 @@ def test_matlab_files_of_the_consortium_need_no_declaration(tmp_path, version, i
     assert not data.source.warnings
 
 
-@pytest.mark.parametrize("imperial", [False, True])
-def test_without_units_the_pressure_identifies_the_unit_system(tmp_path, imperial):
-    path = tmp_path / "run.mat"
-    save_5(path, ttc(truth(), imperial))
-    data = read(path)
-    same(data, truth())
-    assert said(data, "imperial units" if imperial else "metric units")
-
-
 KAPPA = np.array([-0.08, -0.04, -0.01, 0.01, 0.03, 0.06, 0.1])
 PLAIN = {"kappa": KAPPA, "fx": 40000 * KAPPA, "fz": np.full(7, 4000.0)}
 
@@ -296,24 +287,6 @@ def test_parquet_and_arrow_have_typed_columns(tmp_path, save, name):
     assert said(data, "columns not read: 'list' (list<")
     assert said(data, "columns not read: 'on', 'day'")
     assert said(data, "column 'day' in seconds from its first, 2020-01-01")
-
-
-def test_a_missing_value_in_parquet_masks_the_row(tmp_path):
-    pytest.importorskip("pyarrow")
-    columns = {name: list(values) for name, values in PLAIN.items()}
-    columns["fx"][2] = None
-    save_parquet(tmp_path / "a.parquet", arrow_table(columns))
-    assert "column 'fx': 1 of 7 rows (14.3%) lack a value (row 3)" in refusal(
-        tmp_path / "a.parquet"
-    )
-    data = read(tmp_path / "a.parquet", mask_bad_rows=True)
-    assert np.flatnonzero(~data.used).tolist() == [2]
-
-
-def test_a_consortium_file_may_be_parquet(tmp_path):
-    pytest.importorskip("pyarrow")
-    save_parquet(tmp_path / "a.parquet", arrow_table(ttc(truth())))
-    same(read(tmp_path / "a.parquet"), truth())
 
 
 def save_excel(path, sheets):

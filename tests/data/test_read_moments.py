@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from rig_file import truth, ttc, tydex
 
-from tirefit.data.columns import guess
 from tirefit.data.read import read, read_frame
 from tirefit.data.write import to_convention
 
@@ -21,27 +20,6 @@ def columns():
     }
 
 
-@pytest.mark.parametrize(
-    ("header", "name", "unit"),
-    [
-        ("MX", "mx", None),
-        ("Mx_Nm", "mx", "Nm"),
-        ("overturning moment", "mx", None),
-        ("Overturning Couple [ft-lb]", "mx", "ft-lb"),
-        ("My (Nm)", "my", "Nm"),
-        ("rolling resistance", "my", None),
-        ("mx std", "mx_std", None),
-    ],
-)
-def test_headers_of_the_moments_are_recognised(header, name, unit):
-    assert guess(header) == (name, unit)
-
-
-@pytest.mark.parametrize("header", ["mx [uT]", "my [mm]", "Rolling resistance [N]"])
-def test_other_columns_are_not_read_as_moments(header):
-    assert guess(header) is None
-
-
 def test_moments_follow_the_axes_of_the_file():
     data = read_frame(columns(), convention="iso-w")
     np.testing.assert_allclose(data["mx"], 0.02 * truth()["fy"])
@@ -53,12 +31,6 @@ def test_moments_follow_the_axes_of_the_file():
     turned = read_frame(sae, convention="sae")
     np.testing.assert_allclose(turned["mx"], data["mx"])
     np.testing.assert_allclose(turned["my"], -data["my"])
-
-
-def test_a_moment_column_of_zeros_is_ignored():
-    data = read_frame(columns() | {"MX [N m]": 0 * truth()["fy"]}, convention="iso-w")
-    assert "mx" not in data and "my" in data
-    assert any("zero in all rows" in text for text in data.source.assumptions)
 
 
 @pytest.mark.parametrize("imperial", [False, True])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.data.read import read, read_frame
+from tirefit.data.read import read
 from tirefit.data.write import to_convention
 from tirefit.results import UsageError
 
@@ -36,20 +36,8 @@ def test_simulated_column_may_state_its_own_unit(tmp_path):
     np.testing.assert_allclose(data["fx_sim"], [row[2] for row in ROWS])
 
 
-def test_simulated_column_can_be_declared(tmp_path):
-    path = written(tmp_path, "sigma_x,fx,my_simulator,fz", ROWS)
-    data = read(path, convention="braking", columns={"fx_sim": "my_simulator"})
-    np.testing.assert_allclose(data["fx_sim"], [row[2] for row in ROWS])
-
-
 def test_only_forces_may_be_simulated(tmp_path):
     path = written(tmp_path, "sigma_x,fx,fz_sim,fz", ROWS)
     assert "fz_sim" not in read(path, convention="braking").columns
     with pytest.raises(UsageError, match="fz_sim"):
         read(path, columns={"fz_sim": "fz_sim"})
-
-
-def test_simulated_column_is_read_from_a_frame():
-    columns = dict(zip(("sigma_x", "fx", "fx_sim", "fz"), zip(*ROWS, strict=True), strict=True))
-    data = read_frame(columns, convention="braking")
-    assert list(data.columns) == ["sigma_x", "fx", "fx_sim", "fz"]

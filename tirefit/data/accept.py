@@ -12,13 +12,6 @@ DataLike = TireData | Columns | str | os.PathLike
 """What every function takes as data: read, columns by name, or a path."""
 
 
-def _is_frame(data: object) -> bool:
-    # A lazy frame of polars warns if its columns are read.
-    names = ("collect_schema", "columns")
-    fields = getattr(getattr(data, "dtype", None), "names", None)
-    return bool(fields) or any(hasattr(data, name) for name in names)
-
-
 def as_data(data: DataLike, **how: Any) -> TireData:
     """The data as ``TireData``; read them if necessary.
 
@@ -37,7 +30,10 @@ def as_data(data: DataLike, **how: Any) -> TireData:
     if isinstance(data, str | os.PathLike):
         return read(data, **how)
     how.pop("otherwise", None)
-    if isinstance(data, Mapping) or _is_frame(data):
+    fields = getattr(getattr(data, "dtype", None), "names", None)
+    # A lazy frame of polars warns if its columns are read.
+    is_frame = fields or hasattr(data, "collect_schema") or hasattr(data, "columns")
+    if isinstance(data, Mapping) or is_frame:
         return read_frame(data, **how)
     raise UsageError(
         f"data of type {type(data).__name__}: give what `tirefit.read` returns, a path,"

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.columns import is_number
-from tirefit.data.readers.cells import Column, all_grouped, may_hold, parsed
+from tirefit.data.readers.cells import Column, parsed
 from tirefit.data.readers.own_tables import own_table
 from tirefit.data.signs import evidence_of, fitting_conventions
 from tirefit.data.units import base_column
@@ -139,8 +139,13 @@ def range_faults(
         convention: the one in which the file is read.
     """
     faults = []
-    for rule in _rules_for(columns):
-        values = columns[rule.column]
+    stds = (
+        Rule(name, lambda std: std <= 0, "is not a standard deviation: > 0 is needed", _CORRECT)
+        for name in columns
+        if name.endswith("_std")
+    )
+    for rule in (*_RULES, *stds):
+        values = columns.get(rule.column, np.empty(0))
         rows = np.flatnonzero(rule.is_bad(values))
         if not len(rows):
             continue
@@ -165,16 +170,6 @@ def _looks_like_percent(sigma: np.ndarray) -> bool:
     """Whether the slips are out of range in every sign convention."""
     low, high = np.nanmin(sigma), np.nanmax(np.where(sigma < LOCKED, sigma, np.nan))
     return low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)
-
-
-def _rules_for(columns: Mapping[str, np.ndarray]) -> list[Rule]:
-    text = "is not a standard deviation: > 0 is needed"
-    stds = [
-        Rule(name, lambda std: std <= 0, text, _CORRECT)
-        for name in columns
-        if name.endswith("_std")
-    ]
-    return [rule for rule in _RULES if rule.column in columns] + stds
 
 
 def _load_hint(text: str, columns, convention: str) -> tuple[str, str]:
@@ -311,17 +306,6 @@ def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
         " (--column run=HEADER), or correct the time; rows that are only out of order"
         " are no problem"
     ]
-
-
-def has_decimal_comma(columns) -> bool:
-    """Whether cells have commas, not all as in 4,000, and no number has a point."""
-    columns = [cells for cells in columns if not isinstance(cells, np.ndarray)]
-    if not any(may_hold(cells, ",") for cells in columns):
-        return False
-    with_point = (cells for cells in columns if may_hold(cells, "."))
-    if any("." in cell and is_number(cell) for cells in with_point for cell in cells):
-        return False
-    return not all(map(all_grouped, columns))
 
 
 def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, gaps: bool = False):

@@ -169,6 +169,7 @@ class _Reading:
     problems: list[InputProblem] = field(default_factory=list)
     assumptions: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    sign_doubts: list[str] = field(default_factory=list)
     slip_check: SlipCheck | None = None
 
     @property
@@ -219,7 +220,7 @@ def _checked(table: Table, options: Options) -> TireData:
         | {_canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit},
         units_beside=tuple(_canonical(c.name) for c in plan.columns.values() if c.beside),
         assumptions=tuple(_all_assumptions(reading)),
-        warnings=_warnings(reading, definition, run),
+        warnings=_warnings(reading, run),
         masked=masked,
         slip_check=reading.slip_check,
         line=table.lines,
@@ -258,13 +259,12 @@ def _numbers_to_si(reading: _Reading) -> None:
     table, plan = reading.table, reading.plan
     numeric = [column for name, column in plan.columns.items() if name != "run"]
     cells = {column.name: table.cells[column.index] for column in numeric}
-    commas = table.delimiter not in ("", ",") and check.has_decimal_comma(cells.values())
-    if commas:
+    if table.commas:
         reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
     for column in numeric:
         gaps = missing.may_miss(column.name, reading.options.forces)
         values, faults = check.read_numbers(
-            cells[column.name], column.header, table.ragged, commas, gaps
+            cells[column.name], column.header, table.ragged, table.commas, gaps
         )
         count = sum(len(fault.rows) for fault in faults if fault.is_missing)
         told = column.name in reading.options.columns or reading.options.mask_bad_rows
@@ -433,7 +433,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
         if good.any():
             varied = forces and curve
             whole += check.check_variation(used, reading.file) if varied else []
-            whole += signs.check_signs(
+            problems, reading.sign_doubts = signs.judge_signs(
                 used,
                 reading.headers,
                 reading.signs,
@@ -442,6 +442,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
                 reading.plan.units,
                 "wheelbase" in reading.table.constants,
             )
+            whole += problems
         elif reading.options.mask_bad_rows or not of_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
             if not reading.options.mask_bad_rows:
@@ -460,18 +461,15 @@ def _all_assumptions(reading: _Reading) -> list[str]:
     return [*messages, *findings(reading.table.constants)]
 
 
-def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
+def _warnings(reading: _Reading, run) -> tuple[str, ...]:
     """Warnings by the rows that are complete: a prediction keeps others, without a force."""
     good = ~reading.bad() & np.all([np.isfinite(v) for v in reading.columns.values()], axis=0)
     if not good.any():
         return tuple(reading.unread + reading.doubts)
     used = {name: values[good] for name, values in reading.columns.items()}
     lines = reading.table.lines[good]
-    read_as = reading.signs
-    doubt = signs.doubt_convention(used, reading.headers, definition, read_as)
-    doubts = [doubt] if doubt else []
-    doubts += signs.doubt_signs(used, reading.headers, definition, read_as, reading.plan.units)
-    doubts += reading.unread + reading.doubts + doubt_units(used, reading.headers, reading.plan)
+    doubts = reading.sign_doubts + reading.unread + reading.doubts
+    doubts += doubt_units(used, reading.headers, reading.plan)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")
         doubts += check.doubt_time(used["time"], run[good], lines, header)

@@ -9,6 +9,7 @@ import itertools
 import re
 from collections.abc import Sequence
 from functools import lru_cache
+from os.path import commonprefix
 from typing import NamedTuple
 
 LONGEST = 18
@@ -39,12 +40,7 @@ def clipped(text: str, most: int) -> str:
 
 def _shared(pieces: list[list[str]]) -> int:
     """Number of pieces with which all names begin, leaving each at least one more."""
-    count = 0
-    while count < min(map(len, pieces)) - 1:
-        if len({one[count] for one in pieces}) > 1:
-            break
-        count += 1
-    return count
+    return min(len(commonprefix(pieces)), *(len(one) - 1 for one in pieces))
 
 
 def _start(pieces: list[list[str]], first: int) -> int:

@@ -155,7 +155,7 @@ _LIMIT = 0.01
 fifth of the scatter of the slips if that is larger."""
 
 
-def check_signs(
+def judge_signs(
     columns: Mapping[str, np.ndarray],
     headers: Mapping[str, str],
     signs: Signs,
@@ -163,24 +163,31 @@ def check_signs(
     definition: str,
     units: Mapping[str, str],
     is_derived: bool = False,
-) -> list[InputProblem]:
-    """Problems if force and slip have a negative correlation in canonical signs.
+) -> tuple[list[InputProblem], list[str]]:
+    """Problems if force and slip have a negative correlation in canonical signs, and warnings on
+    signs that moment, camber, brakes, speeds or a locked wheel contradict.
 
     Args:
         columns: (n,) canonical columns, used rows only.
         headers: the header of each column in the file.
-        signs: convention in which the file was read.
+        signs: convention in which the file was read. If it was not declared, the sign of the
+            slip causes one warning, with all that the data tell about it.
         file: named in the problems.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
         units: the unit in which each column was read.
         is_derived: whether ``tirefit derive`` wrote the file, whose signs are known.
     """
     evidence, problems = evidence_of(columns, definition), []
+    doubt = (
+        None if signs.is_declared else _undeclared(columns, headers, definition, signs, evidence)
+    )
+    warnings = [doubt] if doubt else []
+    assumed = "" if signs.is_declared else ", which were assumed"
     for item in evidence:
+        remedy = _remedy(item, evidence, signs.convention, units) if item.trend < 0 else ""
         if item.trend < 0 and item.is_refused:
             reason = f"signs contradict the convention {signs.convention!r}: "
             reason += f"{_names(item, headers)}: {item.rule}, but not in the data"
-            remedy = _remedy(item, evidence, signs.convention, units)
             if is_derived:
                 remedy = (
                     "tirefit derive wrote this file: correct tracked_point, or the signs in"
@@ -189,33 +196,12 @@ def check_signs(
                 )
             header = headers.get(item.columns[1], item.columns[1])
             problems.append(InputProblem(reason, remedy, file, column=header))
-    return problems
-
-
-def doubt_signs(
-    columns: Mapping[str, np.ndarray],
-    headers: Mapping[str, str],
-    definition: str,
-    signs: Signs,
-    units: Mapping[str, str],
-) -> list[str]:
-    """Warnings on signs that moment, camber, brakes, speeds or a locked wheel contradict.
-
-    Args:
-        columns, headers, definition, signs, units: as in :func:`check_signs`. The slip of a
-            file without declared convention is checked by :func:`doubt_convention`.
-    """
-    evidence, messages = evidence_of(columns, definition), []
-    assumed = "" if signs.is_declared else ", which were assumed"
-    for item in evidence:
-        of_slip = item.fields == ("slip",)
-        if item.trend < 0 and not item.is_refused and (signs.is_declared or not of_slip):
-            messages.append(
+        elif item.trend < 0 and (signs.is_declared or item.fields != ("slip",)):
+            warnings.append(
                 f"{_names(item, headers)}: {item.rule}, but not with the signs of"
-                f" {signs.convention!r}{assumed}:"
-                f" {_remedy(item, evidence, signs.convention, units)}"
+                f" {signs.convention!r}{assumed}: {remedy}"
             )
-    return messages
+    return problems, warnings
 
 
 def _names(item: Evidence, headers: Mapping[str, str]) -> str:
@@ -243,22 +229,19 @@ def _remedy(
     return "; ".join(ways) or "check --convention"
 
 
-def doubt_convention(
-    columns: Mapping[str, np.ndarray], headers: Mapping[str, str], definition: str, signs: Signs
+def _undeclared(
+    columns, headers, definition: str, signs: Signs, pairs: Sequence[Evidence]
 ) -> str | None:
-    """A warning if no convention was declared and the sign of the slip may be wrong.
+    """A warning that the sign of the slip may be wrong, as no convention was declared.
 
-    Forces change their sign with the slip, so :func:`check_signs` cannot distinguish
-    driving from braking: a file read with the wrong signs fits a mirrored tire as well.
-    Driving slips cause a warning unless the speeds of wheel and vehicle confirm them:
-    omega / v falls as the braking slip rises.
-
-    Args:
-        columns, headers, definition, signs: as in :func:`check_signs`.
+    Forces change their sign with the slip, so they do not distinguish driving from braking: a
+    file read with the wrong signs fits a mirrored tire as well. Driving slips cause a warning
+    unless the speeds of wheel and vehicle confirm them: omega / v falls as the braking slip
+    rises.
     """
-    if signs.is_declared or not {"sigma_x"} <= headers.keys() & columns.keys():
+    if not {"sigma_x"} <= headers.keys() & columns.keys():
         return None  # no slip column: computed from speeds, or none at all
-    pairs, convention = evidence_of(columns, definition), signs.convention
+    convention = signs.convention
     speeds = sum(item.trend for item in pairs if item.columns == ("sigma_x", "omega"))
     header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))

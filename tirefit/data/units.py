@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.table import WHEELS
+from tirefit.data.table import CANONICAL
 from tirefit.results import DataError, did_you_mean
 from tirefit.slip import CONVENTIONS, GRAVITY, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
@@ -41,22 +41,6 @@ class Unit(NamedTuple):
             return values / abs(self.scale)
         return (values - self.offset) / self.scale
 
-
-_DIMENSION = {
-    "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
-    "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
-    "mx": "moment", "my": "moment",
-    "pressure": "pressure", "brake_pressure": "pressure", "temperature": "temperature",
-    "torque": "moment",
-    "alpha_rate": "angular speed", "steering_rate": "angular speed",
-    "a_x": "acceleration", "a_y": "acceleration",
-    "yaw_rate": "angular speed", "yaw_acceleration": "angular acceleration",
-    "heading": "angle", "x": "length", "y": "length", "steering": "angle",
-    "roll_rate": "angular speed", "offset": "length", "road_heading": "angle",
-    **{f"omega_{wheel}": "angular speed" for wheel in WHEELS},
-    **{f"torque_{wheel}": "moment" for wheel in WHEELS},
-    **dict.fromkeys(SLIP_DEFINITIONS, "ratio"),
-}  # fmt: skip
 
 _TURN = 2 * np.pi
 
@@ -131,7 +115,8 @@ def base_column(column: str) -> str:
 
 def dimension_of(column: str) -> str:
     """The dimension (a plain word) of a canonical or slip column, std or not."""
-    return _DIMENSION[base_column(column)]
+    unit, _ = CANONICAL.get(base_column(column), CANONICAL["sigma_x"])
+    return _KNOWN[unit.replace(" ", "")].dimension
 
 
 def known_unit(text: str) -> Unit | None:

@@ -127,12 +127,10 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
         data: the rows that were predicted; forces of an earlier simulator are left out.
         forces: (n,) canonical forces; ``<force>_std`` is left out.
     """
-    columns = {f"{c}_sim": force for c, force in forces.items()}
-    columns = {c: force for c, force in columns.items() if c in SIMULATED}
-    own = [name for name in data.columns if name not in SIMULATED]
-    table = _own_columns(data, own) | {
-        name: _in_unit_of_its_force(data, name, force) for name, force in columns.items()
-    }
+    table = _own_columns(data, [name for name in data.columns if name not in SIMULATED])
+    for name, force in forces.items():
+        if f"{name}_sim" in SIMULATED:
+            (table[f"{name}_sim"],) = to_convention(data, {name: force}).values()
     return _with_units(data, table)
 
 
@@ -145,12 +143,6 @@ def _with_units(data: TireData, table: dict) -> dict:
         if unit and unit != CANONICAL[base_column(name)][0]:
             message[header] = f"{header} [{unit}]"
     return {message.get(header, header): values for header, values in table.items()}
-
-
-def _in_unit_of_its_force(data: TireData, name: str, force) -> np.ndarray:
-    channel = name.removesuffix("_sim")
-    (values,) = to_convention(data, {channel: force}).values()
-    return values
 
 
 def _own_columns(data: TireData, names: Sequence[str]) -> dict:

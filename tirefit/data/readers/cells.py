@@ -10,7 +10,7 @@ import io
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def split(lines: Iterable[str], delimiter: str) -> Any:
     return csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
 
 
-class Lines(Sequence[Sequence[str]]):
+class Lines(Sequence[list[str]]):
     """Rows of cells of lines without quotation marks, split on demand."""
 
     def __init__(self, lines: Sequence[str], delimiter: str):
@@ -44,15 +44,16 @@ class Lines(Sequence[Sequence[str]]):
     def __iter__(self) -> Iterator[list[str]]:
         return split(self._lines, self._delimiter)
 
-    def numbers(self) -> tuple[list[np.ndarray | None], str] | None:
-        """The numbers (n,) of each column, None for one of text, and their decimal mark: empty
-        if there is none. None if NumPy finds another cell or another number of cells."""
+    def numbers(self, commas: bool) -> list[np.ndarray | None] | None:
+        """The numbers (n,) of each column, None for one of text. None if NumPy finds another
+        cell or another number of cells.
+
+        Args:
+            commas: whether a comma is the decimal mark.
+        """
         text = "".join(self._lines)
-        point = "." in text
-        commas = not point and self._delimiter != "," and "," in text
         text = text.replace(",", ".") if commas else text
-        first: list[str] = next(split(self._lines[:1], self._delimiter), [])
-        first = [cell.replace(",", ".") for cell in first] if commas else first
+        first: list[str] = next(split(text.splitlines()[:1], self._delimiter), [])
         kinds = ["f8" if is_number(cell) else "S1" for cell in first]
         kind = np.dtype([(f"f{k}", kind) for k, kind in enumerate(kinds)])
         apart = None if self._delimiter == SPACES else self._delimiter
@@ -63,86 +64,43 @@ class Lines(Sequence[Sequence[str]]):
         if len(grid) != len(self._lines):
             return None
         names = kind.names or ()
-        mark = "," if commas else "." if point else ""
-        return [np.array(grid[n]) if kind[n].kind == "f" else None for n in names], mark
+        return [np.array(grid[n]) if kind[n].kind == "f" else None for n in names]
 
 
-class _Block(Sequence[str]):
-    """The cells of a column in some lines, and their numbers if it has only numbers."""
+class Block(NamedTuple):
+    """Some rows of a text."""
 
-    def __init__(self, rows: Lines, place: int, values: np.ndarray | None, mark: str):
-        self._rows, self._place = rows, place
-        self.values, self.mark = values, mark
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __getitem__(self, row: Any) -> Any:
-        return self._rows[row][self._place]
-
-    def __iter__(self) -> Iterator[str]:
-        return (row[self._place] for row in self._rows)
+    lines: np.ndarray  # (n,) line in the file of each row
+    rows: Sequence[list[str]]  # the cells of each row
+    values: Sequence[np.ndarray | None]  # numbers (n,) of each column or None; () if not known
 
 
 class Column(Sequence[str]):
     """The cells of one column as in the file, in blocks of rows."""
 
-    def __init__(self) -> None:
-        self._blocks: list[Sequence[str]] = []
-        self._ends = [0]
-
-    def add(self, cells: Sequence[str]) -> None:
-        """Append the cells of a block of rows."""
-        self._blocks.append(cells)
-        self._ends.append(len(self) + len(cells))
-
-    def add_lines(self, rows: Lines, place: int, values: np.ndarray | None, mark: str) -> None:
-        """Append the cells at this place of the rows, and their numbers (n,) if known."""
-        self.add(_Block(rows, place, values, mark))
+    def __init__(self, blocks: Sequence[Block], place: int):
+        self._blocks, self._place = blocks, place
+        self._ends = [0, *itertools.accumulate(len(block.rows) for block in blocks)]
 
     def __len__(self) -> int:
         return self._ends[-1]
 
     def __getitem__(self, row: Any) -> Any:
         block = bisect.bisect_right(self._ends, row) - 1
-        return self._blocks[block][int(row) - self._ends[block]]
+        return self._blocks[block].rows[int(row) - self._ends[block]][self._place]
 
     def __iter__(self) -> Iterator[str]:
-        return itertools.chain.from_iterable(self._blocks)
+        return (row[self._place] for block in self._blocks for row in block.rows)
 
     def numbers(self, commas: bool) -> np.ndarray:
         """float64 (n,), NaN where the cell is not a number."""
         each = [np.empty(0)]
         for block in self._blocks:
-            values = block.values if isinstance(block, _Block) else None
-            if values is None or (not commas and getattr(block, "mark", "") == ","):
-                values = parsed(block, commas)
+            values = block.values[self._place] if block.values else None
+            if values is None:
+                values = parsed([row[self._place] for row in block.rows], commas)
             each.append(values)
         return np.concatenate(each)
-
-    def may_hold(self, mark: str) -> bool:
-        """Whether some cell holds a decimal mark; in a block of numbers, of any column."""
-        return any(
-            mark == block.mark
-            if isinstance(block, _Block) and block.values is not None
-            else mark in "".join(block)
-            for block in self._blocks
-        )
-
-    def words(self) -> list[str]:
-        """The cells; in a block of numbers, as at the first of each stretch of equal ones."""
-        words: list[str] = []
-        for block in self._blocks:
-            values = block.values if isinstance(block, _Block) else None
-            if values is None:
-                words += block
-                continue
-            first = np.flatnonzero(np.diff(values, prepend=np.nan) != 0)
-            few = 10 * len(first) < len(values) and bool(np.isfinite(values).all())
-            texts = [block[int(k)] for k in first] if few else block
-            counts = np.diff(first, append=len(values)) if few else 1
-            words += np.repeat(np.array(texts, object), counts).tolist()
-        return words
 
 
 def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
@@ -158,9 +116,12 @@ def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
         return np.array([float(t) if is_number(t) else np.nan for t in texts], float)
 
 
-def all_grouped(cells: Iterable[str]) -> bool:
-    """Whether all cells with commas have them as in 4,000."""
-    return all(_GROUPED.fullmatch(cell) for cell in cells if "," in cell)
+def has_decimal_comma(cells: Iterable[str]) -> bool:
+    """Whether cells have commas, not all as in 4,000, and no number has a point."""
+    marked = [cell for cell in cells if "," in cell or "." in cell]
+    if any("." in cell and is_number(cell) for cell in marked):
+        return False
+    return not all(_GROUPED.fullmatch(cell) for cell in marked if "," in cell)
 
 
 def words_of(cells) -> list[str]:
@@ -168,10 +129,4 @@ def words_of(cells) -> list[str]:
     numbers is 1."""
     if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
         return [f"{cell:.15g}" for cell in cells]
-    words = cells.words() if isinstance(cells, Column) else cells
-    return [str(word).strip() for word in words]
-
-
-def may_hold(cells: Sequence[str], mark: str) -> bool:
-    """Whether some cell holds a decimal mark."""
-    return cells.may_hold(mark) if isinstance(cells, Column) else mark in "".join(cells)
+    return [str(word).strip() for word in cells]

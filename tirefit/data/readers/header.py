@@ -3,7 +3,7 @@
 import csv
 import itertools
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 
 from tirefit.data.columns import guess, is_number
 from tirefit.data.readers.cells import SPACES
@@ -62,14 +62,11 @@ def _is_cell(word: str) -> bool:
     return is_number(word.replace(",", ".", 1)) or word.casefold() == "nan"
 
 
-def commented_header(
-    lines: Sequence[str], is_known: Callable[[str], bool]
-) -> tuple[int, str] | None:
+def commented_header(lines: Sequence[str]) -> tuple[int, str] | None:
     """The header of a file whose header is a comment, as NumPy and MATLAB write it.
 
     Args:
         lines: of the file.
-        is_known: whether a word is the name of a known column.
 
     Returns:
         Index and text without the mark of the last comment above the first line of
@@ -89,7 +86,7 @@ def commented_header(
             cells = [cell.strip() for cell in split(text)]
             if len(cells) != width or any(map(is_number, cells)):
                 continue
-            if sum(map(is_known, cells)) >= 2:
+            if sum(guess(cell) is not None for cell in cells) >= 2:
                 return index, text + "\n"
     return None
 
@@ -148,7 +145,7 @@ def _is_numeric(row: Sequence[str]) -> bool:
 
 
 def find_header(
-    lines: Sequence[str], searched: Sequence[int], declared: Collection[str]
+    lines: Sequence[str], searched: Sequence[int], is_known: Callable[[str], bool]
 ) -> tuple[int, str, list[str]]:
     """Index of the header line, the delimiter, and its words if white space separates.
 
@@ -157,10 +154,6 @@ def find_header(
     White space separates if no delimiter gives columns and white space gives as many as
     the rows of numbers have.
     """
-    declared = {header.strip().casefold() for header in declared}
-
-    def is_known(name: str) -> bool:
-        return name.casefold() in declared or guess(name) is not None
 
     def split(index: int, delimiter: str) -> tuple[int, int]:
         """Recognised columns and all columns of a line, which quotes may extend."""

@@ -69,8 +69,7 @@ def _read(path: Place, declared: Collection[str]) -> Table:
     is_known = _knower(declared)
     # The folder of a ROS 2 bag.
     if isinstance(path, Path) and (path / "metadata.yaml").is_file():
-        channels = logs.channels_of_bag(path, b"", is_known)
-        return _of_channels(channels, path, _digest(path), "stated in the file")
+        return _of_channels(logs.channels_of_bag(path, b"", is_known), path, _digest(path))
     raw = read_bytes(path)
     content, file = gunzipped(raw, path), str(path)
     for start, (kind, remedy) in _UNREADABLE.items():
@@ -81,26 +80,20 @@ def _read(path: Place, declared: Collection[str]) -> Table:
         raise DataError(_of_json(content, file))
     digest = hashlib.sha256(raw).hexdigest()
     if is_mat(content):
-        channels = channels_of_mat(content, file, is_known)
-        return _of_channels(channels, path, digest, "stated in the file")
+        return _of_channels(channels_of_mat(content, file, is_known), path, digest)
     if logs.is_mdf(content):
-        channels = logs.channels_of_mdf(path, content, is_known)
-        return _of_channels(channels, path, digest, "stated in the file")
+        return _of_channels(logs.channels_of_mdf(path, content, is_known), path, digest)
     if logs.bag_suffix(content):
-        channels = logs.channels_of_bag(path, content, is_known)
-        return _of_channels(channels, path, digest, "stated in the file")
+        return _of_channels(logs.channels_of_bag(path, content, is_known), path, digest)
     if tables.is_arrow(content):
         channels = tables.channels_of_arrow(content, file)
         return _of_channels(channels, path, digest, "metadata of the column")
     if tables.is_excel(content):
-        sheet = tables.sheet_of_excel(content, file, is_known)
-        rows = zip(sheet.numbers, sheet.rows, strict=True)
-        return table_of_rows(rows, path, digest, list(sheet.notes))
-    if VBO.search(content):
-        text, notes = decoded(content, path)
-        if is_vbo(text):
-            return table_of_vbo(text, path, digest, notes)
+        rows, notes = tables.sheet_of_excel(content, file, is_known)
+        return table_of_rows(rows, path, digest, notes)
     text, notes = decoded(content, path)
+    if VBO.search(content) and is_vbo(text):
+        return table_of_vbo(text, path, digest, notes)
     above = text[:_OF_TIRE]
     DataError.raise_for(other_tire(above, file))
     if describes_tir(above):
@@ -110,7 +103,7 @@ def _read(path: Place, declared: Collection[str]) -> Table:
         raise DataError(reason, "give the measurements here, and this file as --config", file)
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
-    return table_of_text(text, path, digest, declared, notes)
+    return table_of_text(text, path, digest, is_known, notes)
 
 
 def _of_json(content: bytes, file: str) -> InputProblem:
@@ -149,7 +142,9 @@ def _knower(declared: Collection[str]) -> Callable[[str], bool]:
     return is_known
 
 
-def _of_channels(channels: Channels, path: Place, digest: str, units_from: str) -> Table:
+def _of_channels(
+    channels: Channels, path: Place, digest: str, units_from: str = "stated in the file"
+) -> Table:
     """A table of columns without lines; rows are counted from 1."""
     headers = list(channels.columns)
     cells = list(channels.columns.values())

@@ -41,10 +41,9 @@ _DAY = 86_400.0  # s
 
 
 class VboTable(NamedTuple):
-    """Header, rows, their lines in the file (from 1), units of the columns, notes, warnings."""
+    """Line in the file (from 1) and cells of the header and the rows, units, notes, warnings."""
 
-    rows: list[list[str]]
-    numbers: list[int]
+    rows: list[tuple[int, list[str]]]
     units: list[str]
     notes: list[str]
     doubts: tuple[str, ...]
@@ -86,8 +85,7 @@ def vbo_table(text: str, file: str) -> VboTable:
             notes.append(
                 f"{name!r} is named 'course' and not read as a yaw: it is the way of travel"
             )
-    rows = [header, *(cells for _, cells in data)]
-    return VboTable(rows, [names[0][0], *(k for k, _ in data)], units, notes, doubts)
+    return VboTable([(names[0][0], header), *data], units, notes, doubts)
 
 
 def _sections(lines: Sequence[str]) -> dict[str, list[tuple[int, str]]]:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.readers.mat_sound import check_sound
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 
@@ -245,17 +245,13 @@ def _logged(struct: Mapping[str, Any]) -> Channels | None:
 def _left_out(struct: Mapping[str, Any], kept) -> list[str]:
     """Notes on the other content of a struct; texts in full."""
     others = {n: value for n, value in struct.items() if n not in kept}
-    texts = [f"{n} = {value!r}" for n, value in others.items() if _is_text(value)]
+    texts = [f"{n} = {value!r}" for n, value in others.items() if isinstance(value, str)]
     left = [
         f"{n!r} ({_described(value)})"
         for n, value in others.items()
-        if not isinstance(value, dict) and not _is_text(value)
+        if not isinstance(value, dict | str)
     ]
     return [*texts, *([f"variables not read: {', '.join(left)}"] if left else [])]
-
-
-def _is_text(value) -> bool:
-    return isinstance(value, str)
 
 
 def _described(value) -> str:
@@ -265,7 +261,7 @@ def _described(value) -> str:
         return " x ".join(map(str, value.shape))
     if hasattr(value, "nnz"):
         return "sparse matrix"
-    return "text" if _is_text(value) else f"{type(value).__name__} of {len(value)}"
+    return "text" if isinstance(value, str) else f"{type(value).__name__} of {len(value)}"
 
 
 def _stated(contents: Mapping[str, Any]) -> dict[str, str]:
@@ -274,7 +270,7 @@ def _stated(contents: Mapping[str, Any]) -> dict[str, str]:
     for place, struct in _structs(contents):
         folded = {key.casefold(): value for key, value in struct.items()}
         if place.split(".")[-1].casefold() == "units":
-            units |= {n: text for n, text in struct.items() if _is_text(text)}
+            units |= {n: text for n, text in struct.items() if isinstance(text, str)}
         names, texts = folded.get("name"), folded.get("units")
         if isinstance(names, list) and isinstance(texts, list):
             if len(names) == len(texts) and _are_texts(names + texts):
@@ -285,10 +281,8 @@ def _stated(contents: Mapping[str, Any]) -> dict[str, str]:
 def _nothing(contents: Mapping[str, Any], file: str) -> DataError:
     listed = ", ".join(f"{name!r} ({_described(value)})" for name, value in contents.items())
     reason = f"no columns in this MATLAB file: {listed or 'it is empty'}"
-    problem = InputProblem(reason, _HOW_TO_SAVE, file)
     objects = [n for n, value in contents.items() if isinstance(value, _Opaque)]
     if objects:
         kinds = ", ".join(f"{n!r} is a {contents[n].kind}" for n in objects)
         reason = f"{kinds}, which only MATLAB can read"
-        problem = InputProblem(reason, _HOW_TO_SAVE, file)
-    return DataError(problem)
+    return DataError(reason, _HOW_TO_SAVE, file)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tirefit.data.check import has_decimal_comma, read_numbers
+from tirefit.data.check import read_numbers
 from tirefit.data.columns import guess
 from tirefit.data.readers.text import Table
 
@@ -69,11 +69,9 @@ def with_headings(table: Table, stated: Sequence[str] = ()) -> tuple[Table, dict
 
 def _values(table: Table, parts: dict[str, int]) -> tuple[np.ndarray, str]:
     """Heading (n,) [rad], and a note on its columns and on the rows without one."""
-    cells = {part: table.cells[place] for part, place in parts.items()}
-    commas = table.delimiter not in ("", ",") and has_decimal_comma(cells.values())
     numbers = {
-        part: read_numbers(column, part, table.ragged, commas, True)[0]
-        for part, column in cells.items()
+        part: read_numbers(table.cells[place], part, table.ragged, table.commas, True)[0]
+        for part, place in parts.items()
     }
     norm = np.sqrt(np.sum([values**2 for values in numbers.values()], axis=0))
     missing = np.isnan(norm) & ~table.ragged

@@ -3,7 +3,7 @@
 import glob
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -36,17 +36,9 @@ class RemoteFile:
         path = next(filter(None, paths), self.address).split("?")[0]
         return path.rstrip("/").rsplit("/", 1)[-1]
 
-    @property
-    def parent(self) -> "RemoteFile":
-        return RemoteFile(self.address.rstrip("/").rsplit("/", 1)[0])
-
     def exists(self) -> bool:
         """False, as results cannot replace a remote file."""
         return False
-
-    def iterdir(self) -> Iterable["RemoteFile"]:
-        """Empty: listing the folder would need another request to the server."""
-        return ()
 
     def open(self, mode: str = "rb") -> Any:
         """Open the file for reading bytes.
@@ -90,37 +82,28 @@ def expanded(files: Iterable[Place]) -> list[Any]:
     """
     every: list[Place] = []
     for file in files:
-        text = str(file)
-        is_pattern = bool(_PATTERN.search(text))
+        text, found = str(file), [file]
         if isinstance(file, RemoteFile):
             # A question mark in an address begins a query.
-            every += _listed(file) if "*" in text else [file]
-        elif is_pattern and not file.exists():
-            fitting = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
-            every += _some(fitting, text)
-        else:
-            every.append(file)
+            found = _listed(text) if "*" in text else found
+        elif _PATTERN.search(text) and not file.exists():
+            found = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
+        if not found:
+            raise DataError("no file matches this pattern", "check the path", text)
+        every += found
     return every
 
 
-def _listed(file: RemoteFile) -> list[Place]:
-    fsspec = _fsspec(file.address)
+def _listed(address: str) -> list[Place]:
+    fsspec = _fsspec(address)
     try:
-        system, path = fsspec.core.url_to_fs(file.address)
-        names = sorted(system.glob(path))
+        system, path = fsspec.core.url_to_fs(address)
+        return [file_at(system.unstrip_protocol(name)) for name in sorted(system.glob(path))]
     except ImportError as error:
-        raise _lacks(file.address, error) from error
+        raise _lacks(address, error) from error
     except Exception as error:  # each server has errors of its own
         reason = f"the addresses cannot be listed: {type(error).__name__}: {error}"
-        raise DataError(reason, "name the files", file.address) from error
-    return _some([file_at(system.unstrip_protocol(n)) for n in names], file.address)
-
-
-def _some(files: Sequence[Place], pattern: str) -> list[Place]:
-    if not files:
-        reason, remedy = "no file matches this pattern", "check the path"
-        raise DataError(reason, remedy, pattern)
-    return list(files)
+        raise DataError(reason, "name the files", address) from error
 
 
 def _fsspec(address: str) -> ModuleType:

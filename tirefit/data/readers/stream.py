@@ -15,14 +15,13 @@ from tirefit.data.columns import is_number, plan_columns
 from tirefit.data.declared import declared, stated_convention
 from tirefit.data.units import sign_of, slip_from_speeds, slip_to_sigma
 from tirefit.results import DataError
-from tirefit.slip import SLIP_DEFINITIONS
 
 
 class RowReader:
     """Read a CSV stream whose first line is the header.
 
-    ``assumptions``: sentences on the columns; ``bad``: (line, reason) of the last row,
-    None if it was complete.
+    ``columns``: the canonical columns of every row; ``assumptions``: sentences on them;
+    ``bad``: (line, reason) of the last row, None if it was complete.
 
     Raises:
         UsageError: an option has an unknown name or value.
@@ -55,18 +54,8 @@ class RowReader:
         self._convention = signs.convention
         self.assumptions = (*doubts, *plan.assumptions, str(signs))
         self.bad: tuple[int, str] | None = None
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The canonical columns of every row."""
-        names = [n for n in self._plan.columns if n not in (*SLIP_DEFINITIONS, "run")]
-        there = {*names, *self._options.constants}
-        if self._plan.slip or self._derives(there):
-            names.append("sigma_x")
-        return tuple(dict.fromkeys((*names, *self._options.constants)))
-
-    def _derives(self, there) -> bool:
-        return self._options.rolling_radius is not None and {"v", "omega"} <= set(there)
+        self.columns = tuple(self._row([""] * self._width))
+        self.bad = None
 
     def __iter__(self) -> Iterator[dict[str, float]]:
         while True:
@@ -103,12 +92,9 @@ class RowReader:
     def _with_sigma(self, row: dict[str, float]) -> dict[str, float]:
         definition, radius = self._plan.slip, self._options.rolling_radius
         if definition is not None:
-            slip, alpha = np.array([row.pop(definition)]), row.get("alpha")
-            angles = None if alpha is None else np.array([alpha])
+            slip = np.float64(row.pop(definition))
             with np.errstate(all="ignore"):
-                row["sigma_x"] = float(slip_to_sigma(slip, definition, angles)[0])
-        elif self._derives(row):
-            speeds = np.array([row["omega"]]), np.array([row["v"]])
-            with np.errstate(all="ignore"):
-                row["sigma_x"] = float(slip_from_speeds(*speeds, radius)[0])
+                row["sigma_x"] = float(slip_to_sigma(slip, definition, row.get("alpha")))
+        elif radius is not None and {"v", "omega"} <= row.keys():
+            row["sigma_x"] = float(slip_from_speeds(np.float64(row["omega"]), row["v"], radius))
         return row

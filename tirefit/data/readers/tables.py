@@ -4,7 +4,7 @@ import datetime
 import io
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,14 +16,6 @@ from tirefit.results import DataError
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 _SEARCHED = 60  # first rows of a sheet, which must contain the header
-
-
-class Sheet(NamedTuple):
-    """Rows of a sheet from its header, as texts, and the row number of each."""
-
-    rows: list[list[str]]
-    numbers: list[int]
-    notes: tuple[str, ...]
 
 
 # --- Parquet and Arrow --------------------------------------------------------------
@@ -120,8 +112,11 @@ def is_excel(content: bytes) -> bool:
         return False
 
 
-def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -> Sheet:
-    """The only sheet with a header of at least two known columns.
+def sheet_of_excel(
+    content: bytes, file: str, is_known: Callable[[str], bool]
+) -> tuple[list[tuple[int, list[str]]], list[str]]:
+    """The only sheet with a header of at least two known columns: number and cells of each row
+    from its header, and notes.
 
     Args:
         content: bytes of the file.
@@ -149,10 +144,9 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
     others = [other for other in sheets if other != title]
     if others:
         notes.append(f"sheets not read: {', '.join(map(repr, others))}")
-    numbers, cells = zip(*filled[title][start:], strict=True)
-    width = max((i + 1 for i, cell in enumerate(cells[0]) if cell), default=0)
-    rows = [[*row[:width], *(cell for cell in row[width:] if cell)] for row in cells]
-    return Sheet(rows, list(numbers), tuple(notes))
+    rows = filled[title][start:]
+    width = max((i + 1 for i, cell in enumerate(rows[0][1]) if cell), default=0)
+    return [(n, [*row[:width], *filter(None, row[width:])]) for n, row in rows], notes
 
 
 def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]:

@@ -7,7 +7,7 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.check import BadRows
-from tirefit.data.columns import guess, is_number
+from tirefit.data.columns import is_number
 from tirefit.data.declared import stated_convention
-from tirefit.data.readers.cells import Column, Lines, split
+from tirefit.data.readers.cells import Block, Column, Lines, has_decimal_comma, split
 from tirefit.data.readers.header import (
     commented_header,
     counts_up,
@@ -34,8 +34,6 @@ from tirefit.results import DataError, did_you_mean
 
 Row = tuple[int, list[str]]
 """Line in the file, and cells."""
-_Columns = tuple[list[Column], np.ndarray, np.ndarray, tuple[BadRows, ...]]
-"""Columns, line of each row (n,), which are ragged (n,) bool, and their fault."""
 
 _END = "\0"
 _OF_TEXT = bytes([*range(0x20, 0x7F), *b"\n\r\t"])
@@ -64,6 +62,7 @@ class Table:
     layout: Layout = field(default_factory=Layout)
     doubts: tuple[str, ...] = ()  # warnings on content that may have another meaning
     constants: Mapping[str, float] = field(default_factory=dict)  # see ``Source``
+    commas: bool = False  # whether a comma is the decimal mark
 
 
 def read_bytes(path: Place) -> bytes:
@@ -75,10 +74,8 @@ def read_bytes(path: Place) -> bytes:
         if isinstance(path, Path) and path.is_symlink():
             reason = f"it is a link to {path.readlink()}, which does not exist"
             raise _refusal(reason, "correct the link", path) from None
-        try:
-            beside = [other.name for other in path.parent.iterdir()]
-        except OSError:
-            beside = []
+        folder = path.parent if isinstance(path, Path) else None
+        beside = [other.name for other in folder.iterdir()] if folder and folder.is_dir() else []
         remedy = did_you_mean(path.name, beside).strip() or "check the path"
         raise _refusal("the file does not exist", remedy, path) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
@@ -141,13 +138,13 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
 
 
 def table_of_text(
-    text: str, path: Place, digest: str, declared: Collection[str], notes: list[str]
+    text: str, path: Place, digest: str, is_known: Callable[[str], bool], notes: list[str]
 ) -> Table:
-    """Cells of a text; ``declared`` headers help to find the header."""
+    """Cells of a text; ``is_known`` tells whether a name is that of a known column."""
     # A StringIO would take four bytes for each character.
     raw = list(io.TextIOWrapper(io.BytesIO(text.encode()), "utf-8", newline=""))
     lines = _content_lines(raw, "#" in text)
-    if header := commented_header(raw, lambda name: guess(name) is not None):
+    if header := commented_header(raw):
         lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
         notes.append(f"header read from the comment in line {header[0] + 1}")
     content = (i for i, line in enumerate(lines) if line != "\n")
@@ -157,7 +154,7 @@ def table_of_text(
     if logger := exported_by(raw[0]):
         start = names_of_export(lines, searched)
         searched = [index for index in searched if index >= start] or searched
-    start, delimiter, words = find_header(lines, searched, declared)
+    start, delimiter, words = find_header(lines, searched, is_known)
     if words:
         notes.append("columns separated by white space")
         head = spaced_head(lines[start : start + _LEAD], words)
@@ -166,7 +163,7 @@ def table_of_text(
         notes.append(f"lines before the header in line {start + 1} skipped")
     if logger:
         notes.append(f"export of {logger}")
-    table = _table(lines, start, path, digest, notes, delimiter, bool(logger))
+    table = _table(lines, start, path, digest, notes, delimiter, bool(logger), is_known)
     layout, doubts = stated_convention(raw[:start], str(path))
     above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
     stated = re.findall(r".*, constants (.*)", above)
@@ -178,8 +175,7 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
     """Cells of a .vbo file of Racelogic."""
     found = vbo_table(text, str(path))
     notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
-    rows = zip(found.numbers, found.rows, strict=True)
-    table = table_of_rows(rows, path, digest, notes)
+    table = table_of_rows(found.rows, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
     return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
 
@@ -191,12 +187,10 @@ def _content_lines(lines: list[str], comments: bool) -> list[str]:
     return ["\n" if line.lstrip()[:1] in ("", "#") else line for line in lines]
 
 
-def table_of_rows(rows: Iterable[Row], path: Place, digest: str, notes: list[str]) -> Table:
+def table_of_rows(rows: list[Row], path: Place, digest: str, notes: list[str]) -> Table:
     """A table of rows of cells, the header first."""
-    rows = list(rows)
     head = _head(rows[:2], path, notes, False)
-    cells = _columns([rows[head.rows :]], len(head.headers))
-    return head.table(cells, path, digest, notes, "")
+    return _table_of([_of_rows(rows[head.rows :])], head, path, digest, notes)
 
 
 class _Head(NamedTuple):
@@ -207,19 +201,6 @@ class _Head(NamedTuple):
     units_row: list[str] | None
     units_line: int | None
     rows: int  # rows before the first of data
-
-    def table(
-        self, columns: _Columns, path: Place, digest: str, notes: list[str], delimiter: str
-    ) -> Table:
-        """The table with these columns of cells."""
-        cells, lines, ragged, faults = columns
-        if not len(lines):
-            reason = "there are no data rows below the header"
-            raise _refusal(reason, "give at least as many rows as parameters", path)
-        return Table(
-            str(path), stem_of(path), self.headers, cells, lines, ragged, self.header_line,
-            delimiter, self.units_row, self.units_line, digest, tuple(notes), faults,
-        )  # fmt: skip
 
 
 def _head(rows: list[Row], path: Place, notes: list[str], is_export: bool) -> _Head:
@@ -248,15 +229,6 @@ _LEAD = 4  # rows of header, units and channel numbers, and one of data
 _BLOCK = 2**14  # lines that are converted at once
 
 
-class _Plain(NamedTuple):
-    """A block of lines that NumPy reads: their numbers in the file, rows, and values."""
-
-    lines: Sequence[int]
-    rows: Lines
-    values: list[np.ndarray | None]  # (n,) of each column
-    mark: str  # decimal mark
-
-
 def _table(
     lines: list[str],
     start: int,
@@ -265,71 +237,76 @@ def _table(
     notes: list[str],
     delimiter: str,
     is_export: bool,
+    is_known: Callable[[str], bool],
 ) -> Table:
-    """The table of the lines from the header's, at ``start``."""
+    """The table of the lines from the header's, at ``start``. The first rows of the known
+    columns decide whether a comma is the decimal mark."""
     rows = _split_rows(lines[start:], delimiter, start, path)
     lead = list(itertools.islice(rows, _LEAD))
     head = _head(lead, path, notes, is_export)
-    width, data = len(head.headers), lead[head.rows :]
+    data, some = lead[head.rows :], list[Row]()
     first = data[0][0] - 1 if data else len(lines)
-    blocks: Iterable[_Plain | list[Row]]
-    if '"' in "".join(lines[first:]):
-        blocks = [[*data, *rows]]
-    else:
-        blocks = _blocks(lines, first, width, delimiter, path)
-    return head.table(_columns(blocks, width), path, digest, notes, delimiter)
-
-
-def _blocks(
-    lines: list[str], start: int, width: int, delimiter: str, path: Place
-) -> Iterator[_Plain | list[Row]]:
-    """Lines without quotation marks in blocks: read by NumPy, or rows of cells."""
-    for first in range(start, len(lines), _BLOCK):
-        block = lines[first : first + _BLOCK]
-        rows = Lines(block, delimiter)
-        known = rows.numbers()
-        if known is None or len(known[0]) != width:
-            yield list(_split_rows(block, delimiter, first, path))
+    text = "".join(lines[first:])
+    is_quoted, commas = '"' in text, delimiter != "," and "," in text
+    if is_quoted or commas:
+        some = [*data, *itertools.islice(rows, None if is_quoted else _BLOCK)]
+    if commas:
+        known = [k for k, header in enumerate(head.headers) if is_known(header)]
+        cells = (row[k] for _, row in some for k in known or range(len(row)) if k < len(row))
+        commas = has_decimal_comma(cells)
+    starts = range(first, len(lines), _BLOCK)
+    blocks = [_of_rows(some)] if is_quoted else []
+    for k in () if is_quoted else starts:
+        block = lines[k : k + _BLOCK]
+        grid = Lines(block, delimiter)
+        values = grid.numbers(commas)
+        if values is None or len(values) != len(head.headers):
+            blocks.append(_of_rows(list(_split_rows(block, delimiter, k, path))))
         else:
-            places: Sequence[int] = range(first + 1, first + 1 + len(block))
-            if len(rows) < len(block):
-                places = [first + 1 + k for k, line in enumerate(block) if line != "\n"]
-            yield _Plain(places, rows, *known)
+            places = np.flatnonzero([line != "\n" for line in block])
+            blocks.append(Block(k + 1 + places, grid, values))
+    return _table_of(blocks, head, path, digest, notes, delimiter, commas)
 
 
-def _columns(blocks: Iterable[_Plain | list[Row]], width: int) -> _Columns:
-    """The columns of blocks of rows. Rows of another length become NaN; delimiters at the end
-    of a line do not count."""
-    columns = [Column() for _ in range(width)]
-    lines: list[int] = []
-    wrong: list[tuple[int, str]] = []
+def _of_rows(rows: Sequence[Row]) -> Block:
+    """A block of rows whose numbers are not known."""
+    return Block(np.array([line for line, _ in rows], int), [row for _, row in rows], ())
+
+
+def _table_of(
+    blocks: Sequence[Block],
+    head: _Head,
+    path: Place,
+    digest: str,
+    notes: list[str],
+    delimiter: str = "",
+    commas: bool = False,
+) -> Table:
+    """The table of blocks of rows. Rows of another length than the header become NaN; delimiters
+    at the end of a line do not count."""
+    if not any(len(block.rows) for block in blocks):
+        reason = "there are no data rows below the header"
+        raise _refusal(reason, "give at least as many rows as parameters", path)
+    width, lines = len(head.headers), np.concatenate([block.lines for block in blocks])
+    wrong, count = dict[int, str](), 0
     for block in blocks:
-        if isinstance(block, _Plain):
-            lines += block.lines
-            for k, column in enumerate(columns):
-                column.add_lines(block.rows, k, block.values[k], block.mark)
-            continue
-        first, whole = len(lines), [row for _, row in block]
-        lines += [number for number, _ in block]
-        for k, row in enumerate(whole):
-            if len(row) == width:
-                continue
-            if len(row) > width and not any(cell.strip() for cell in row[width:]):
-                whole[k] = row[:width]
-                continue
-            inside = sum(cell.count("\n") for cell in row)
-            until = f" in rows {lines[first + k]} to {lines[first + k] + inside}"
-            wrong.append((first + k, f"{len(row)} fields{until if inside else ''}"))
-            whole[k] = ["nan"] * width
-        for column, cells in zip(columns, zip(*whole, strict=True), strict=bool(whole)):
-            column.add(cells)
+        rows = block.rows if isinstance(block.rows, list) else []
+        for k, row in enumerate(rows):
+            if len(row) < width or any(cell.strip() for cell in row[width:]):
+                inside, line = sum(cell.count("\n") for cell in row), lines[count + k]
+                until = f" in rows {line} to {line + inside}" if inside else ""
+                wrong[count + k] = f"{len(row)} fields{until}"
+                rows[k] = ["nan"] * width
+        count += len(block.rows)
     ragged = np.zeros(len(lines), bool)
-    if not wrong:
-        return columns, np.array(lines), ragged, ()
-    places, shown = zip(*wrong, strict=True)
-    ragged[list(places)] = True
-    fault = BadRows(None, places, shown, f"where the header has {width}")
-    return columns, np.array(lines), ragged, (fault,)
+    ragged[list(wrong)] = True
+    rule = f"where the header has {width}"
+    faults = (BadRows(None, [*wrong], [*wrong.values()], rule),) if wrong else ()
+    return Table(
+        str(path), stem_of(path), head.headers, [Column(blocks, k) for k in range(width)], lines,
+        ragged, head.header_line, delimiter, head.units_row, head.units_line, digest,
+        tuple(notes), faults, commas=commas,
+    )  # fmt: skip
 
 
 def stem_of(path: Place) -> str:

@@ -12,7 +12,7 @@ from tirefit.data.rig.segments import Segment, segments_of, trimmed
 from tirefit.data.rig.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
 from tirefit.data.rig.set_points import Settings, Window, bin_name, setting_names, settings_of
 from tirefit.data.rig.settings import PrepareConfig
-from tirefit.data.rig.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
+from tirefit.data.rig.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs, number_of
 from tirefit.data.rig.warmth import with_warmth
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
@@ -246,7 +246,7 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
         noise = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
         noise *= np.sqrt(2 * look.bandwidth / rate)
         its_legs[name] = legs(smooth[name], series.pieces, noise, LEAST[name], shortest)
-    windows = _windows(its_legs, len(data), round(_WINDOW * rate))
+    windows = _windows(its_legs, round(_WINDOW * rate))
     settings = {
         name: settings_of(name, smooth[name], windows, series.pieces, shortest)
         for name in CONDITIONS
@@ -271,16 +271,12 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     return conditions, parts, [*messages, how]
 
 
-def _windows(its_legs, n: int, second: int) -> list[Window]:
+def _windows(its_legs: Mapping[str, list[Leg]], second: int) -> list[Window]:
     """Windows in which settings are searched: whole sweeps, and seconds of holds."""
-    key = np.zeros((n, len(its_legs)), int)
-    how: list[list[Leg]] = list(its_legs.values())
-    for column, all_legs in enumerate(how):
-        for number, leg in enumerate(all_legs):
-            key[leg.begin : leg.end, column] = number
+    key = np.stack([number_of(each) for each in its_legs.values()], axis=1)
     windows = []
     for begin, end in runs_of(key):
-        hows = {all_legs[key[begin, c]].how for c, all_legs in enumerate(how)}
+        hows = {each[k].how for each, k in zip(its_legs.values(), key[begin], strict=True)}
         if MOVED in hows:
             continue
         if SWEPT in hows:

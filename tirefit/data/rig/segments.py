@@ -7,7 +7,7 @@ import numpy as np
 
 from tirefit.data.rig.series import Series, runs_of
 from tirefit.data.rig.set_points import Settings
-from tirefit.data.rig.slips import SWEPT, Leg
+from tirefit.data.rig.slips import MOVED, SWEPT, Leg, number_of
 
 _PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
 
@@ -55,12 +55,13 @@ def segments_of(
     moving = np.zeros(len(bad), int)
     if codes is not None:
         moving = (codes < 0) @ (1 << np.arange(len(names)))
-    key = [_piece_of(series, len(bad)), _lasting(bad, shortest), moving]
+    piece = np.repeat(np.arange(len(series.pieces)), [p.stop - p.start for p in series.pieces])
+    key = [piece, _lasting(bad, shortest), moving]
     still = moving == 0
     if codes is not None:
         key += list((codes * still[:, None]).T)
-    for name in legs:
-        key.append(_number_of(legs[name], len(bad)) * still)
+    number = {name: number_of(its) for name, its in legs.items()}
+    key += [(code + 1) * still for code in number.values()]
     here = []
     for begin, end in runs_of(np.stack(key, axis=1)):
         level = {name: int(conditions[name].code[begin]) for name in names}
@@ -70,15 +71,9 @@ def segments_of(
             ways = [name for name in names if conditions[name].code[begin] < 0]
             here.append(Segment("transition", begin, end, "+".join(ways)))
         else:
-            here.append(_held(begin, end, level, legs, slips, shortest))
-    return _merged(here, key[0])
-
-
-def _piece_of(series: Series, n: int) -> np.ndarray:
-    piece = np.zeros(n, int)
-    for number, rows in enumerate(series.pieces):
-        piece[rows] = number
-    return piece
+            leg_of = {name: its[number[name][begin]] for name, its in legs.items()}
+            here.append(_held(begin, end, level, leg_of, slips, shortest))
+    return _merged(here, piece)
 
 
 def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
@@ -89,26 +84,11 @@ def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
     return out
 
 
-def _number_of(legs: list[Leg], n: int) -> np.ndarray:
-    number = np.zeros(n, int)
-    for k, leg in enumerate(legs):
-        number[leg.begin : leg.end] = k + 1
-    return number
-
-
-def _leg_at(legs: list[Leg], row: int) -> Leg:
-    begins = [leg.begin for leg in legs]
-    return legs[int(np.searchsorted(begins, row, side="right")) - 1]
-
-
-def _held(begin, end, level, legs, slips, shortest: int) -> Segment:
+def _held(begin, end, level, leg_of: Mapping[str, Leg], slips, shortest: int) -> Segment:
     """A sweep or a steady state, or a transition if it is too short."""
-    swept = {}
-    for name, its in legs.items():
-        leg = _leg_at(its, begin)
-        if leg.how == SWEPT:
-            swept[name] = leg
-        elif leg.how != "held":
+    swept = {name: leg for name, leg in leg_of.items() if leg.how == SWEPT}
+    for name, leg in leg_of.items():
+        if leg.how == MOVED:
             return Segment("transition", begin, end, name)
     if not swept:
         kind = "steady" if end - begin >= shortest else "transition"

@@ -73,6 +73,11 @@ def legs(slip: np.ndarray, pieces, noise: float, least: float, shortest: int) ->
     return _without_returns(slip, _without_steps(all_legs))
 
 
+def number_of(all_legs: list[Leg]) -> np.ndarray:
+    """The number (n,) of the leg of each row, from 0."""
+    return np.repeat(np.arange(len(all_legs)), [leg.rows for leg in all_legs])
+
+
 def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int]]:
     """Stretches of at least ``shortest`` rows in which the slip does not change."""
     n = len(slip)

@@ -21,12 +21,12 @@ neighbouring samples are correlated and do not count as independent.
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import fill, wrap
 
 import numpy as np
 
+from tirefit import __version__
 from tirefit.data.merged import merged
 from tirefit.data.readers.remote import Place, file_at
 from tirefit.data.vehicle.contradictions import Comparison, compare
@@ -384,7 +384,7 @@ def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
     return {
         "schema": SCHEMA,
-        "tirefit": _version(),
+        "tirefit": __version__,
         "axle": axle,
         "vehicle": vehicle.model_dump(),
         "found": found_in(logs),
@@ -410,13 +410,6 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
             for log in logs
         ],
     }
-
-
-def _version() -> str | None:
-    try:
-        return version("tirefit")
-    except PackageNotFoundError:  # run from the sources, not installed
-        return None
 
 
 def _counts(counts: Mapping[str, int]) -> str:

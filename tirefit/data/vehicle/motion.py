@@ -229,11 +229,6 @@ _Rates = tuple[np.ndarray, ...]
 """v_x, v_y, a_x, a_y, r, r', heading, x, y of the centre of gravity, (n,) each."""
 
 
-def _stretch(*fields) -> Motion:
-    """The motion with these values of its fields, in their order."""
-    return Motion(**dict(zip(Motion.__dataclass_fields__, fields, strict=True)))
-
-
 def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     """The motion on a uniform grid without the gaps, and the number of gaps."""
     rate = vehicle.filter.sample_rate
@@ -255,7 +250,7 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
         if signals is None:
             nan, never = np.full(len(grid), np.nan), np.zeros(len(grid), bool)
             logged = np.full((len(grid), len(names)), np.nan)
-            parts.append(_stretch(grid, *[nan] * 10, part, within, never, logged))
+            parts.append((grid, *[nan] * 10, part, within, never, logged))
             continue
         of = dict(zip(names, signals.T, strict=True))
         command = of.get("steering", np.zeros(len(grid)))
@@ -263,10 +258,8 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
             late = grid - vehicle.steering.delay
             command = np.interp(late, grid, command, left=np.nan, right=np.nan)
         rates = convert(of, vehicle)
-        parts.append(_stretch(grid, *rates, command, part, within, inside, signals))
-    fields = Motion.__dataclass_fields__
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
-    return Motion(**joined), len(splits)
+        parts.append((grid, *rates, command, part, within, inside, signals))
+    return Motion(*map(np.concatenate, zip(*parts, strict=True))), len(splits)
 
 
 def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:

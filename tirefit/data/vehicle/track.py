@@ -6,14 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.data.check import (
-    INFINITE,
-    NO_VALUE,
-    BadRows,
-    has_decimal_comma,
-    list_problems,
-    read_numbers,
-)
+from tirefit.data.check import INFINITE, NO_VALUE, BadRows, list_problems, read_numbers
 from tirefit.data.columns import guess, stated_unit
 from tirefit.data.missing import excluded
 from tirefit.data.read import Table, read_table
@@ -297,10 +290,9 @@ def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray
     """
     wanted = [channel.header for channel in channels] + ([active] if active else [])
     cells = {name: table.cells[table.headers.index(name)] for name in dict.fromkeys(wanted)}
-    commas = table.delimiter not in ("", ",") and has_decimal_comma(cells.values())
     columns, faults = {}, []
     for name, column in cells.items():
-        columns[name], wrong = read_numbers(column, name, table.ragged, commas, gaps=True)
+        columns[name], wrong = read_numbers(column, name, table.ragged, table.commas, gaps=True)
         faults += [fault._replace(remedy=_CORRECT) for fault in wrong if fault.rule != INFINITE]
     of_rows, of_columns = list_problems(faults, table.lines, table.file)
     DataError.raise_for([*of_rows, *of_columns])
