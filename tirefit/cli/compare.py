@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import Folder, errors_to_exit, start_jax
+from tirefit.cli.options import Folder, Html, errors_to_exit, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 
 FIGURE, PAGE = "comparison.png", "comparison.html"
@@ -23,9 +23,7 @@ def compare(
     ],
     *,
     out: Folder,
-    html: Annotated[
-        bool, typer.Option("--html", help="write the report as one page, comparison.html")
-    ] = False,
+    html: Html = False,
 ) -> None:
     """Compare fits, .tir files or diagnoses: what differs beyond its error.
 

@@ -15,7 +15,10 @@ from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
     DataOptions,
     Files,
+    Forces,
     Full,
+    Html,
+    Resume,
     SeedOrNone,
     complain,
     completed,
@@ -25,6 +28,7 @@ from tirefit.cli.options import (
     read_config,
     read_options,
     refuse_besides,
+    refuse_of_vehicle,
     say,
     start_jax,
     takes_data_options,
@@ -32,7 +36,7 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_results, is_page, names_of
 from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, UsageError
+from tirefit.results import ExitCode
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -78,9 +82,7 @@ def fit(
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: SeedOrNone = None,
     out: Annotated[Path | None, path_option("FOLDER", "folder of the results")] = None,
-    force: Annotated[
-        list[str] | None, typer.Option(help="force to fit: fx, fy, mz (repeat for more)")
-    ] = None,
+    force: Forces = None,
     part: Annotated[
         str | None,
         typer.Option(
@@ -130,16 +132,9 @@ def fit(
     strict: Annotated[
         bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
     ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="skip finished fits; continue interrupted chains")
-    ] = False,
+    resume: Resume = False,
     svg: Annotated[bool, typer.Option("--svg", help="write every figure as SVG too")] = False,
-    html: Annotated[
-        bool,
-        typer.Option(
-            "--html", help="write the report as one page: fit.html (several files: fits.html)"
-        ),
-    ] = False,
+    html: Html = False,
     full: Full = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
@@ -153,9 +148,7 @@ def fit(
             refuse_besides(_OF_VEHICLE)
             car = {"unknowns": unknown, "window": window}
             raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
-        if unknown or window:
-            reason = "--unknown or --window without --vehicle"
-            raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
+        refuse_of_vehicle("unknown", "window")
         base = read_config(options.config) or FitConfig()
         how = read_options(options, base)
         changes = {

@@ -14,7 +14,7 @@ from tirefit import __version__
 from tirefit.cli.options import CONTEXT, say
 from tirefit.door import replaced_inputs
 from tirefit.files import fcntl, remove_left, replace_together, took_lock
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 
 def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None:
@@ -287,6 +287,27 @@ def digest(*asked: Any) -> str:
 def are_whole(files: Iterable[Path]) -> bool:
     """Whether all files exist, and none is empty, as after a crash of the machine."""
     return all(path.is_file() and path.stat().st_size for path in files)
+
+
+def done_before(
+    files: Iterable[Path], document: Path, asked: str, record_of: Callable[[Path], Any]
+) -> Any:
+    """The record of a document if all files of its result are whole, and it answers the same
+    as ``asked``, a :func:`digest`; else None.
+
+    Args:
+        record_of: makes the record of the path of a document; it raises an error for a
+            document that is not as it was written.
+    """
+    if not are_whole(files):
+        return None
+    try:
+        content = json.loads(document.read_text(encoding="utf-8"))
+        return record_of(document) if content["asked"] == asked else None
+    except (TirefitError, OSError, ValueError, LookupError, RecursionError):
+        return None
+    except (TypeError, AttributeError):  # parts of another type
+        return None
 
 
 _SCHEMA = re.compile(rb"tirefit\.\w+/\d")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import Folder, Seed, errors_to_exit, progress_bar, start_jax
+from tirefit.cli.options import Folder, Html, Seed, errors_to_exit, progress_bar, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.readers.remote import file_at
 from tirefit.results import InputProblem, UsageError
@@ -46,9 +46,7 @@ def replay(
         ),
     ] = None,
     seed: Seed = 0,
-    html: Annotated[
-        bool, typer.Option("--html", help="write the report as one page, replay.html")
-    ] = False,
+    html: Html = False,
 ) -> None:
     """Predict measured drives of a car from its tires; report the error over time.
 
