@@ -17,7 +17,6 @@ from tests.killed import steps_of
 from tirefit.cli import options, silence
 from tirefit.cli.commands import app
 from tirefit.cli.output import check_results, claimed, is_page, staged
-from tirefit.files import replacing
 from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
@@ -138,15 +137,6 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
             assert there == dict.fromkeys(old if state == "old" else new, state)
         states.add(state)
     assert states == {"old", None, "new"}
-
-
-def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
-    """A worker claims the folder in which the command writes the table of all results."""
-    with replacing(tmp_path / "results.parquet") as temporary:
-        with claimed(tmp_path):
-            assert temporary.exists()
-        temporary.write_text("new")
-    assert files_of(tmp_path) == {"results.parquet": b"new"}
 
 
 def test_all_unwritable_directories_are_named(tmp_path, monkeypatch):

@@ -7,7 +7,6 @@ from functools import cache
 import jax
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 import tirefit
 from tirefit.data.vehicle.vehicle import Filter, Keep, Steering, Vehicle
@@ -142,15 +141,9 @@ def test_a_record_is_finite_json(made):
     assert json.loads(record.to_json()).keys() >= content.keys()
 
 
-def test_a_record_draws_a_figure(made):
-    record, _ = made
-    figure = record.plot()
-    assert isinstance(figure, Figure) and figure.axes
-    assert figure._repr_png_().startswith(b"\x89PNG")
-
-
 def test_a_notebook_shows_a_figure_and_loads_nothing(made):
     record, _ = made
+    assert record.plot().axes
     fragment = record._repr_html_()
     assert "data:image/png;base64," in fragment
     assert "http" not in fragment.replace("http-equiv", "")

@@ -103,7 +103,8 @@ def _sections(result: Replay) -> list[Section]:
         logs.append(f"the tires were not fitted to {', '.join(others)}")
     title, right = "Error by time after the start", range(2, len(rows[0]))
     return [
-        Section(title, [held] * bool(result.held), rows, right=right),
+        # On the page the panels have the errors.
+        Section(title, [held] * bool(result.held), rows, right=right, folded=True),
         Section("Logs", logs),
         Section("Assumed", result.notes),
     ]
