@@ -131,4 +131,3 @@ def test_old_temporary_files_are_removed_and_no_others(tmp_path):
     with replacing(tmp_path / "b") as temporary:
         remove_left(tmp_path)
         assert list(tmp_path.iterdir()) == [temporary]
-

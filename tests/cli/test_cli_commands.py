@@ -14,7 +14,7 @@ from typer.main import get_command
 
 from tirefit.cli.commands import COMMANDS, app
 from tirefit.models import MODELS
-from tirefit.names import EFFECT_NAMES, MODEL_NAMES
+from tirefit.names import MODEL_NAMES, effect_names
 
 FZ = 4000.0
 VEHICLE = Path(__file__).parents[2] / "fits" / "dart_jetracer" / "vehicle.toml"
@@ -260,7 +260,7 @@ def test_completion_knows_every_model_without_importing_one():
 def test_completion_knows_every_effect_without_importing_one():
     from tirefit.diagnosis.effects import EFFECTS
 
-    assert EFFECT_NAMES == tuple(effect.id for effect in EFFECTS)
+    assert effect_names() == [effect.id for effect in EFFECTS]
 
 
 COMPLETED = {

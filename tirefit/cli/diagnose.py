@@ -47,7 +47,7 @@ from tirefit.cli.output import (
 )
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
-from tirefit.names import EFFECT_NAMES, MODEL_NAMES
+from tirefit.names import MODEL_NAMES, effect_names
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
@@ -118,7 +118,7 @@ def diagnose(
         typer.Option(
             metavar="ID",
             help="do not search for this effect",
-            autocompletion=completed(*EFFECT_NAMES),
+            autocompletion=lambda incomplete: completed(*effect_names())(incomplete),
         ),
     ] = None,
     vehicle: Annotated[
