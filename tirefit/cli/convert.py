@@ -118,11 +118,8 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
     if not -1 < low < high < 1:
         reason = f"slips from {low:g} to {high:g}"
         problems.append(InputProblem(reason, "-1 < --slip-min < --slip-max < 1"))
-    try:
-        check_results(fit_files(out))
-    except UsageError as error:
-        problems += error.problems
     UsageError.raise_for(problems)
+    check_results(fit_files(out))
     return coefficients, np.linspace(low, high, _SLIPS), chosen
 
 
