@@ -19,16 +19,7 @@ import typer
 from tirefit import __version__
 from tirefit.cli.cluster import cluster, shared
 from tirefit.cli.notes import merged_notes
-from tirefit.cli.options import (
-    Unheard,
-    complain,
-    error_text,
-    errors_to_exit,
-    has_terminal,
-    progress_bar,
-    say,
-    start_jax,
-)
+from tirefit.cli.options import Unheard, complain, error_text, has_terminal, progress_bar, say
 from tirefit.cli.output import swept
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
@@ -60,12 +51,11 @@ Work = Callable[[Piece], tuple[ExitCode, "FileRecord"]]
 
 
 class Outcome(NamedTuple):
-    """One file: its exit code, its record in the table of all results, whether it ends the
-    command; of a worker also its standard output, error output and notes."""
+    """One file: its exit code, its record in the table of all results; of a worker also its
+    standard output, error output and notes."""
 
     code: ExitCode
     record: "FileRecord"
-    last: bool = False
     output: str = ""
     complained: str = ""
     notes: tuple = ()
@@ -174,8 +164,6 @@ def _shared_outcomes(title, pieces, work, sharing: Sharing, out: Path, notes: li
                 progress(number / count, f"{number} of {count} files")
                 typer.echo(outcome.output, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
-                if outcome.last:
-                    raise typer.Exit(outcome.code)
                 notes += outcome.notes
                 table.add(outcome.record)
                 records.append(outcome.record)
@@ -208,28 +196,27 @@ _ALONE = threading.Lock()  # output is redirected for the whole process
 @lru_cache(maxsize=2)
 def _unpacked(content: bytes) -> Work:
     """The work with what all files share; JAX arrays have 64 bits only after the start."""
-    start_jax()
+    from tirefit.cli.start import start
+
+    start()
     return pickle.loads(content)
 
 
 def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome:
-    """Process one file in a worker without output; errors become its outcome.
+    """Process one file in a worker without output; a wrong use of the command is raised, and
+    so by Dask in the command.
 
     Args:
         of_command: working directory and version of the command.
         content: the work with what all files share, as bytes.
     """
-    output, complained, last = Unheard(), Unheard(), False
+    output, complained = Unheard(), Unheard()
     with _ALONE, redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
-        try:
-            with errors_to_exit(), _where_the_command_runs(*of_command):
-                code, record = _attempted(_unpacked(content), piece)
-        except typer.Exit as end:
-            code, last = ExitCode(end.exit_code), True
-            record = _failed(piece, complained.getvalue())
+        with _where_the_command_runs(*of_command):
+            code, record = _attempted(_unpacked(content), piece)
         notes = tuple(held)
         held.clear()
-    return Outcome(code, record, last, output.getvalue(), complained.getvalue(), notes)
+    return Outcome(code, record, output.getvalue(), complained.getvalue(), notes)
 
 
 def _where_the_command_runs(folder: str, version: str) -> chdir:
