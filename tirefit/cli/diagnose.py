@@ -25,7 +25,6 @@ from tirefit.cli.options import (
     SignsOption,
     complain,
     completed,
-    errors_to_exit,
     forces_named,
     numbers,
     read_config,
@@ -148,42 +147,41 @@ def diagnose(
     seed: Seed = 0,
 ) -> None:
     """Find the effects that explain the gap between a model or simulator and data."""
-    with errors_to_exit():
-        sharing, files = Sharing(jobs, scheduler), expanded(files)
-        if vehicle is not None:
-            refuse_besides(_OF_SIMULATOR if sim_log else _OF_VEHICLE)
-            return diagnose_car(
-                files, vehicle, (front, rear), out, sim_log or [], holdout=holdout or (),
-                without=without or (), figures=figures, full=full, seed=seed,
-            )  # fmt: skip
-        refuse_of_vehicle("front", "rear", "sim_log")
-        names = names_of(files, "rename one: their results would overwrite each other")
-        parts = [part for name in names for part in _written(name, figures)]
-        made = [out / one for part in parts for one in part]
-        check_results([*made, *sharing.files(out, made)], files)
-        config = read_config(options.config)
-        how, plain = read_options(options, config), _PLAIN if model is None else model
-        if config is not None:
-            force = force or config.force
-            asked = {"model": plain, "seed": seed, "force": force}
-            _warn_of_unused(config, how, asked)
-        start_jax()
-        # A simulator known by its forces is represented by the best stand-in.
-        base = model if sim else plain
-        settings = _settings(base, rig, without, how)
-        settings["forces"] = forces_named(force)
-        of_tir = {"side": side, "signs": signs, "combination": combination}
-        settings |= _simulator(base, parameter, sim, how, of_tir)
-        with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
-            kept = [_read(path, how) for path in holdout or []]
-            task = _Task(out, settings, kept, how, figures, resume, seed, full)
-            pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-            work = partial(_one, task)
-            codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
-            if len(pieces) > 1:
-                done = codes.count(ExitCode.OK)
-                say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
-        raise typer.Exit(worst_of(codes))
+    sharing, files = Sharing(jobs, scheduler), expanded(files)
+    if vehicle is not None:
+        refuse_besides(_OF_SIMULATOR if sim_log else _OF_VEHICLE)
+        return diagnose_car(
+            files, vehicle, (front, rear), out, sim_log or [], holdout=holdout or (),
+            without=without or (), figures=figures, full=full, seed=seed,
+        )  # fmt: skip
+    refuse_of_vehicle("front", "rear", "sim_log")
+    names = names_of(files, "rename one: their results would overwrite each other")
+    parts = [part for name in names for part in _written(name, figures)]
+    made = [out / one for part in parts for one in part]
+    check_results([*made, *sharing.files(out, made)], files)
+    config = read_config(options.config)
+    how, plain = read_options(options, config), _PLAIN if model is None else model
+    if config is not None:
+        force = force or config.force
+        asked = {"model": plain, "seed": seed, "force": force}
+        _warn_of_unused(config, how, asked)
+    start_jax()
+    # A simulator known by its forces is represented by the best stand-in.
+    base = model if sim else plain
+    settings = _settings(base, rig, without, how)
+    settings["forces"] = forces_named(force)
+    of_tir = {"side": side, "signs": signs, "combination": combination}
+    settings |= _simulator(base, parameter, sim, how, of_tir)
+    with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
+        kept = [_read(path, how) for path in holdout or []]
+        task = _Task(out, settings, kept, how, figures, resume, seed, full)
+        pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
+        work = partial(_one, task)
+        codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
+        if len(pieces) > 1:
+            done = codes.count(ExitCode.OK)
+            say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
+    raise typer.Exit(worst_of(codes))
 
 
 _OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".split()

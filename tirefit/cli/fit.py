@@ -22,7 +22,6 @@ from tirefit.cli.options import (
     SeedOrNone,
     complain,
     completed,
-    errors_to_exit,
     forces_named,
     path_option,
     read_config,
@@ -140,55 +139,54 @@ def fit(
     scheduler: Scheduler = None,
 ) -> None:
     """Fit a model to measurements: parameters with intervals, figures, report."""
-    with errors_to_exit():
-        sharing, files = Sharing(jobs, scheduler), expanded(files)
-        from tirefit.fitting.problem.config import FitConfig
+    sharing, files = Sharing(jobs, scheduler), expanded(files)
+    from tirefit.fitting.problem.config import FitConfig
 
-        if vehicle is not None:
-            refuse_besides(_OF_VEHICLE)
-            car = {"unknowns": unknown, "window": window}
-            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
-        refuse_of_vehicle("unknown", "window")
-        base = read_config(options.config) or FitConfig()
-        how = read_options(options, base)
-        changes = {
-            "model": model,
-            "seed": seed,
-            "force": forces_named(force),
-            "solver": solver.value if solver else None,
-        }
-        settings = base.model_copy(update={k: v for k, v in changes.items() if v is not None})
-        if sampler is not None:
-            chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
-            settings = settings.model_copy(update={"posterior": chosen})
-        also = Also(svg, html, full)
-        if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
-            whole = {"part": part, "like": like, "leave_out": leave_out}
-            whole = {name: value for name, value in whole.items() if value is not None}
-            (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(files, directory, settings, how, whole, strict, also)
-            raise typer.Exit(code)
-        directories = _output_directories(files, out, joint)
-        start_jax()
-        from tirefit.fitting.problem.build import find_model
+    if vehicle is not None:
+        refuse_besides(_OF_VEHICLE)
+        car = {"unknowns": unknown, "window": window}
+        raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
+    refuse_of_vehicle("unknown", "window")
+    base = read_config(options.config) or FitConfig()
+    how = read_options(options, base)
+    changes = {
+        "model": model,
+        "seed": seed,
+        "force": forces_named(force),
+        "solver": solver.value if solver else None,
+    }
+    settings = base.model_copy(update={k: v for k, v in changes.items() if v is not None})
+    if sampler is not None:
+        chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
+        settings = settings.model_copy(update={"posterior": chosen})
+    also = Also(svg, html, full)
+    if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
+        whole = {"part": part, "like": like, "leave_out": leave_out}
+        whole = {name: value for name, value in whole.items() if value is not None}
+        (directory,) = _output_directories(files, out, joint=True)
+        code = fit_whole(files, directory, settings, how, whole, strict, also)
+        raise typer.Exit(code)
+    directories = _output_directories(files, out, joint)
+    start_jax()
+    from tirefit.fitting.problem.build import find_model
 
-        find_model(settings.model or "brush")
-        # The page of several fits needs all of them, also those done before.
-        apart = sharing.apart and not joint
-        made = [file for directory in directories for file in fit_files(directory)]
-        made += [directories[0].parent / PAGE_OF_ALL] if len(directories) > 1 else []
-        made += sharing.files(out or Path(), directories) if apart else []
-        check_results(made, files)
-        keep = resume and (apart or not html or len(files) == 1)
-        task = FitTask(settings, how, posterior, resume, keep, also)
-        groups: list[Any] = [files] if joint else files
-        pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
-        fits: dict[str, Any] | None = {} if html and not apart else None
-        work = partial(_fit_piece, task, strict, fits)
-        here = sharing if apart else Sharing()
-        done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
-        _report_all(done, pieces, fits or {})
-        raise typer.Exit(worst_of([outcome.code for outcome in done]))
+    find_model(settings.model or "brush")
+    # The page of several fits needs all of them, also those done before.
+    apart = sharing.apart and not joint
+    made = [file for directory in directories for file in fit_files(directory)]
+    made += [directories[0].parent / PAGE_OF_ALL] if len(directories) > 1 else []
+    made += sharing.files(out or Path(), directories) if apart else []
+    check_results(made, files)
+    keep = resume and (apart or not html or len(files) == 1)
+    task = FitTask(settings, how, posterior, resume, keep, also)
+    groups: list[Any] = [files] if joint else files
+    pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
+    fits: dict[str, Any] | None = {} if html and not apart else None
+    work = partial(_fit_piece, task, strict, fits)
+    here = sharing if apart else Sharing()
+    done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
+    _report_all(done, pieces, fits or {})
+    raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 _OF_VEHICLE = ("files", "vehicle", "model", "out", "unknown", "window", "posterior", "full")

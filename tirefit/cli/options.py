@@ -294,9 +294,8 @@ def start_jax() -> None:
     """Start JAX as all commands use it; see :func:`tirefit.cli.start.start`."""
     from tirefit.cli.start import start
 
-    with errors_to_exit():
-        if warning := start():
-            complain(warning)
+    if warning := start():
+        complain(warning)
 
 
 class Unheard(StringIO):
