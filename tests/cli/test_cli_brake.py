@@ -31,31 +31,6 @@ def test_controllers_are_compared_on_each_road(run, tmp_path):
         assert [row["seed"] for row in csv.DictReader(file)] == ["4", "5", "6"] * 2
 
 
-@pytest.mark.long
-def test_fits_are_accepted_as_tires(run, tmp_path):
-    """A fitted brush brakes like the brush with its values; files of an earlier
-    comparison are removed."""
-    run(
-        "simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--set", "cpa2=4e4",
-        "--force-std", "0.001",
-    )  # fmt: skip
-    run("fit", "r.csv", "--model", "brush", "--out", "f", "--no-posterior")
-    braked = ("brake", *QUICK, "--controller", "abs", "--tire")
-    run(*braked, "f/fit.json", "--out", "o")
-    (tmp_path / "p").mkdir()
-    for name in ("stops.csv",):
-        (tmp_path / "p" / name).touch()
-    run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p")
-    made = {path.name for path in (tmp_path / "p").iterdir()}
-    assert made == {"summary.json", "series.csv", "stop.png", "slip.png"}
-    fitted, named = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "op")
-    assert fitted["manoeuvre"]["tire"] == "f/fit.json"
-    assert fitted["manoeuvre"]["parameters"]["mu"] == pytest.approx(0.8, rel=0.01)
-    assert fitted["stopping_distance"] == pytest.approx(named["stopping_distance"], rel=0.02)
-    result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q", exit_code=2)
-    assert "(--set) together with a fit" in result.stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [

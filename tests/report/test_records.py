@@ -231,21 +231,6 @@ def test_every_public_function_is_tested_here():
     assert set(RECORDS) == set(family.split()) <= set(tirefit.__all__)
 
 
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ({"kind": "ride"}, "there is no simulation 'ride'"),
-        ({"teth": 3}, "did you mean 'teeth'"),
-        ({"period": np.inf, "friction": -1.0}, "friction -1 is out of range"),
-        ({"kind": "rig", "values": {"nu": 1.0}}, "brush has no parameter 'nu'"),
-        ({"kind": "drive", "drop": (99.0, 0.4)}, "time of the drop 99"),
-    ],
-)
-def test_a_wrong_setting_of_a_simulation_is_refused(asked, said):
-    with pytest.raises(tirefit.UsageError, match=said):
-        tirefit.simulate(**asked)
-
-
 def test_python_and_command_simulate_the_same_file(tmp_path):
     from typer.testing import CliRunner
 
