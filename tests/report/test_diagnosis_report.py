@@ -1022,6 +1022,8 @@ def test_the_page_contains_the_record_and_its_panels(page_text):
     record = html.unescape(page_text.split("<pre>")[1].split("</pre>")[0])
     assert json.loads(record) == json.loads(diagnosis().to_json())
     assert Page(page_text).seen.count("img") == 3
+    # The first picture shows the ladder, so its table is folded.
+    assert "<details><summary>How far the gap shrinks" in page_text
 
 
 def test_a_notebook_shows_the_diagnosis():

@@ -93,6 +93,7 @@ def test_the_page_contains_the_numbers_of_the_record(text, sampled):
     record = html.unescape(text.split("<pre>")[1].split("</pre>")[0])
     assert json.loads(record) == json.loads(sampled.to_json())
     shown = " ".join(re.sub(r"<[^>]*>", " ", text.split("<pre>")[0]).split())
+    assert "tirefit explore fit.json" in shown
     for estimate in (*sampled.parameters.values(), *sampled.derived.values()):
         assert format_estimate(estimate.value, estimate.std) in shown
         assert format_interval(estimate.ci95, estimate.std) in shown

@@ -333,6 +333,15 @@ def test_a_subset_with_the_farthest_of_many_points_is_drawn(plain, monkeypatch):
     assert len(points) <= 100 + canvas._FARTHEST
 
 
+@pytest.mark.parametrize("name", ["fit", "residuals", "profile", "trace"])
+def test_figures_are_legible_on_a_phone(sampled, name):
+    """Labels of axes have letters of 9 pixels and more at a width of 400."""
+    picture = figure_of(sampled, name)
+    pixels = 400 / picture.get_figwidth() / 72
+    labels = (label for axes in picture.axes for label in (axes.xaxis.label, axes.yaxis.label))
+    assert min(label.get_fontsize() for label in labels if label.get_text()) * pixels > 9
+
+
 def test_every_figure_is_complete(sampled, tmp_path):
     written = save_figures(sampled, tmp_path / "new", svg=True)
     names = {path.name for path in written}
