@@ -60,7 +60,8 @@ def diagnose_car(
                 how |= {"holdout": holdout, "seed": seed}
                 result = diagnose_vehicle(logs, vehicle, front, rear, **how)
         drawn, page = ({names[1]: ""}, names[2]) if figures else ({}, "")
-        write_result(result, out, names, drawn, page, **({} if sim_logs else {"full": full}))
+        text = result.summary() if sim_logs else result.summary(full=full)
+        write_result(result, out, names, drawn, page, text=text)
 
 
 @contextmanager
