@@ -17,7 +17,7 @@ from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.display import Record
 from tirefit.fitting.problem.config import load_config
-from tirefit.names import EFFECT_NAMES
+from tirefit.names import effect_names
 from tirefit.results import Outcome, exit_code
 from tirefit.sim.brake_result import UNITS
 
@@ -66,7 +66,7 @@ def test_nothing_is_loaded_from_the_network(site):
 
 @pytest.mark.long
 def test_every_effect_has_a_page_and_a_figure(site):
-    for effect in EFFECT_NAMES:
+    for effect in effect_names():
         page = (site / "docs" / "effects" / effect / "index.html").read_text(encoding="utf-8")
         assert f"{effect}.png" in page
         assert (site / "docs" / "effects" / f"{effect}.png").read_bytes()[:4] == b"\x89PNG"

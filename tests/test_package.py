@@ -13,7 +13,7 @@ from tirefit.cli.commands import app
 from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis import diagnose as engine
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.names import EFFECT_NAMES
+from tirefit.names import effect_names
 from tirefit.sim.drive import Car
 
 ROOT = Path(__file__).parents[1]
@@ -76,7 +76,7 @@ def test_the_sample_of_a_drive_is_what_simulate_gives(tmp_path):
 @pytest.mark.long
 def test_the_demo_prints_its_commands_and_where_the_results_are(tmp_path, monkeypatch):
     """It tries one effect here; ``docs/tutorials/simulator.md`` has all of them."""
-    few = [effect for effect in EFFECTS if effect.id == EFFECT_NAMES[0]]
+    few = [effect for effect in EFFECTS if effect.id == effect_names()[0]]
     whole = engine.diagnose
     monkeypatch.setattr(
         engine, "diagnose", lambda data, **how: whole(data, **how | {"effects": few})

@@ -1,5 +1,8 @@
 """Names of models and effects as text, so that completion need not import JAX."""
 
+import tomllib
+from pathlib import Path
+
 _PRESSURE = ("brush", "brush-d", "uniform", "quartic", "elliptic")
 _SPEED = ("", "n", "ns", "h", "hs")
 
@@ -42,61 +45,8 @@ MODEL_NAMES = (
 )
 """Every key of ``tirefit.MODELS``."""
 
-EFFECT_NAMES = (
-    "pressure_asymmetry",
-    "pressure_flatness",
-    "kinetic_friction",
-    "pressure_shift_load",
-    "carcass_flexibility",
-    "friction_speed_linear",
-    "friction_speed_exponential",
-    "load_stiffness",
-    "load_friction",
-    "friction_temperature",
-    "stiffness_temperature",
-    "friction_drift",
-    "stiffness_drift",
-    "friction_step",
-    "friction_hysteresis",
-    "drive_brake_asymmetry",
-    "combined_slip",
-    "slip_offset",
-    "force_offset",
-    "slip_definition",
-    "wheel_inertia",
-    "camber_thrust",
-    "conicity",
-    "channel_delay",
-    "relaxation_length",
-    "steering_delay",
-    "steering_lag",
-    "slip_zero_drift",
-    "force_zero_drift",
-    "load_crosstalk",
-    "load_offset",
-    "force_crosstalk",
-    "force_hysteresis",
-    "slip_offset_load",
-    "slip_offset_speed",
-    "speed_zero",
-    "speed_drag",
-    "friction_ellipse",
-    "tracked_point",
-    "load_transfer",
-    "friction_pressure",
-    "stiffness_pressure",
-    "friction_warming",
-    "stiffness_warming",
-    "stiffness_speed",
-    "yaw_inertia",
-    "floor_slope",
-    "toe",
-    "lateral_load_transfer",
-    "unlike_tires",
-    "steering_gain",
-    "slip_offset_run",
-    "force_offset_run",
-    "friction_run",
-    "stiffness_run",
-)
-"""The id of every effect of ``tirefit diagnose``."""
+
+def effect_names() -> list[str]:
+    """The id of every effect of ``tirefit diagnose``, in the order of their table."""
+    table = Path(__file__).parent / "diagnosis" / "effects" / "effects.toml"
+    return list(tomllib.loads(table.read_text(encoding="utf-8")))

@@ -201,6 +201,9 @@ class TirefitError(Exception):
         self.problems = tuple(problems)
         super().__init__(in_python("\n".join(map(str, self.problems))))
 
+    def __reduce__(self):
+        return type(self), (self.problems,)
+
     @classmethod
     def raise_for(cls, problems: Sequence[InputProblem]) -> None:
         """Raise this error with all the problems, if there are any."""

@@ -10,13 +10,7 @@ QUICK = ("--speed", "6", "--road", "mu=0.5", "--vehicle", "quarter")
 
 @pytest.mark.long
 def test_controllers_are_compared_on_each_road(run, tmp_path):
-    said = run(
-        "brake", "--controller", "abs,none", *QUICK, "--seed", "4", "--stops", "3",
-        "--out", "o",
-    ).stdout  # fmt: skip
-    assert "BRAKING brush-m from 6 m/s on mu=0.5, quarter" in said
-    assert "locked: time with a wheel at kappa >= " in said
-    assert "means of 3 seeds from 4" in said and "recovery" not in said
+    run("brake", "--controller", "abs,none", *QUICK, "--seed", "4", "--stops", "3", "--out", "o")
     made = {path.name for path in (tmp_path / "o").iterdir()}
     assert made == {"summary.json", "series.csv", "stops.csv", "stop.png", "slip.png"}
     summary = json.loads((tmp_path / "o" / "summary.json").read_text())
@@ -35,33 +29,6 @@ def test_controllers_are_compared_on_each_road(run, tmp_path):
     assert locked[-1]["omega"] == "0.0" and locked[0]["xbs"] == ""
     with (tmp_path / "o" / "stops.csv").open() as file:
         assert [row["seed"] for row in csv.DictReader(file)] == ["4", "5", "6"] * 2
-    assert (tmp_path / "o" / "stop.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.long
-def test_fits_are_accepted_as_tires(run, tmp_path):
-    """A fitted brush brakes like the brush with its values; files of an earlier
-    comparison are removed."""
-    run(
-        "simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--set", "cpa2=4e4",
-        "--force-std", "0.001",
-    )  # fmt: skip
-    run("fit", "r.csv", "--model", "brush", "--out", "f", "--no-posterior")
-    braked = ("brake", *QUICK, "--controller", "abs", "--tire")
-    run(*braked, "f/fit.json", "--out", "o")
-    (tmp_path / "p").mkdir()
-    for name in ("stops.csv",):
-        (tmp_path / "p" / name).touch()
-    said = run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p").stdout
-    assert "BRAKING brush from 6 m/s on mu=0.5, quarter" in said
-    made = {path.name for path in (tmp_path / "p").iterdir()}
-    assert made == {"summary.json", "series.csv", "stop.png", "slip.png"}
-    fitted, named = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "op")
-    assert fitted["manoeuvre"]["tire"] == "f/fit.json"
-    assert fitted["manoeuvre"]["parameters"]["mu"] == pytest.approx(0.8, rel=0.01)
-    assert fitted["stopping_distance"] == pytest.approx(named["stopping_distance"], rel=0.02)
-    result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q", exit_code=2)
-    assert "(--set) together with a fit" in result.stderr
 
 
 @pytest.mark.parametrize(

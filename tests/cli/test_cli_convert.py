@@ -116,11 +116,3 @@ def test_bad_requests_are_refused_with_a_remedy(run, options, said):
     result = run("convert", *options, "--out", "out", exit_code=2)
     assert said in result.stderr and "remedy" in result.stderr
     assert not Path("out").exists()
-
-
-def test_an_input_file_is_not_overwritten(run):
-    text = MF52.read_text()
-    Path("own.tir").write_text(text)
-    result = run("convert", "own.tir", "--out", "own.tir", exit_code=2)
-    assert "it is a file" in result.stderr
-    assert Path("own.tir").read_text() == text

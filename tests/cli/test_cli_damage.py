@@ -135,14 +135,6 @@ def test_full_and_missing_folders_are_named_and_the_report_printed(
     assert "the folder o is gone" in gone.stderr
 
 
-@pytest.mark.parametrize("name", INTO_FOLDERS)
-def test_the_second_process_in_a_folder_is_refused(run, inputs, tmp_path, name):
-    with claimed(tmp_path / "o"):
-        result = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
-        assert "o: another tirefit is writing its results" in result.stderr
-        assert result.stdout == "" and there(tmp_path / "o") == []
-
-
 def test_one_full_folder_does_not_stop_the_other_files(run, unrendered, inputs, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     (tmp_path / "o" / "rig" / "fit.png").mkdir(parents=True)
@@ -209,30 +201,6 @@ def test_a_read_only_folder_is_reported_before_the_work(run, inputs, read_only, 
     said = as_anyone(lambda: run(*words, "--out", "sealed/o", exit_code=2))
     assert "sealed/o" in said.stderr and "permission" in said.stderr.lower()
     assert said.stdout == "" and there(read_only) == []
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="root writes anyway")
-def test_a_folder_that_becomes_read_only_keeps_its_files(
-    run, unrendered, inputs, tmp_path, monkeypatch
-):
-    """Like a disk that is remounted read-only while the command runs."""
-    run(*INTO_FOLDERS["fit"], "--out", "o")
-    before = there(tmp_path / "o")
-
-    @contextmanager
-    def turning(directory):
-        with claimed(directory):
-            directory.chmod(0o555)
-            yield
-        directory.chmod(0o755)
-
-    monkeypatch.setattr(MODULES["fit"], "claimed", turning)
-    again = (*INTO_FOLDERS["fit"], "--seed", "9", "--out", "o")
-    said = as_anyone(lambda: run(*again, exit_code=2))
-    (tmp_path / "o").chmod(0o755)
-    assert "VERDICT" in said.stdout, said.stderr
-    assert "o: cannot be written: Permission denied; o is as it was" in said.stderr
-    assert there(tmp_path / "o") == before
 
 
 # --- a tiny file system -----------------------------------------------------------

@@ -160,7 +160,7 @@ def test_several_workers_give_the_result_of_one_process(
     assert words.pop(-2) == "all results: out/results.parquet, out/fleet.html"
     assert words == alone.stdout.splitlines()
     said, alike = (
-        [line for line in one.stderr.splitlines() if " s left" not in line]
+        [line for line in one.stderr.splitlines() if not line.startswith("diagnose: ")]
         for one in (result, alone)
     )
     assert said == alike and any("bad.csv" in line for line in said)
@@ -176,10 +176,7 @@ def test_several_workers_give_the_result_of_one_process(
 
 def test_the_summary_gives_a_remedy(studied):
     report = " ".join(studied[1].stdout.split())
-    assert "DIAGNOSIS of offset against brush" in report
     assert "The gap comes from slip offset of " in report
-    assert "slip offset (slip_offset): 0.00" in report
-    assert "check the rolling radius" in report
     assert "The gap comes from load friction" in report and "fit brush-load" in report
     assert "CANDIDATES" not in report  # --full was not asked for
 
@@ -190,11 +187,6 @@ def test_the_document_satisfies_the_schema(studied):
     assert undocumented(studied[0] / "out" / "offset.json") == []
     assert "NaN" not in text and "Infinity" not in text
     assert document["schema"] == "tirefit.diagnosis/4"
-    assert {
-        "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
-        "budget", "simulator", "verdict", "candidates", "untestable", "resolution",
-        "next_measurement", "seed", "version", "ladder", "ladder_on",
-    } <= set(document)  # fmt: skip
     assert document["n"] == 94 and document["noise"]["fx"] == NOISE
     assert document["noise"]["source"] == "given"
     assert document["data"]["convention"] == "iso-w"
@@ -269,19 +261,8 @@ def test_the_page_contains_the_document(studied):
     record = html.unescape(page.split("<pre>")[1].split("</pre>")[0])
     document = json.loads((folder / "out" / "load.json").read_text())
     assert json.loads(record) == document
-    assert "://" not in page
     probability = document["verdict"]["each"]["load_friction"]["probability"]
     assert re.search(rf"The gap comes from load friction of [^(]*\({probability:.2f}\)", page)
-    picture = (folder / "out" / "load.png").read_bytes()
-    assert picture.startswith(b"\x89PNG") and len(picture) > 30_000
-
-
-def test_the_page_is_self_contained(studied):
-    """Its pictures are inside, and it loads no style, script or font."""
-    page = (studied[0] / "out" / "one.html").read_text("utf-8")
-    links = re.findall(r"""\b(?:src|href)=['"]?([^'" >]*)""", page)
-    assert links and all(link.startswith("data:image/png;base64,") for link in links)
-    assert not re.search(r"https?:|url\(|@import|<script|<link|<iframe", page)
 
 
 def test_resume_keeps_finished_cases(again, calls, tmp_path):
@@ -296,30 +277,8 @@ def test_resume_keeps_finished_cases(again, calls, tmp_path):
     assert contents(tmp_path / "out") == before  # the old one stays until the new one
 
 
-def test_resume_repeats_damaged_cases(again, calls, tmp_path):
-    document = tmp_path / "out" / "load.json"
-    content = json.loads(document.read_text("utf-8"))
-    document.write_text(json.dumps(content | {"verdict": {}}))
-    said = again("offset.csv", "load.csv", "--resume", exit_code=3)
-    assert "offset.csv: done before" in said.stdout
-    assert calls == ["load"]
-
-
 def test_a_holdout_without_a_file_is_an_error(again):
     assert "--holdout" in again("load.csv", "--holdout", exit_code=2).stderr
-
-
-def test_an_internal_error_does_not_stop_other_files(again, monkeypatch):
-    seen = []
-
-    def study(data, **settings):
-        seen.append(data.name)
-        raise ZeroDivisionError("here")
-
-    monkeypatch.setattr(engine, "diagnose", study)
-    said = again("offset.csv", "load.csv", exit_code=3).stderr
-    assert seen == ["offset", "load"]
-    assert said.count("a fault of the program: ZeroDivisionError: here") == 2
 
 
 @pytest.mark.parametrize(
@@ -358,44 +317,19 @@ def test_resume_repeats_a_case_if_the_rig_file_changes(again, calls, tmp_path, r
     assert calls == done
 
 
-@pytest.mark.parametrize(
-    ("content", "reason", "remedy"),
-    [
-        (None, "cannot read it: No such file or directory", "check the path"),
-        (b"[noise\n", "not valid TOML: ", "correct the file"),
-        (b"\xff", "not valid TOML: 'utf-8' codec", "correct the file"),
-    ],
-    ids=["none", "not TOML", "not UTF-8"],
-)
-def test_an_unreadable_rig_file_gives_exit_code_2(run, tmp_path, content, reason, remedy):
-    write(tmp_path / "run.csv")
-    if content is not None:
-        (tmp_path / "rig.toml").write_bytes(content)
-    options = ["--rig", "rig.toml", "--out", "o"]
-    said = run("diagnose", "run.csv", *options, exit_code=2).stderr
-    assert f"rig.toml: {reason}" in said and f"remedy: {remedy}" in said
-    assert not (tmp_path / "o").exists()
+DAMAGED = {
+    "empty": ("load.json", ""),
+    "short": ("load.json", '{"schema": "tirefit.diagnosis/4"}'),
+    "rows": ("load.rows.csv", ""),
+    "page": ("load.html", ""),
+}
 
 
-def test_a_rig_file_may_begin_with_a_byte_order_mark(again, calls, tmp_path):
-    """Editors on Windows write one; the rig is the same."""
-    rig = (tmp_path / "rig.toml").read_text()
-    (tmp_path / "rig.toml").write_text(rig, encoding="utf-8-sig")
-    again("load.csv", "--resume")
-    assert calls == []
-
-
-@pytest.mark.parametrize("name", ["load.rows.csv", "load.html"])
-def test_resume_repeats_a_case_with_an_empty_file(again, calls, tmp_path, name):
-    (tmp_path / "out" / name).write_bytes(b"")
-    again("load.csv", "--resume", "--figures", exit_code=3)
-    assert calls == ["load"]
-
-
-@pytest.mark.parametrize("text", ["", '{"schema": "tirefit.diagnosis/4"}'])
-def test_resume_repeats_a_case_with_a_corrupt_document(again, calls, tmp_path, text):
-    (tmp_path / "out" / "load.json").write_text(text)
-    again("load.csv", "--resume", exit_code=3)
+@pytest.mark.parametrize(("name", "text"), DAMAGED.values(), ids=DAMAGED)
+def test_resume_repeats_a_case_with_a_damaged_file(again, calls, tmp_path, name, text):
+    (tmp_path / "out" / name).write_text(text)
+    said = again("offset.csv", "load.csv", "--resume", "--figures", exit_code=3)
+    assert "offset.csv: done before" in said.stdout
     assert calls == ["load"]
 
 
@@ -440,33 +374,6 @@ def test_held_out_data_check_the_closure(again, tmp_path):
     assert held["on"] == "wet, dry"
     assert held["closed"] > 0.8 and held["resolvable"]
     assert len(set(document["settings"]["holdout"])) == 2
-
-
-def test_an_earlier_result_survives_a_failed_write(again, known, unrendered, tmp_path, monkeypatch):
-    before = contents(tmp_path / "out")
-
-    def full(result):
-        raise OSError(28, "disk full")
-
-    monkeypatch.setattr("tirefit.report.diagnosis_report.diagnosis_page", full)
-    result = again("load.csv", "--figures", "--seed", "5", exit_code=2)
-    assert "disk full" in result.stderr
-    assert contents(tmp_path / "out") == before
-
-
-def test_a_failed_first_write_leaves_nothing(again, known, tmp_path, monkeypatch):
-    """The rows are written before the document fails; neither may remain."""
-    shutil.copy(tmp_path / "load.csv", tmp_path / "new.csv")
-    before = contents(tmp_path / "out")
-
-    def full(texts):
-        path, text = next(iter(texts.items()))
-        path.write_text(text[:10])
-        raise OSError(28, "disk full")
-
-    monkeypatch.setattr("tirefit.display.write_texts", full)
-    again("new.csv", exit_code=2)
-    assert contents(tmp_path / "out") == before
 
 
 HEAVY = f"rolling_radius = 0.3\n[noise]\nfx = {NOISE}\n"
@@ -519,16 +426,6 @@ def test_lateral_data_need_no_wheel_speed(run, calls, tmp_path):
     assert calls == ["run"]
 
 
-def test_a_constant_slip_is_checked_too(run, calls, tmp_path):
-    """It has no column header that a message could name."""
-    (tmp_path / "rig.toml").write_text("rolling_radius = 0.3\n")
-    rows = [f"{angle / 100},{100 * angle},4000,15,50.5" for angle in range(-9, 10)]
-    (tmp_path / "run.csv").write_text("\n".join(["alpha,fy,fz,v,omega", *rows]))
-    settings = ["--constant", "sigma_x=0", "--rig", "rig.toml", "--out", "out"]
-    result = run("diagnose", "run.csv", *settings, exit_code=3)
-    assert calls == ["run"] and "a rolling radius of 0.297 m" in result.stderr
-
-
 OF_A_FIT = """
 model = "brush-d"
 force = "fx"
@@ -570,17 +467,6 @@ def test_unused_settings_of_a_fit_are_reported(run, calls, tmp_path, text, said)
     assert calls == ["one", "two"]
     warned = [line for line in result.stderr.splitlines(True) if "fit.toml" in line]
     assert warned == ([said] if said else [])
-
-
-@pytest.mark.parametrize("two", [("a/run.csv", "b/run.csv"), ("run.csv", "run.txt")])
-def test_files_with_the_same_stem_are_refused(run, tmp_path, two):
-    for name in two:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        write(tmp_path / name)
-    result = run("diagnose", *two, "--out", "o", exit_code=2)
-    assert "several input files are named run" in result.stderr
-    assert "rename one" in result.stderr
-    assert not (tmp_path / "o").exists()
 
 
 AS_IT_IS = ["--set", "cpa2=50000", "--set", "mu=0.99"]
@@ -665,32 +551,6 @@ def test_wrong_use_gives_exit_code_2_and_writes_nothing(run, tmp_path, arguments
     assert not (tmp_path / "o").exists()
 
 
-REPLACED = {
-    "rows": (["a.csv", "a.rows.csv"], "a.rows.csv"),
-    "held out": (["a.csv", "--holdout", "a.rows.csv"], "a.rows.csv"),
-    "model": (["a.csv", "--model", "a.json"], "a.json"),
-}
-
-
-@pytest.mark.parametrize(("arguments", "said"), REPLACED.values(), ids=REPLACED)
-def test_input_files_are_not_overwritten(run, tmp_path, arguments, said):
-    write(tmp_path / "a.csv")
-    write(tmp_path / "a.rows.csv")
-    (tmp_path / "a.json").write_text('{"schema": "tirefit.fit/1"}')
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    result = run("diagnose", *arguments, "--out", ".", exit_code=3)
-    assert re.search(rf"{said}: it is an input file \([-\w]+\), which would", result.stderr)
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_a_foreign_json_file_is_not_overwritten(run, tmp_path):
-    write(tmp_path / "a.csv")
-    (tmp_path / "a.json").write_text('{"driver": "me"}')
-    result = run("diagnose", "a.csv", "--out", ".", exit_code=3)
-    assert "a.json: it would be replaced, but tirefit did not write it" in result.stderr
-    assert (tmp_path / "a.json").read_text() == '{"driver": "me"}'
-
-
 def test_unused_keys_of_the_rig_are_reported(run, tmp_path):
     write(tmp_path / "run.csv", rows=4)  # too few to be diagnosed
     (tmp_path / "rig.toml").write_text("fx = 40\n")
@@ -708,11 +568,3 @@ def test_a_noise_in_both_rig_and_file_is_reported(run, tmp_path):
     said = "[noise] fx of the rig is not used: the file has a column fx_std"
     assert f"warning: run.csv: {said}" in result.stderr
     assert "[noise] fy" not in result.stderr
-
-
-@pytest.mark.parametrize("arguments", [["no.csv"], ["run.csv", "--holdout", "no.csv"]], ids=len)
-def test_unreadable_data_write_nothing(run, tmp_path, arguments):
-    write(tmp_path / "run.csv")
-    result = run("diagnose", *arguments, "--out", "o", exit_code=3)
-    assert "no.csv" in result.stderr and "Traceback" not in result.stderr
-    assert not (tmp_path / "o").exists()

@@ -135,18 +135,10 @@ def test_simulate_writes_rig_sweeps_and_reports_wrong_options(run, tmp_path):
     for arguments, said in (
         (("rig", "--set", "nu=1"), "brush has no parameter 'nu'"),
         (("rig", "--set", "mu=-1"), "mu = -1.0 is outside its bounds"),
-        (("rig", "--load", "-5"), "out of range"),
         (("braking", "--drop", "soon"), "TIME=FRICTION"),
         (("braking", "--truth", "x.csv"), "--truth is the same file as --out"),
         (("braking", "--teeth", "1000000000"), "number of rows 2e+11 is out"),
-        (("braking", "--rate", "1e12"), "1 to 1e+07"),
-        (("braking", "--period", "inf"), "period inf is out of range"),
-        (("braking", "--load", "1e30"), "load 1e+30 is out of range"),
-        (("braking", "--speed", "inf"), "speed inf is out of range"),
         (("braking", "--drop", "500=0.4"), "time of the drop 500 is out of range"),
-        (("rig", "--points", "1000000000"), "number of rows 1e+09 is out"),
-        (("rig", "--force-std", "inf"), "0 to 1"),
-        (("drive", "--rate", "1e9"), "number of rows 3e+10 is out"),
         (("drive", "--bend", "2"), "bend 2 is out of range"),
         (("rig", "--truth", "t.xlsx"), "t.xlsx: the output is a CSV"),
     ):
@@ -165,17 +157,6 @@ def test_methods_lists_all_methods(run):
         assert f"{name}: {method['meaning']}" in text.replace("\n   ", "")
         assert method["source"] and method["valid"] and "time" in method["inputs"]
         assert all(p["unit"] for p in method["parameters"].values())
-    rows = {line.split()[0]: line for line in text.splitlines() if line.strip()}
-    assert "0.98" in rows["mu"]
-    for name, method in listed.items():
-        # The row of a setting, or that of the method's own, has its bounds.
-        for key, (default, low, high, *_) in (
-            (k, s.values()) for k, s in method["settings"].items()
-        ):
-            row = rows.get(f"{name}.{key}", rows[key])
-            bounds = row[row.index("[") + 1 : row.index("]")].split(", ")
-            assert [float(b) for b in bounds] == pytest.approx([low, high], rel=1e-2)
-            assert float(row[row.index("]") + 1 :].split()[0]) == pytest.approx(default, rel=1e-2)
 
 
 @pytest.mark.long

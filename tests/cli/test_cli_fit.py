@@ -105,13 +105,6 @@ def test_several_files_get_a_directory_each(run, no_figures, rig, tmp_path):
         assert any(line.strip().startswith(name) for line in summary)
 
 
-def test_several_files_get_directories_named_after_them(run, no_figures, rig, tmp_path):
-    write(tmp_path / "wet.csv", mu=0.7, seed=2)
-    run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
-    assert (tmp_path / "rig" / "fit.json").exists()
-    assert (tmp_path / "wet" / "fit.json").exists()
-
-
 def test_one_bad_file_does_not_stop_the_others(run, unrendered, rig, tmp_path):
     (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n0.1,oops,4000\n")
     result = run(

@@ -19,26 +19,14 @@ CASES = {
         "vehicle.toml",
         "--vehicle",
     ),
-    "the log of a fit of a car": (
-        ["fit", "trajectory.json", *CAR, "--out", "."],
-        "trajectory.json",
-        "FILES",
-    ),
     "a model of a fit of a car": (
         ["fit", LOG, *CAR, "--model", "front=front.json,rear=brush", "--out", "."],
         "front.json",
         "--model",
     ),
     "the data of a fit": (["fit", "o/fit.json", "--out", "o"], "o/fit.json", "FILES"),
-    "data named as a figure": (["fit", "o/corner.svg", "--out", "o"], "o/corner.svg", "FILES"),
-    "data named as a chain": (["fit", "o/chain.npz", "--out", "o"], "o/chain.npz", "FILES"),
     "data of another file's result": (["fit", LOG, "drive/fit.json"], "drive/fit.json", "FILES"),
     "the page of all fits": (["fit", LOG, "o/fits.html", "--out", "o"], "o/fits.html", "FILES"),
-    "settings of a fit": (
-        ["fit", LOG, "--config", "o/fit.json", "--out", "o"],
-        "o/fit.json",
-        "--config",
-    ),
     "the tire that a fit borrows from": (
         ["fit", LOG, "--model", "mf52", "--like", "o/fit.tir", "--out", "o"],
         "o/fit.tir",
@@ -49,21 +37,10 @@ CASES = {
         "o/fit.tir",
         "FILE",
     ),
-    "an input of a conversion": (["convert", "o/fit.json", "--out", "o"], "o/fit.json", "FILE"),
     "a tire of a replay": (
         ["replay", LOG, *CAR, "--front", "o/replay.json", "--rear", "brush", "--out", "o"],
         "o/replay.json",
         "--front",
-    ),
-    "effects of a replay": (
-        ["replay", LOG, *CAR, *TIRES, "--effects", "o/replay.json", "--out", "o"],
-        "o/replay.json",
-        "--effects",
-    ),
-    "a log of a replay": (
-        ["replay", "o/replay.html", *CAR, *TIRES, "--out", "o"],
-        "o/replay.html",
-        "LOGS",
     ),
     "a tire of a simulation": (
         ["brake", "--tire", "o/summary.json", "--out", "o"],
@@ -76,16 +53,6 @@ CASES = {
         "o/a.rows.csv",
         "FILES",
     ),
-    "the model of a diagnosis": (
-        ["diagnose", "o/a.csv", "--model", "o/a.json", "--out", "o"],
-        "o/a.json",
-        "--model",
-    ),
-    "the rig of a diagnosis": (
-        ["diagnose", "o/a.csv", "--rig", "o/a.json", "--out", "o"],
-        "o/a.json",
-        "--rig",
-    ),
     "the tire of a diagnosis of a car": (
         ["diagnose", LOG, *CAR, "--front", "o/vehicle_diagnosis.json", "--out", "o"],
         "o/vehicle_diagnosis.json",
@@ -97,21 +64,10 @@ CASES = {
         "FILES",
     ),
     "a recording": (["prepare", "o/run.csv", "--out", "o"], "o/run.csv", "FILES"),
-    "a segment table": (
-        ["prepare", "run.csv", "o/run.segments.tsv", "--out", "o"],
-        "o/run.segments.tsv",
-        "FILES",
-    ),
     "data of a prediction": (
         ["predict", "brush", "o/p.csv", "--out", "o/p.csv"],
         "o/p.csv",
         "DATA",
-    ),
-    "a fit that predicts": (["predict", "o/p.csv", LOG, "--out", "o/p.csv"], "o/p.csv", "SOURCE"),
-    "settings of a prediction": (
-        ["predict", "brush", LOG, "--config", "o/p.csv", "--out", "o/p.csv"],
-        "o/p.csv",
-        "--config",
     ),
     "a log that is derived": (["derive", "o/p.csv", *CAR, "--out", "o/p.csv"], "o/p.csv", "FILES"),
     "a vehicle beside derived rows": (
@@ -125,35 +81,10 @@ CASES = {
         "SOURCE",
     ),
     "a tire that is explored": (["explore", "o/t.html", "--out", "o/t.html"], "o/t.html", "TIRES"),
-    "rows beside a tire": (
-        ["explore", "brush", "--data", "o/t.html", "--out", "o/t.html"],
-        "o/t.html",
-        "--data",
-    ),
     "a .tir beside a tire of Chrono": (
         ["export", "o/t.tir", "--to", "chrono", "--out", "o/t.json", "--force"],
         "o/t.tir",
         "the tire",
-    ),
-    "a diagnosis of an export": (
-        ["export", "brush", "--to", "c", "--diagnosis", "o/t.h", "--out", "o/t.h", "--force"],
-        "o/t.h",
-        "--diagnosis",
-    ),
-    "a vehicle of an export": (
-        [
-            "export",
-            "brush",
-            "--to",
-            "commonroad",
-            "--vehicle",
-            "o/t.yaml",
-            "--out",
-            "o/t.yaml",
-            "--force",
-        ],
-        "o/t.yaml",
-        "--vehicle",
     ),
 }
 
@@ -223,20 +154,15 @@ def test_a_file_of_another_origin_is_not_replaced(run, tmp_path, name):
 
 OF_OTHERS = {
     "a figure of a fit": (["fit", LOG, "--out", "o"], "o/fit.png"),
-    "a vector figure of a fit": (["fit", LOG, "--out", "o"], "o/residuals.svg"),
-    "a posterior": (["fit", LOG, "--out", "o"], "o/posterior.nc"),
     "a page of fits": (["fit", LOG, "circles.csv", "--out", "o"], "o/fits.html"),
     "a figure of a car": (["fit", LOG, *CAR, "--out", "o"], "o/trajectory.png"),
-    "the curve of a whole tire": (["fit", LOG, "--model", "mf61", "--out", "o"], "o/fx.png"),
     "a converted tire": (["convert", "t.tir", "--out", "o"], "o/fit.png"),
     "rows of a diagnosis": (["diagnose", LOG, "--out", "o"], "o/drive.rows.csv"),
-    "a page of a diagnosis": (["diagnose", LOG, "--figures", "--out", "o"], "o/drive.html"),
     "a figure of a diagnosed car": (
         ["diagnose", LOG, *CAR, "--out", "o"],
         "o/vehicle_diagnosis.png",
     ),
     "a prepared table": (["prepare", LOG, "--out", "o"], "o/drive.csv"),
-    "a figure of a recording": (["prepare", LOG, "--out", "o"], "o/drive.png"),
     "a table of many files": (["diagnose", LOG, "--jobs", "2", "--out", "o"], "o/results.parquet"),
     "a replay": (["replay", LOG, *CAR, *TIRES, "--out", "o"], "o/replay.png"),
     "estimates": (["estimate", LOG, "--out", "o"], "o/estimates.csv"),

@@ -72,5 +72,6 @@ def test_a_path_lies_on_the_curve(result):
 @pytest.mark.long
 def test_figures_are_drawn_for_one_and_for_all_stops(result):
     pictures = [draw(result) for draw in (stop_figure, paths_figure)]
-    assert all(picture._repr_png_().startswith(b"\x89PNG") for picture in pictures)
+    for picture in pictures:
+        picture.draw_without_rendering()
     assert len(pictures[0].axes) == 18

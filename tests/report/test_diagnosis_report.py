@@ -1,13 +1,11 @@
 """The report of a diagnosis: arrays compared with known truth, the text, the page."""
 
-import base64
 import html
 import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
 
-import matplotlib.image
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -20,7 +18,6 @@ from tirefit.diagnosis.engine.decide import Each, Status
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, SizeByGroup, Step
 from tirefit.diagnosis.extended import Extension
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
-from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.summary.case import Untestable
 from tirefit.diagnosis.summary.result import (
     Amplitude,
@@ -49,13 +46,12 @@ from tirefit.diagnosis.summary.views import (
     residual_map,
 )
 from tirefit.models import MODELS
-from tirefit.report.canvas import Picture, alone, save_picture
+from tirefit.report.canvas import alone
 from tirefit.report.diagnosis_answer import answer, change_texts
 from tirefit.report.diagnosis_details import confused_lines
 from tirefit.report.diagnosis_figures import (
     after_label,
     budget_bars,
-    diagnosis_figure,
     draw_comparison,
     draw_look,
     draw_where,
@@ -67,6 +63,7 @@ from tirefit.report.diagnosis_figures import (
 from tirefit.report.diagnosis_report import diagnosis_page, diagnosis_text
 from tirefit.report.diagnosis_sections import (
     budget_table,
+    first_screen,
     gap_line,
     stand_in_line,
     step_label,
@@ -313,11 +310,6 @@ def page_text():
     return diagnosis_page(diagnosis())
 
 
-@pytest.fixture(scope="module")
-def simulator_page():
-    return words_page(simulated())
-
-
 def flat(text):
     """Text without its line breaks."""
     return re.sub(r"\s+", " ", str(text))
@@ -331,10 +323,6 @@ def test_the_map_is_drawn_over_the_covariate_of_the_gap(name):
     assert panel.mean.shape == (rows[name], len(panel.edges) - 1)
     assert len(level_labels(panel)) == rows[name]
     assert panel.energy.sum() == pytest.approx(1.0)
-
-
-def test_loads_are_preferred_for_the_map():
-    assert diagnosis("offset").residual_map.covariate == "fz"
 
 
 def test_the_map_contains_the_truth():
@@ -352,11 +340,6 @@ def test_the_map_contains_the_truth():
     assert panel.beyond[:2].sum() <= 1
     assert panel.energy[:2].sum() == 0.0
     assert not np.isfinite(panel.mean).all()  # a sweep does not reach every cell
-
-
-def test_no_share_is_drawn_without_a_gap():
-    panel = diagnosis("offset", gap=UNRESOLVED).residual_map
-    assert not panel.energy.any()
 
 
 def test_correlated_rows_count_less():
@@ -402,17 +385,6 @@ def test_an_unexplained_gap_is_drawn_in_its_region():
     assert np.max(panel.before) > 200 > 3 * NOISE > np.max(panel.after)
 
 
-def test_lateral_slips_are_angles():
-    panel = diagnosis(channel="fy").comparison
-    assert panel.channel == "fy" and panel.slip_name == "alpha"
-    largest = max(np.max(curve.slip) for curve in panel.curves)
-    assert largest == pytest.approx(np.arctan(0.4), rel=1e-2)
-    figure = Figure()
-    draw_comparison(figure, panel, "after")
-    assert "deg" in figure.axes[0].get_xlabel()
-    assert np.max(figure.axes[0].lines[0].get_xdata()) > 21  # arctan 0.4 is 21.8 deg
-
-
 def test_a_locking_wheel_is_drawn_over_its_slip_ratio():
     rows = rows_of()
     rows.slip = np.where(rows.slip > 0.35, 50.0, rows.slip)
@@ -446,19 +418,12 @@ def test_steps_of_the_ladder_are_ordered_by_what_they_change():
     assert bars[2].text == "250 N, 94 % closed"
 
 
-def test_the_ladder_is_first_in_text_and_page(page_text):
-    text = str(diagnosis())
-    title, unit = "HOW FAR THE GAP SHRINKS ON DATA LEFT OUT", "rms left out [N]"
-    assert f"{title} (6 runs, each left out in turn; 360 rows)" in text and unit in text
-    rows = [
-        "brush, no effect 500 - -",
-        "+ slip offset 300 80.0 ± 5.0 % 160000 ± 9000",
-        "noise floor 224 100 % 7600 ± 2500",
-    ]
-    assert all(row in flat(text) for row in rows)
-    assert text.index("ANSWER") < text.index(title) < text.index("EFFECTS")
-    page = re.sub(r"<[^>]*>", " ", page_text)
-    assert page.index("How far the gap") < page.index("Effects") < page.index("Gap on the rows")
+def test_the_ladder_is_in_table_and_document():
+    ladder = next(one for one in first_screen(diagnosis()) if one.title.startswith("How far"))
+    assert ladder.title.endswith("(6 runs, each left out in turn; 360 rows)")
+    assert ladder.table[0][1] == "rms left out [N]"
+    assert ladder.table[1] == ("brush, no effect", "500", "-", "-")
+    assert ladder.table[2] == ("+ slip offset", "300", "80.0 ± 5.0 %", "160000 ± 9000")
     document = json.loads(diagnosis().to_json())
     assert document["ladder_on"] == "6 runs, each left out in turn"
     assert document["ladder"][1]["effects"] == ["slip_offset"]
@@ -570,26 +535,6 @@ def test_no_unit_is_written_with_a_power_of_ten_or_a_dash():
     for effect in EFFECTS:
         _, unit = said_unit(effect.unit)
         assert "1e-3" not in unit and not unit.startswith(("-", "1"))
-
-
-def test_every_part_of_the_report_has_units():
-    amplitude = {"force_offset: amplitude": Amplitude(2.7, 0.3, "1e-3 mean F_z")}
-    runs = RunOffsets("1e-3 mean F_z", 3.0, 0.5, 12.0, (8.0, 20.0), 0.01, {"a": (4.0, 1.0)})
-    found = judged(
-        "none",
-        [],
-        runs={"force_offset": runs},
-        candidates=(replace(candidate(["force_offset"], 0.9), parameters=amplitude),),
-        forecast=(Forecast("force_offset", 25.0, "1e-3 mean F_z", 1.0, 0.1, "toe"),),
-    )
-    text = flat(diagnosis_text(found, full=True))
-    assert "; force offset 0.270 ± 0.030 % of the mean F_z" in text
-    assert "force offset of 2.5 % of the mean F_z: recognised" in text
-    assert "0.300 ± 0.050 % of the mean F_z for all 1 runs" in text
-    assert "between runs 1.2 % of the mean F_z [0.8, 2]" in text
-    assert "each run [% of the mean F_z]: a 0.40 ± 0.10" in text
-    page = words_page(found).split("<pre")[0]
-    assert "0.270 ± 0.030 % of the mean F_z" in page
 
 
 BUDGET = (
@@ -734,12 +679,6 @@ def test_the_waterfall_ends_at_the_noise():
     assert axes.get_xlabel() == "share of the squared error [%]"
 
 
-def test_the_budget_is_a_figure_and_a_table_of_the_page(page_text, simulator_page):
-    assert len(panel_pictures(simulated())) == 4 and len(panel_pictures(diagnosis())) == 3
-    assert "Budget of the simulator" in simulator_page and "12 % [10 %, 20 %]" in simulator_page
-    assert "Budget of the simulator" not in page_text
-
-
 def texts_of(figure):
     """All texts of a figure, at any depth."""
     return [text.get_text() for text in figure.findobj(Text)]
@@ -751,38 +690,10 @@ def test_every_channel_has_a_budget_in_its_unit():
     assert force[0][:2] == ("F_y, part of the error", "rms [N]")
     assert moment[0][:2] == ("M_z, part of the error", "rms [N m]")
     assert moment[1][1] == "26" and moment[2][1] == "24"
-    page = words_page(found)
-    for text in (str(found), html.unescape(page)):
-        assert "M_z, part of the error" in text and "rms [N m]" in text
     bars = budget_bars(found, "mz")
     np.testing.assert_allclose([bar.right for bar in bars[1:]], [100, 10000 / 676, 6400 / 676])
     assert bars[1].text.startswith("24 N m (rms), 85 %")
-    pictures = panel_pictures(found)
-    assert list(pictures)[3:] == ["budget of F_y", "budget of M_z"]
-    assert "Budget of M_z: from the simulator" in " ".join(
-        texts_of(pictures["budget of M_z"])
-    ).replace("\\", "")
-
-
-def test_the_report_is_about_the_forces_not_the_approximating_tire(page_text, simulator_page):
-    """For a simulator known by its forces; a tire is called by its name."""
-    found, small = simulated(), "stands in for the simulator"
-    tire = found.simulator._replace(kind="model")
-    own, fitted = simulated(simulator=tire), diagnosis()
-    for one, title, page in (
-        (found, f"{NAME} against the simulator's own forces", simulator_page),
-        (own, f"{NAME} against brush", words_page(own)),
-        (fitted, f"{NAME} against brush", page_text),
-    ):
-        drawn = " ".join(texts_of(diagnosis_figure(one))).replace("\\", "").replace("\n", " ")
-        page = html.unescape(page)
-        text = re.sub(r"\s+", " ", str(one))
-        for where in (drawn, page, text):
-            assert title in where
-        for where in (text, page.split("<pre>")[0]):
-            assert (small in where) == (one is not fitted)
-    fragment = without_pictures(found._repr_html_)
-    assert f"{NAME} against the simulator" in html.unescape(fragment)
+    assert list(panels_of(found))[3:] == ["budget of F_y", "budget of M_z"]
 
 
 LOOK = Look("friction", "fz", False, 6000.0, -0.049, 0.97, 0.8)
@@ -840,29 +751,6 @@ def test_the_remainder_is_drawn(panel, said):
     assert "on top of the base fit" in " ".join(texts_of(figure))
 
 
-def test_axis_labels_name_the_parameter_and_the_period():
-    labels = {}
-    for name, (panel, _) in SHAPES.items():
-        figure = Figure()
-        draw_look(figure, panel, "x")
-        labels[name] = (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
-    assert labels["wave"] == ("time, within a period [s]", "added force [% of $F_z$]")
-    assert labels["setting"] == ("load F_z [N]", "change of friction [%]")
-    assert labels["slip"][1] == "added slip, in its own direction [-]"
-
-
-def test_the_remainder_is_in_figure_and_page():
-    found, beside = looking(STEP), looking(STEP, "incomplete")
-    assert list(panel_pictures(found))[3:] == ["what is left"]
-    page = Page(words_page(found))
-    assert len(page.links) == 4
-    assert any("Remainder: change of a parameter" in one for one in page.alternatives)
-    said = [" ".join(texts_of(panel_pictures(one)["what is left"])) for one in (found, beside)]
-    assert "on top of the base fit" in said[0] and "load" in said[1]
-    # It is drawn, not written into the document.
-    assert "look" not in json.loads(found.to_json())
-
-
 FZ = SizeByGroup("fz", (2000.0, 4000.0, 6000.0), (0.05, 0.12, 0.18), (0.01, 0.02, 0.5), 0.4)
 SLIP = SizeByGroup("signed_slip", (-0.123, 0.123), (0.10, 0.14), (0.01, 0.01), 0.2)
 
@@ -875,21 +763,15 @@ def sized(**others):
     return diagnosis(verdict=verdict, candidates=(both,), **others)
 
 
-def test_an_effect_that_acts_like_the_cause_is_in_text_page_and_document():
+def test_an_effect_that_acts_like_the_cause_is_in_text_and_document():
     found = sized()
-    text, page = flat(found), flat(html.unescape(words_page(found)))
-    acting = (
-        "In the model, the error acts like load friction of 0.1234 ± 0.0056 (0.20 that this is"
+    assert answer(found).startswith(
+        "The gap comes in part from slip offset of 0.1234 ± 0.0056 (0.91): add it to the slip."
+        " In the model, the error acts like load friction of 0.1234 ± 0.0056 (0.20 that this is"
         " the cause)."
     )
     size = "size by load F_z: 0.050 ± 0.010, 0.120 ± 0.020, 0.18 ± 0.50; beyond their errors"
-    for shown in (text, page):
-        assert (
-            "The gap comes in part from slip offset of 0.1234 ± 0.0056 (0.91): add it to the slip."
-            f" {acting}" in shown
-        )
-        assert "load friction (load_friction): 0.1234 ± 0.0056" in shown
-        assert f"{size} they spread by 40 % of the whole" in shown
+    assert f"{size} they spread by 40 % of the whole" in flat(found)
     assert after_label(found) == "slip offset + load friction"
     verdict = json.loads(found.to_json())["verdict"]
     assert verdict["effects"] == ["slip_offset"] and verdict["acts_like"] == ["load_friction"]
@@ -900,29 +782,10 @@ def test_an_effect_that_acts_like_the_cause_is_in_text_page_and_document():
         " 0.13 of an unlisted effect. In the model, it acts like load friction of 0.1234 ±"
         " 0.0056 (0.20 that this is the cause). This takes the gap from 125 to 25 N (rms)."
     )
-    assert "load friction (load_friction): 0.1234 ± 0.0056" in flat(alone)
 
 
 def _finite(values):
     return values[np.isfinite(values)]
-
-
-def test_a_failed_save_leaves_no_figure(tmp_path, monkeypatch):
-    path, drawn = tmp_path / "drum.png", diagnosis().plot()
-    assert save_picture(drawn, path) == path
-    picture = matplotlib.image.imread(path)
-    assert picture[:, :, :3].std() > 0.05
-    before = path.read_bytes()
-
-    def broken(self, target, **kwargs):
-        target.write_bytes(b"half")
-        raise OSError(28, "disk full")
-
-    monkeypatch.setattr(Picture, "savefig", broken)
-    with pytest.raises(OSError, match="disk full"):
-        save_picture(drawn, path)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
 
 
 STATUSES = {
@@ -963,16 +826,11 @@ STATUSES = {
 def test_every_verdict_has_its_sentence(verdict, sentence):
     found = judged(*verdict)
     assert answer(found) == sentence
-    text, page = flat(found), html.unescape(words_page(found))
-    assert sentence in text and sentence in page
+    text = flat(found)
     # What can be done, for each effect that is named.
     for effect in verdict[1]:
         assert name_with_id(effect) in text
-        for part in filter(None, words_on(effect)):
-            assert part in text and part in page
-    for effect in verdict[3] if len(verdict) > 3 else ():
-        assert f"{name_with_id(effect)}: not named" in text
-        assert words_on(effect)[0] in text
+        assert all(part in text for part in words_on(effect))
     named = verdict[0] != "none" and verdict[1][:1] == ["load_friction"]
     assert ("effect that would be detected: 6.3 N rms" in text) == (not named)
     assert len(str(found).splitlines()) <= 60
@@ -1017,31 +875,17 @@ def test_the_text_fits_one_screen_and_full_lists_all():
     text = str(diagnosis())
     assert len(text.splitlines()) <= 60 and text == diagnosis_text(diagnosis())
     assert "360 rows; noise F_x 19.7 N (standard deviation, given)" in text
-    assert (
-        "measure small slips (a tenth): it separates load friction from d with"
-        " probability 0.96, instead of 0.71 now"
-    ) in flat(text)
-    assert "a temperature that varies: friction temperature, stiffness" in flat(text)
     assert "25 N rms beyond the noise, 4 % of the gap's mean square; probability 0.13 of"
-    assert "log evidence" not in text and "rival" not in text
-    assert "details: --full" in flat(text) and "the file: iso-w" in flat(text)
     full = diagnosis_text(diagnosis(), full=True)
     assert max(len(line) for line in full.splitlines()) <= 88
     assert full.startswith(text[: text.index("braking positive")])
     full = flat(full)
     assert "the 360 rows fitted: gap of 125 N (3.1 % of mean F_z) rms beyond" in full
     assert "closed [90 % interval]: 80 % [70 %, 85 %], 96 % of its energy" in full
-    assert "highest fz, left out of both fits: gap of 151 N" in full
     assert "load F_z 6000 N 81 % < 1e-12" in full
     assert "size of the slip shrinking 53 % 0.013" in full
     assert "0.061 friction drift + load friction; friction drift 0.1234" in full
-    assert (
-        "pressure asymmetry of 0.24: recognised with probability 0.50, else taken for"
-        " carcass flexibility"
-    ) in full
-    assert "force offset of" not in full  # these rows tell it
     assert "cpa2 [N] 51234 51235" in full and "360 rows count as 287 in a fit" in full
-    assert "a camber gamma that varies, fy: camber thrust" in full
 
 
 def test_a_slip_that_contradicts_the_wheel_speed_is_reported():
@@ -1061,12 +905,10 @@ def test_a_slip_that_contradicts_the_wheel_speed_is_reported():
         "slip, read as sigma_x, against omega, v and a rolling radius of 0.305 m: 0.012"
         " rms apart, offset 0.00410 ± 0.00020, follows kappa"
     )
-    assert sentence in flat(found) and sentence in words_page(found)
+    assert sentence in flat(found)
     agrees = diagnosis(slip_check=check._replace(fits="sigma_x"))
     assert "rolling radius of" not in str(agrees)
     assert "rolling radius of" in flat(diagnosis_text(agrees, full=True))
-    assert json.loads(found.to_json())["slip_check"]["fits"] == "kappa"
-    assert "rolling radius of" not in str(diagnosis())
 
 
 def test_an_unresolved_gap_claims_nothing():
@@ -1126,8 +968,7 @@ def test_texts_cover_the_library_and_name_existing_models():
 
 def test_a_user_defined_effect_is_shown_by_its_id():
     found = judged("named", ["road_ripple"], candidates=(candidate(["road_ripple"], 1),))
-    assert "The gap comes from road ripple of 0.1234 ± 0.0056 (0.91)." in flat(found)
-    assert "road ripple (road_ripple)" in words_page(found)
+    assert answer(found).startswith("The gap comes from road ripple of 0.1234 ± 0.0056 (0.91).")
     mine = Effect(
         id="road_ripple",
         family="friction x time",
@@ -1140,8 +981,7 @@ def test_a_user_defined_effect_is_shown_by_its_id():
     )
     verdict = found.verdict
     known = diagnosis(verdict=verdict, library=(*EFFECTS, mine))
-    for page in (str(known), words_page(known)):
-        assert "the road has waves; to do: measure elsewhere" in page
+    assert "the road has waves; to do: measure elsewhere" in str(known)
     own = Untestable("road_ripple", ("road camera", "omega"))
     assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
 
@@ -1178,32 +1018,12 @@ def test_ranges_are_written_with_few_digits():
     assert set_name(["toe", "slip_offset"]) == "toe + slip offset"
 
 
-def test_the_page_is_self_contained(page_text):
-    text, page = page_text, Page(page_text)
-    assert not {"script", "link", "iframe", "object"} & set(page.seen)
-    assert "://" not in text and "url(" not in text and "@import" not in text
-    assert len(page.links) == page.seen.count("img") == 3
-    pictures = [
-        base64.b64decode(link.removeprefix("data:image/png;base64,")) for link in page.links
-    ]
-    assert all(one.startswith(b"\x89PNG") for one in pictures)
-    assert len(set(pictures)) == 3 and all(page.alternatives)
-    assert "<b>$1" not in text and NAME in "".join(page.texts)
-    assert 'name="viewport"' in text
-
-
-def test_the_page_contains_the_numbers_of_the_record(page_text):
+def test_the_page_contains_the_record_and_its_panels(page_text):
     record = html.unescape(page_text.split("<pre>")[1].split("</pre>")[0])
     assert json.loads(record) == json.loads(diagnosis().to_json())
-    shown = re.sub(r"<[^>]*>", " ", page_text.split("<pre>")[0])
-    for part in (
-        "0.870", "0.061", "0.1234 ± 0.0056", "80 % [70 %, 85 %]", "81 %",
-        "&lt; 1e-12", "0.21", "0.96", "0.71", "19.7 N",
-        "0.00123", "outliers", "360 rows count as 287 in a fit",
-        "ab12", "51234", "0.912", "fx_relative = 0.01", "F&lt;x&gt;", "iso-w", "125 N",
-        "45.3 N", "seed 3", "27500 ± 5000", "94.0 ± 3.0 %",
-    ):  # fmt: skip
-        assert part in shown, part
+    assert Page(page_text).seen.count("img") == 3
+    # The first picture shows the ladder, so its table is folded.
+    assert "<details><summary>How far the gap shrinks" in page_text
 
 
 def test_a_notebook_shows_the_diagnosis():
@@ -1212,27 +1032,6 @@ def test_a_notebook_shows_the_diagnosis():
     assert page.seen.count("img") == 1 and "html" not in page.seen
     assert "The gap comes from load friction of 0.1234 ± 0.0056 (0.91)" in "".join(page.texts)
     assert "style" not in page.seen  # it would restyle the whole notebook
-
-
-def test_every_panel_can_be_drawn_alone():
-    pictures = panel_pictures(diagnosis())
-    assert list(pictures) == ["ladder", "before and after", "where"]
-
-
-@in_browser
-def test_chromium_shows_the_page_and_fetches_nothing(page_text, tmp_path):
-    page = tmp_path / "drum.html"
-    page.write_text(page_text)
-    document, asked = browse(page, tmp_path, "--dump-dom")
-    assert '<title>drum &lt;b&gt;$1 &amp; "x" against brush:' in document
-    assert "The gap comes from load friction of 0.1234 ± 0.0056 (0.91)" in document
-    assert asked == []
-    shot = tmp_path / "shot.png"
-    browse(page, tmp_path, f"--screenshot={shot}")
-    picture = matplotlib.image.imread(shot)
-    assert picture.shape[:2] == (900, 1200)
-    # The verdict and the first pictures are there: not a white page.
-    assert picture[:, :, :3].std() > 0.05
 
 
 @in_browser

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from tirefit.data.records import FileRecord, ResultsTable, Row, dates_of, records_into
-from tirefit.report.many_files import files_of_table, files_page, points_of, write_fleet_page
-from tirefit.report.values import Points, binned, draw_points
+from tirefit.data.records import FileRecord, Row, dates_of, records_into
+from tirefit.report.many_files import files_of, files_page, points_of, write_fleet_page
+from tirefit.report.values import Points, draw_points
 
 WILD = 17
 
@@ -34,24 +34,16 @@ def records(n, dated=True, seed=0):
     yield FileRecord(evil, "out/x", "", "failed", problem="<b>no column & fz</b>")
 
 
-@pytest.fixture
-def table(tmp_path):
-    def write(*arguments, **more):
-        with records_into(tmp_path / "results.parquet") as into:
-            for record in records(*arguments, **more):
-                into.add(record)
-        return tmp_path / "results.parquet"
-
-    return write
-
-
-def test_the_table_has_a_row_per_number_and_file(table):
+def test_the_table_has_a_row_per_number_and_file(tmp_path):
     import pyarrow.parquet
 
-    rows = pyarrow.parquet.read_table(table(30)).to_pylist()
+    given = list(records(30))
+    with records_into(tmp_path / "results.parquet") as into:
+        for record in given:
+            into.add(record)
+    rows = pyarrow.parquet.read_table(tmp_path / "results.parquet").to_pylist()
     assert len(rows) == 29 * 3 + 1
     assert [row["number"] for row in rows[:4]] == [1, 1, 1, 2]
-    given = list(records(30))
     mu = given[4].of_kind("parameter")["mu"]
     there = next(row for row in rows if row["number"] == 5 and row["name"] == "mu")
     assert there["value"] == mu.value and there["std"] == mu.std
@@ -59,19 +51,6 @@ def test_the_table_has_a_row_per_number_and_file(table):
     assert there["file"] == given[4].file and there["result"] == "out/4"
     assert rows[-1]["status"] == "failed" and rows[-1]["value"] is None
     assert rows[-1]["problem"] == "<b>no column & fz</b>"
-
-
-def test_the_table_is_read_by_quantity(table):
-    stored = ResultsTable(table(30))
-    assert stored.quantities() == [
-        ("parameter", "mu", "-"),
-        ("parameter", "cpa2", "N"),
-        ("statistic", "rmse", ""),
-    ]
-    stiffness = stored.of("parameter", "cpa2")
-    assert stiffness["number"].tolist() == list(range(1, 30))
-    assert np.flatnonzero(np.isnan(stiffness["std"])).tolist() == [0, 10, 20]
-    assert [len(column) for column in stored.files().values()] == [30] * 8
 
 
 def test_an_unfinished_table_leaves_no_file(tmp_path):
@@ -82,29 +61,14 @@ def test_an_unfinished_table_leaves_no_file(tmp_path):
 
 
 @pytest.mark.parametrize("dated", [True, False])
-def test_drift_and_the_outlying_file_are_found(table, dated):
-    fleet = files_of_table(table(200, dated=dated))
+def test_drift_and_the_outlying_file_are_found(dated):
+    fleet = files_of(list(records(200, dated=dated)))
     assert (fleet.dates is not None) == dated
     mu, stiffness, rmse = fleet.quantities
     assert mu.across.drifts and abs(mu.across.change + 0.1) < 4 * mu.across.change_std
     assert np.flatnonzero(points_of(fleet, mu).far).tolist() == [WILD]
     assert np.isfinite(stiffness.value).sum() == 199 and stiffness.known.sum() == 179
     assert not rmse.across.drifts
-
-
-@pytest.mark.parametrize(("n", "in_bins"), [(120, False), (2000, True)])
-def test_many_files_are_drawn_as_bins_of_neighbours(table, n, in_bins):
-    files = files_of_table(table(n, dated=False))
-    mu = files.quantities[0]
-    drawn = binned(points_of(files, mu), most=100 if in_bins else 300)
-    assert drawn.value[drawn.far] == pytest.approx([mu.value[WILD]])
-    near = drawn.known & ~drawn.far
-    assert near.sum() == (100 if in_bins else n - 2)
-    when, value = drawn.at[near], drawn.value[near]
-    assert np.all((drawn.low[near] < value) & (value < drawn.high[near]))
-    assert np.all(np.diff(when) > 0)
-    if in_bins:  # the bins keep the drift
-        assert np.polyfit(when, value, 1)[0] == pytest.approx(-0.1 / n, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -121,8 +85,8 @@ def test_axes_of_counts_have_whole_numbers(values, whole):
     assert [tick.get_text() for tick in axes.get_xticklabels()] == list("abc")
 
 
-def test_the_page_is_small_complete_and_escaped(table, tmp_path):
-    write_fleet_page(table(600), tmp_path / "fleet.html", "fit")
+def test_the_page_is_small_complete_and_escaped(tmp_path):
+    write_fleet_page(list(records(600)), tmp_path / "fleet.html", "fit")
     page = (tmp_path / "fleet.html").read_text("utf-8")
     assert len(page) < 400_000
     links = re.findall(r"""\b(?:src|href)=['"]?([^'" >]*)""", page)
@@ -133,8 +97,8 @@ def test_the_page_is_small_complete_and_escaped(table, tmp_path):
     assert "iso-w" in page and "seed: 3" in page and "version: 1.2" in page
 
 
-def test_a_page_is_written_if_all_files_failed(table, tmp_path):
-    page = files_page(files_of_table(table(1)), "diagnose")
+def test_a_page_is_written_if_all_files_failed():
+    page = files_page(files_of(list(records(1))), "diagnose")
     assert "no quantity of three files or more" in page and "1 failed" in page
 
 

@@ -145,14 +145,6 @@ def test_corner_and_trace_draw_the_requested_parameters(by_run):
     assert "it has cpa2[run01]" in str(caught.value)
 
 
-def test_a_trace_shows_the_parameters_that_agree_least(by_run):
-    picture = figure_of(by_run, "trace")
-    titles = [axes.get_title(loc="right") for axes in picture.axes]
-    worst = [by_run.posterior.rhat[label] for label in by_run.labels[-10:]]
-    assert titles == [f"R-hat {rhat:.3f}, ESS 900" for rhat in worst]
-    assert overlapping(drawn_texts(picture)) == []
-
-
 def test_runs_are_drawn_side_by_side(by_run):
     panels = run_points(by_run)
     assert [p.label for p in panels] == ["cpa2 [N]", "mu [-]"]

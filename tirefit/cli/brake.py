@@ -10,7 +10,6 @@ from tirefit.cli.options import (
     SetOption,
     SignsOption,
     complain,
-    errors_to_exit,
     numbers,
     progress_bar,
     start_jax,
@@ -68,22 +67,21 @@ def brake(
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="seed of noise and road")] = 0,
 ) -> None:
     """Simulate braking with a controller: stopping distance, friction used, figures."""
-    with errors_to_exit():
-        problems: list[InputProblem] = []
-        values = numbers("--set", parameter, problems)
-        settings = numbers("--tune", tune, problems)
-        plant_values = numbers("--plant", plant, problems)
-        UsageError.raise_for(problems)
-        check_results([out / name for name in FILES])
-        start_jax()
-        from tirefit.sim.manoeuvre import brake as braked
+    problems: list[InputProblem] = []
+    values = numbers("--set", parameter, problems)
+    settings = numbers("--tune", tune, problems)
+    plant_values = numbers("--plant", plant, problems)
+    UsageError.raise_for(problems)
+    check_results([out / name for name in FILES])
+    start_jax()
+    from tirefit.sim.manoeuvre import brake as braked
 
-        with claimed(out), progress_bar("braking") as progress:
-            result = braked(
-                tire, controller, road=road, speed=speed, steer=steer, values=values,
-                vehicle=vehicle.value, signs=signs, tune=settings, plant=plant_values,
-                time_limit=time_limit, stops=stops, seed=seed, progress=progress,
-            )  # fmt: skip
-            for text in result.notes:
-                complain(f"warning: {text}")
-            write_result(result, out, FILES, _FIGURES)
+    with claimed(out), progress_bar("braking") as progress:
+        result = braked(
+            tire, controller, road=road, speed=speed, steer=steer, values=values,
+            vehicle=vehicle.value, signs=signs, tune=settings, plant=plant_values,
+            time_limit=time_limit, stops=stops, seed=seed, progress=progress,
+        )  # fmt: skip
+        for text in result.notes:
+            complain(f"warning: {text}")
+        write_result(result, out, FILES, _FIGURES)

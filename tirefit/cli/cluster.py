@@ -1,13 +1,13 @@
 """The workers of a Dask cluster, and the work that they share.
 
-Each piece is a task that carries all it needs, so that Dask can run it again anywhere.
+Each piece is a task that carries all it needs. Dask runs it again, on another worker, if the
+worker that had it died; it gives the task up after four deaths.
 """
 
 import logging
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from itertools import count
 from typing import Any
 
 from tirefit.results import InputProblem, UsageError
@@ -15,8 +15,6 @@ from tirefit.results import InputProblem, UsageError
 _CONNECT = 30.0  # seconds to wait for a scheduler and its first worker
 
 _LOCAL = {
-    # A task whose worker died fails at once; `shared` repeats it, with nothing beside it.
-    "distributed.scheduler.allowed-failures": 0,
     # Other tasks wait at the scheduler, not at a worker, whose death would fail them too.
     "distributed.scheduler.worker-saturation": 1.0,
     # Without any worker for so long, the tasks fail instead of waiting. On a machine with
@@ -32,10 +30,6 @@ _LOCAL = {
     "distributed.worker.profile.enabled": False,
 }
 """Settings of the workers on this machine."""
-
-
-class Ended:
-    """Stands for the result of a piece whose worker died, also with no other piece at work."""
 
 
 @contextmanager
@@ -93,50 +87,35 @@ def _connected(address: str) -> Any:
     return client
 
 
-def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[tuple[int, Any]]:
-    """Yield (number, ``work(piece)``) of every piece, in the order of completion.
+def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[Any]:
+    """Yield ``work(piece)`` of every piece, in their order; None of one whose workers died.
 
-    Dask blames the death of a worker on every task that it has given to this worker. A piece
-    that was blamed therefore runs once more at the end, when the cluster has no other piece:
-    if its worker dies again, the piece yields :class:`Ended`. When the iteration stops early,
-    or is interrupted, pieces that have not begun are cancelled.
+    When the iteration stops early, or is interrupted, pieces that have not begun are cancelled.
 
     Args:
-        work: a function that can be pickled, as its arguments and results can.
+        work: a function that can be pickled, as its arguments and results can; it never
+            returns None.
         pieces: the arguments.
         client: of :func:`cluster`.
 
     Raises:
         UsageError: the scheduler, or every worker, is gone.
     """
-    from distributed import as_completed
     from distributed.scheduler import KilledWorker, NoValidWorkerError, NoWorkerError
 
-    futures: dict[Any, int] = {}
-    blamed: list[int] = []
+    futures: list[Any] = []
     try:
-        futures = dict(zip(client.map(work, pieces, pure=False), count()))
-        for future in as_completed(list(futures), loop=client.loop):
-            number = futures.pop(future)
+        futures = client.map(work, pieces, pure=False)
+        for future in futures:
             try:
                 result = future.result()
             except KilledWorker:
-                blamed.append(number)
-            else:
-                yield number, result
-        for number in blamed:
-            alone = client.submit(work, pieces[number], pure=False)
-            futures[alone] = number
-            try:
-                result = alone.result()
-            except KilledWorker:
-                result = Ended()
-            del futures[alone]
-            yield number, result
+                result = None
+            yield result
     except (CancelledError, NoWorkerError, NoValidWorkerError) as error:
         lost = "connection to the scheduler is lost"
         reason = lost if isinstance(error, CancelledError) else "workers are all gone"
         raise UsageError(f"the {reason}", "start it again, then --resume") from None
     finally:
-        if futures and client.status == "running":
-            client.cancel(list(futures), force=True)
+        if client.status == "running":
+            client.cancel(futures, force=True)

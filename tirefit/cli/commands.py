@@ -55,7 +55,9 @@ class LazyCommand(TyperCommand):
         module = import_module(f"tirefit.cli.{_MODULES.get(self.name, self.name)}")
         found = getattr(module, self.name)
         if not isinstance(found, typer.Typer):
-            function, found = found, typer.Typer(add_completion=False, **_STYLE)
+            from tirefit.cli.options import errors_to_exit  # imported with the command
+
+            function, found = errors_to_exit()(found), typer.Typer(add_completion=False, **_STYLE)
             found.command(self.name, cls=getattr(module, "Command", None))(function)
         return typer.main.get_command(found)
 

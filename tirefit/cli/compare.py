@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import Folder, errors_to_exit, start_jax
+from tirefit.cli.options import Folder, Html, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 
 FIGURE, PAGE = "comparison.png", "comparison.html"
@@ -23,9 +23,7 @@ def compare(
     ],
     *,
     out: Folder,
-    html: Annotated[
-        bool, typer.Option("--html", help="write the report as one page, comparison.html")
-    ] = False,
+    html: Html = False,
 ) -> None:
     """Compare fits, .tir files or diagnoses: what differs beyond its error.
 
@@ -33,12 +31,11 @@ def compare(
     slip and load, and effects that some or all diagnoses name. Fits of the same rows are
     ranked by AICc.
     """
-    with errors_to_exit():
-        check_results([out / name for name in FILES])
-        start_jax()
-        from tirefit.diagnosis.summary.compare import compare as compared
+    check_results([out / name for name in FILES])
+    start_jax()
+    from tirefit.diagnosis.summary.compare import compare as compared
 
-        with claimed(out):
-            result = compared(files)
-            figures = {FIGURE: ""} if result.drawable else {}
-            write_result(result, out, FILES, figures, PAGE if html else "")
+    with claimed(out):
+        result = compared(files)
+        figures = {FIGURE: ""} if result.drawable else {}
+        write_result(result, out, FILES, figures, PAGE if html else "")

@@ -17,7 +17,6 @@ from tirefit.cli.options import (
     SeedOrNone,
     SignsOption,
     complain,
-    errors_to_exit,
     model_names,
     path_option,
     say,
@@ -72,23 +71,22 @@ def convert(
     The standard errors are those of the systematic misfit over the slips and loads: the
     curve has no noise.
     """
-    with errors_to_exit():
-        coefficients, slips, chosen = _checked(file, magic_formula, slip_min, slip_max, loads, out)
-        if signs and file is None:
-            raise UsageError("--signs applies to .tir files only", "leave it out")
-        if model in MAGIC_FORMULA_NAMES:
-            is_whole(model, (), ("magic_formula", "force", "slip_min", "seed"))
-            assert file is not None  # as --magic-formula is not given
-            of_file = {"signs": signs, "combination": combination}
-            found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
-            raise typer.Exit(found)
-        if combination:
-            remedy = "leave it out: a brush is fitted to one force in pure slip"
-            raise UsageError(f"--combination with --model {model or 'brush'}", remedy)
-        result = _refit(
-            file, coefficients, model or "brush", force or Force.fx, slips, chosen, seed, out, signs
-        )
-        raise typer.Exit(exit_code(result.outcomes))
+    coefficients, slips, chosen = _checked(file, magic_formula, slip_min, slip_max, loads, out)
+    if signs and file is None:
+        raise UsageError("--signs applies to .tir files only", "leave it out")
+    if model in MAGIC_FORMULA_NAMES:
+        is_whole(model, (), ("magic_formula", "force", "slip_min", "seed"))
+        assert file is not None  # as --magic-formula is not given
+        of_file = {"signs": signs, "combination": combination}
+        found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
+        raise typer.Exit(found)
+    if combination:
+        remedy = "leave it out: a brush is fitted to one force in pure slip"
+        raise UsageError(f"--combination with --model {model or 'brush'}", remedy)
+    result = _refit(
+        file, coefficients, model or "brush", force or Force.fx, slips, chosen, seed, out, signs
+    )
+    raise typer.Exit(exit_code(result.outcomes))
 
 
 def _checked(file, magic_formula, slip_min, slip_max, loads, out):
@@ -118,11 +116,8 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
     if not -1 < low < high < 1:
         reason = f"slips from {low:g} to {high:g}"
         problems.append(InputProblem(reason, "-1 < --slip-min < --slip-max < 1"))
-    try:
-        check_results(fit_files(out))
-    except UsageError as error:
-        problems += error.problems
     UsageError.raise_for(problems)
+    check_results(fit_files(out))
     return coefficients, np.linspace(low, high, _SLIPS), chosen
 
 

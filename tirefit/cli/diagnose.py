@@ -1,6 +1,5 @@
 """``tirefit diagnose``: find the effects that a model lacks, and the gap without them."""
 
-import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import zip_longest
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperCommand
 
-from tirefit.cli.diagnose_vehicle import TireOption, compare_car, diagnose_car, refuse_tires
+from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
@@ -18,34 +17,36 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     Folder,
+    Forces,
     Full,
+    Resume,
     Seed,
     SideOption,
     SignsOption,
     complain,
     completed,
-    errors_to_exit,
     forces_named,
     numbers,
     read_config,
     read_options,
     refuse_besides,
+    refuse_of_vehicle,
     say,
     start_jax,
     takes_data_options,
 )
 from tirefit.cli.output import (
-    are_whole,
     check_results,
     claimed,
     digest,
+    done_before,
     is_page,
     names_of,
     write_result,
 )
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
-from tirefit.names import EFFECT_NAMES, MODEL_NAMES
+from tirefit.names import MODEL_NAMES, effect_names
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
@@ -103,10 +104,7 @@ def diagnose(
     side: SideOption = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
-    force: Annotated[
-        list[str] | None,
-        typer.Option(help="force to diagnose: fx, fy, mz (repeat for more; default: all)"),
-    ] = None,
+    force: Forces = None,
     rig: Annotated[
         Path | None, typer.Option(metavar="RIG.TOML", help="known noise and properties of the rig")
     ] = None,
@@ -119,7 +117,7 @@ def diagnose(
         typer.Option(
             metavar="ID",
             help="do not search for this effect",
-            autocompletion=completed(*EFFECT_NAMES),
+            autocompletion=lambda incomplete: completed(*effect_names())(incomplete),
         ),
     ] = None,
     vehicle: Annotated[
@@ -143,59 +141,47 @@ def diagnose(
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
     full: Full = False,
-    resume: Annotated[bool, typer.Option("--resume", help="skip finished files")] = False,
+    resume: Resume = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
     seed: Seed = 0,
 ) -> None:
     """Find the effects that explain the gap between a model or simulator and data."""
-    with errors_to_exit():
-        sharing, files = Sharing(jobs, scheduler), expanded(files)
-        if vehicle is not None:
-            refuse_besides(_OF_SIMULATOR if sim_log else _OF_VEHICLE)
-            if sim_log:
-                tires = front, rear
-                return compare_car(files, sim_log, vehicle, tires, out, without or (), figures)
-            return diagnose_car(
-                files,
-                vehicle,
-                front,
-                rear,
-                out,
-                holdout=holdout or (),
-                without=without or (),
-                figures=figures,
-                full=full,
-                seed=seed,
-            )
-        refuse_tires(front, rear, sim_log)
-        names = names_of(files, "rename one: their results would overwrite each other")
-        parts = [part for name in names for part in _written(name, figures)]
-        made = [out / one for part in parts for one in part]
-        check_results([*made, *sharing.files(out, made)], files)
-        config = read_config(options.config)
-        how, plain = read_options(options, config), _PLAIN if model is None else model
-        if config is not None:
-            force = force or config.force
-            asked = {"model": plain, "seed": seed, "force": force}
-            _warn_of_unused(config, how, asked)
-        start_jax()
-        # A simulator known by its forces is represented by the best stand-in.
-        base = model if sim else plain
-        settings = _settings(base, rig, without, how)
-        settings["forces"] = forces_named(force)
-        of_tir = {"side": side, "signs": signs, "combination": combination}
-        settings |= _simulator(base, parameter, sim, how, of_tir)
-        with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
-            kept = [_read(path, how) for path in holdout or []]
-            task = _Task(out, settings, kept, how, figures, resume, seed, full)
-            pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-            work = partial(_one, task)
-            codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
-            if len(pieces) > 1:
-                done = codes.count(ExitCode.OK)
-                say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
-        raise typer.Exit(worst_of(codes))
+    sharing, files = Sharing(jobs, scheduler), expanded(files)
+    if vehicle is not None:
+        refuse_besides(_OF_SIMULATOR if sim_log else _OF_VEHICLE)
+        return diagnose_car(
+            files, vehicle, (front, rear), out, sim_log or [], holdout=holdout or (),
+            without=without or (), figures=figures, full=full, seed=seed,
+        )  # fmt: skip
+    refuse_of_vehicle("front", "rear", "sim_log")
+    names = names_of(files, "rename one: their results would overwrite each other")
+    parts = [part for name in names for part in _written(name, figures)]
+    made = [out / one for part in parts for one in part]
+    check_results([*made, *sharing.files(out, made)], files)
+    config = read_config(options.config)
+    how, plain = read_options(options, config), _PLAIN if model is None else model
+    if config is not None:
+        force = force or config.force
+        asked = {"model": plain, "seed": seed, "force": force}
+        _warn_of_unused(config, how, asked)
+    start_jax()
+    # A simulator known by its forces is represented by the best stand-in.
+    base = model if sim else plain
+    settings = _settings(base, rig, without, how)
+    settings["forces"] = forces_named(force)
+    of_tir = {"side": side, "signs": signs, "combination": combination}
+    settings |= _simulator(base, parameter, sim, how, of_tir)
+    with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
+        kept = [_read(path, how) for path in holdout or []]
+        task = _Task(out, settings, kept, how, figures, resume, seed, full)
+        pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
+        work = partial(_one, task)
+        codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
+        if len(pieces) > 1:
+            done = codes.count(ExitCode.OK)
+            say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
+    raise typer.Exit(worst_of(codes))
 
 
 _OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".split()
@@ -313,10 +299,10 @@ def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
     document, asked = out / f"{name}.json", _asked(task, table)
-    if task.resume and are_whole(out / one for one in expected):
-        if record := _done_before(document, asked):
-            say(f"{file}: done before, kept: {document}")
-            return ExitCode.OK, record
+    files = [out / one for one in expected]
+    if task.resume and (record := done_before(files, document, asked, record_of_document)):
+        say(f"{file}: done before, kept: {document}")
+        return ExitCode.OK, record
     result = study(table, holdout=task.kept, seed=task.seed, **task.settings)
     result = replace(result, asked=asked)
     pictures, page = ({drawn[0]: ""}, drawn[1]) if figures else ({}, "")
@@ -337,14 +323,3 @@ def _asked(task: _Task, table) -> str:
         task.how,
         task.seed,
     )
-
-
-def _done_before(path: Path, asked: str) -> "FileRecord | None":
-    """The record of a document if it is whole, and of this data and these settings."""
-    from tirefit.diagnosis.summary.result import record_of_document
-
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return record_of_document(path) if content["asked"] == asked else None
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return None

@@ -13,7 +13,6 @@ from tirefit.cli.options import (
     DataOptions,
     Seed,
     complain,
-    errors_to_exit,
     numbers,
     path_option,
     read_config,
@@ -49,21 +48,20 @@ def estimate(
     seed: Seed = 0,
 ) -> None:
     """Estimate friction and stiffness at each row, from the rows up to it."""
-    with errors_to_exit():
-        values = _checked(log, out, follow, setting)
-        from tirefit.online.methods import METHODS
-        from tirefit.params import by_owner, check_names
+    values = _checked(log, out, follow, setting)
+    from tirefit.online.methods import METHODS
+    from tirefit.params import by_owner, check_names
 
-        names = check_names("method", method, METHODS)
-        chosen = by_owner(values, {name: METHODS[name]() for name in names})
-        how = read_options(options, read_config(options.config))
-        start_jax()
-        if follow:
-            _follow(names, chosen, how)
-            return
-        assert out is not None  # checked
-        with claimed(out):
-            _whole(Path(log), names, values, how, out, seed)
+    names = check_names("method", method, METHODS)
+    chosen = by_owner(values, {name: METHODS[name]() for name in names})
+    how = read_options(options, read_config(options.config))
+    start_jax()
+    if follow:
+        _follow(names, chosen, how)
+        return
+    assert out is not None  # checked
+    with claimed(out):
+        _whole(Path(log), names, values, how, out, seed)
 
 
 def _checked(log, out, follow, setting) -> dict[str, float]:

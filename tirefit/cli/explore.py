@@ -8,7 +8,6 @@ import typer
 from tirefit.cli.options import (
     DataOptions,
     complain,
-    errors_to_exit,
     path_option,
     read_config,
     read_options,
@@ -37,16 +36,15 @@ def explore(
     The page needs no other file and no network, and evaluates the model itself. Options
     that describe the file (--column, --unit, ...) are those of DATA.csv.
     """
-    with errors_to_exit():
-        UsageError.raise_for(output_problems(out, ".html"))
-        check_results([out])
-        how = read_options(options, read_config(options.config))
-        start_jax()
-        from tirefit.targets.explore import explore
+    UsageError.raise_for(output_problems(out, ".html"))
+    check_results([out])
+    how = read_options(options, read_config(options.config))
+    start_jax()
+    from tirefit.targets.explore import explore
 
-        found = explore(tires, data, **how)
-        for text in found.warnings:
-            complain(f"warning: {text}")
-        found.save(out)
-        say(found.summary())
-        say(f"wrote {out}: open it in a browser")
+    found = explore(tires, data, **how)
+    for text in found.warnings:
+        complain(f"warning: {text}")
+    found.save(out)
+    say(found.summary())
+    say(f"wrote {out}: open it in a browser")

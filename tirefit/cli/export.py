@@ -5,15 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from tirefit.cli.options import (
-    complain,
-    errors_to_exit,
-    numbers,
-    pairs,
-    path_option,
-    say,
-    start_jax,
-)
+from tirefit.cli.options import complain, numbers, pairs, path_option, say, start_jax
 from tirefit.cli.output import check_inputs_kept
 from tirefit.results import InputProblem, UsageError, exit_code
 
@@ -65,46 +57,45 @@ def export(
     error. Each file states the parameters with standard errors, the measured range, and
     checks of the tire at standstill, at large slip and at twice the largest load.
     """
-    with errors_to_exit():
-        from tirefit.targets.export import TARGETS, Target, export
+    from tirefit.targets.export import TARGETS, Target, export
 
-        if list_:
-            for key, target in TARGETS.items():
-                say(f"{key:<13} {target.what}\n{'':<13} holds {target.holds}")
-            return
-        problems: list[InputProblem] = []
-        values = numbers("--set", parameter, problems)
-        ranges = _ranges(over, problems)
-        tire = "a fit.json, a .tir file or the name of a model, or --front and --rear"
-        of_wheel = numbers("--wheel", wheel, problems)
-        for what, given, remedy in (
-            ("a tire", source or front or rear, f"give {tire}"),
-            ("--to", to, f"one of {', '.join(TARGETS)}"),
-            ("--out", out, "name the file to write"),
-        ):
-            if given is None:
-                problems.append(InputProblem(f"{what} is missing", remedy))
-        if problems:
-            raise UsageError(problems)
-        assert to and out
-        check_inputs_kept([out])
-        start_jax()
-        done = export(
-            source, to, out, front=front, rear=rear, vehicle=vehicle, over=ranges,
-            values=values, diagnosis=diagnosis, model=model, wheel=of_wheel,
-            forces=forces, convention=convention, name=name, force=force,
-        )  # fmt: skip
-        for text in done.warnings:
-            complain(f"warning: {text}")
-        for note in done.notes:
-            if not note.startswith("warning"):
-                complain(f"note: {note}")
-        for sentence in done.shape.sentences:
-            say(sentence)
-        if not isinstance(TARGETS[to], Target):
-            convention = "of its own"
-        say(f"wrote {out} for {to}, signs {convention}")
-        raise Exit(exit_code(done.outcomes))
+    if list_:
+        for key, target in TARGETS.items():
+            say(f"{key:<13} {target.what}\n{'':<13} holds {target.holds}")
+        return
+    problems: list[InputProblem] = []
+    values = numbers("--set", parameter, problems)
+    ranges = _ranges(over, problems)
+    tire = "a fit.json, a .tir file or the name of a model, or --front and --rear"
+    of_wheel = numbers("--wheel", wheel, problems)
+    for what, given, remedy in (
+        ("a tire", source or front or rear, f"give {tire}"),
+        ("--to", to, f"one of {', '.join(TARGETS)}"),
+        ("--out", out, "name the file to write"),
+    ):
+        if given is None:
+            problems.append(InputProblem(f"{what} is missing", remedy))
+    if problems:
+        raise UsageError(problems)
+    assert to and out
+    check_inputs_kept([out])
+    start_jax()
+    done = export(
+        source, to, out, front=front, rear=rear, vehicle=vehicle, over=ranges,
+        values=values, diagnosis=diagnosis, model=model, wheel=of_wheel,
+        forces=forces, convention=convention, name=name, force=force,
+    )  # fmt: skip
+    for text in done.warnings:
+        complain(f"warning: {text}")
+    for note in done.notes:
+        if not note.startswith("warning"):
+            complain(f"note: {note}")
+    for sentence in done.shape.sentences:
+        say(sentence)
+    if not isinstance(TARGETS[to], Target):
+        convention = "of its own"
+    say(f"wrote {out} for {to}, signs {convention}")
+    raise Exit(exit_code(done.outcomes))
 
 
 def _ranges(items: list[str] | None, problems: list[InputProblem]):

@@ -15,16 +15,19 @@ from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
     DataOptions,
     Files,
+    Forces,
     Full,
+    Html,
+    Resume,
     SeedOrNone,
     complain,
     completed,
-    errors_to_exit,
     forces_named,
     path_option,
     read_config,
     read_options,
     refuse_besides,
+    refuse_of_vehicle,
     say,
     start_jax,
     takes_data_options,
@@ -32,7 +35,7 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_results, is_page, names_of
 from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, UsageError
+from tirefit.results import ExitCode
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -78,9 +81,7 @@ def fit(
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: SeedOrNone = None,
     out: Annotated[Path | None, path_option("FOLDER", "folder of the results")] = None,
-    force: Annotated[
-        list[str] | None, typer.Option(help="force to fit: fx, fy, mz (repeat for more)")
-    ] = None,
+    force: Forces = None,
     part: Annotated[
         str | None,
         typer.Option(
@@ -130,72 +131,62 @@ def fit(
     strict: Annotated[
         bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
     ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="skip finished fits; continue interrupted chains")
-    ] = False,
+    resume: Resume = False,
     svg: Annotated[bool, typer.Option("--svg", help="write every figure as SVG too")] = False,
-    html: Annotated[
-        bool,
-        typer.Option(
-            "--html", help="write the report as one page: fit.html (several files: fits.html)"
-        ),
-    ] = False,
+    html: Html = False,
     full: Full = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
     """Fit a model to measurements: parameters with intervals, figures, report."""
-    with errors_to_exit():
-        sharing, files = Sharing(jobs, scheduler), expanded(files)
-        from tirefit.fitting.problem.config import FitConfig
+    sharing, files = Sharing(jobs, scheduler), expanded(files)
+    from tirefit.fitting.problem.config import FitConfig
 
-        if vehicle is not None:
-            refuse_besides(_OF_VEHICLE)
-            car = {"unknowns": unknown, "window": window}
-            raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
-        if unknown or window:
-            reason = "--unknown or --window without --vehicle"
-            raise UsageError(InputProblem(reason, "name the vehicle.toml of the logs"))
-        base = read_config(options.config) or FitConfig()
-        how = read_options(options, base)
-        changes = {
-            "model": model,
-            "seed": seed,
-            "force": forces_named(force),
-            "solver": solver.value if solver else None,
-        }
-        settings = base.model_copy(update={k: v for k, v in changes.items() if v is not None})
-        if sampler is not None:
-            chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
-            settings = settings.model_copy(update={"posterior": chosen})
-        also = Also(svg, html, full)
-        if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
-            whole = {"part": part, "like": like, "leave_out": leave_out}
-            whole = {name: value for name, value in whole.items() if value is not None}
-            (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(files, directory, settings, how, whole, strict, also)
-            raise typer.Exit(code)
-        directories = _output_directories(files, out, joint)
-        start_jax()
-        from tirefit.fitting.problem.build import find_model
+    if vehicle is not None:
+        refuse_besides(_OF_VEHICLE)
+        car = {"unknowns": unknown, "window": window}
+        raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
+    refuse_of_vehicle("unknown", "window")
+    base = read_config(options.config) or FitConfig()
+    how = read_options(options, base)
+    changes = {
+        "model": model,
+        "seed": seed,
+        "force": forces_named(force),
+        "solver": solver.value if solver else None,
+    }
+    settings = base.model_copy(update={k: v for k, v in changes.items() if v is not None})
+    if sampler is not None:
+        chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
+        settings = settings.model_copy(update={"posterior": chosen})
+    also = Also(svg, html, full)
+    if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
+        whole = {"part": part, "like": like, "leave_out": leave_out}
+        whole = {name: value for name, value in whole.items() if value is not None}
+        (directory,) = _output_directories(files, out, joint=True)
+        code = fit_whole(files, directory, settings, how, whole, strict, also)
+        raise typer.Exit(code)
+    directories = _output_directories(files, out, joint)
+    start_jax()
+    from tirefit.fitting.problem.build import find_model
 
-        find_model(settings.model or "brush")
-        # The page of several fits needs all of them, also those done before.
-        apart = sharing.apart and not joint
-        made = [file for directory in directories for file in fit_files(directory)]
-        made += [directories[0].parent / PAGE_OF_ALL] if len(directories) > 1 else []
-        made += sharing.files(out or Path(), directories) if apart else []
-        check_results(made, files)
-        keep = resume and (apart or not html or len(files) == 1)
-        task = FitTask(settings, how, posterior, resume, keep, also)
-        groups: list[Any] = [files] if joint else files
-        pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
-        fits: dict[str, Any] | None = {} if html and not apart else None
-        work = partial(_fit_piece, task, strict, fits)
-        here = sharing if apart else Sharing()
-        done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
-        _report_all(done, pieces, fits or {})
-        raise typer.Exit(worst_of([outcome.code for outcome in done]))
+    find_model(settings.model or "brush")
+    # The page of several fits needs all of them, also those done before.
+    apart = sharing.apart and not joint
+    made = [file for directory in directories for file in fit_files(directory)]
+    made += [directories[0].parent / PAGE_OF_ALL] if len(directories) > 1 else []
+    made += sharing.files(out or Path(), directories) if apart else []
+    check_results(made, files)
+    keep = resume and (apart or not html or len(files) == 1)
+    task = FitTask(settings, how, posterior, resume, keep, also)
+    groups: list[Any] = [files] if joint else files
+    pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
+    fits: dict[str, Any] | None = {} if html and not apart else None
+    work = partial(_fit_piece, task, strict, fits)
+    here = sharing if apart else Sharing()
+    done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
+    _report_all(done, pieces, fits or {})
+    raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 _OF_VEHICLE = ("files", "vehicle", "model", "out", "unknown", "window", "posterior", "full")

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tirefit.cli.notes import holds_notes, warn
 from tirefit.cli.options import progress_bar, say
-from tirefit.cli.output import are_whole, claimed, digest, say_written, write_result
-from tirefit.results import ExitCode, Outcome, TirefitError, exit_code
+from tirefit.cli.output import claimed, digest, done_before, say_written, write_result
+from tirefit.results import ExitCode, Outcome, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -74,20 +74,18 @@ def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
     from tirefit.fitting.result import SCHEMA
     from tirefit.fitting.store import record_of_fit
 
+    def record_of(document: Path) -> "FileRecord":
+        return record_of_fit(read_record(document, SCHEMA, ""), str(directory))
+
     expected = ["fit.json", "fit.png"]
     expected += ["posterior.nc"] if task.posterior else []
     expected += ["fit.svg"] if task.also.svg else []
     expected += [PAGE] if task.also.html else []
-    if not are_whole(directory / name for name in expected):
-        return None
-    try:
-        content = read_record(directory / "fit.json", SCHEMA, "")
-        record = record_of_fit(content, str(directory))
-        # A chain that can be continued is not done.
-        open_ended = {"chain_too_short", "interrupted"} & {*record.outcomes}
-    except (TirefitError, ValueError, LookupError, TypeError, AttributeError):
-        return None
-    return None if open_ended or content.get("asked") != asked else record
+    files = [directory / name for name in expected]
+    record = done_before(files, files[0], asked, record_of)
+    # A chain that can be continued is not done.
+    is_open = record and {"chain_too_short", "interrupted"} & {*record.outcomes}
+    return None if is_open else record
 
 
 def fit_into(directory, data, settings, posterior=False, resume=False, also=Also(), asked=""):

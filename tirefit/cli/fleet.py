@@ -17,18 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from tirefit import __version__
-from tirefit.cli.cluster import Ended, cluster, shared
+from tirefit.cli.cluster import cluster, shared
 from tirefit.cli.notes import merged_notes
-from tirefit.cli.options import (
-    Unheard,
-    complain,
-    error_text,
-    errors_to_exit,
-    has_terminal,
-    progress_bar,
-    say,
-    start_jax,
-)
+from tirefit.cli.options import Unheard, complain, error_text, has_terminal, progress_bar, say
 from tirefit.cli.output import swept
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
@@ -60,12 +51,11 @@ Work = Callable[[Piece], tuple[ExitCode, "FileRecord"]]
 
 
 class Outcome(NamedTuple):
-    """One file: its exit code, its record in the table of all results, whether it ends the
-    command; of a worker also its standard output, error output and notes."""
+    """One file: its exit code, its record in the table of all results; of a worker also its
+    standard output, error output and notes."""
 
     code: ExitCode
     record: "FileRecord"
-    last: bool = False
     output: str = ""
     complained: str = ""
     notes: tuple = ()
@@ -155,13 +145,12 @@ def run_pieces(
 
 def _shared_outcomes(title, pieces, work, sharing: Sharing, out: Path, notes: list):
     """Process every file by the workers; print and yield results in the order of files."""
-    from tirefit.data.records import records_into
+    from tirefit.data.records import FileRecord, records_into
     from tirefit.report.many_files import write_fleet_page
 
     there = partial(_apart, (os.getcwd(), __version__), pickle.dumps(work))
     out.mkdir(parents=True, exist_ok=True)
-    left, early = dict(enumerate(pieces)), dict[int, Outcome]()
-    count, following = len(pieces), 0
+    left, count, records = list(pieces), len(pieces), list[FileRecord]()
     try:
         with (
             records_into(out / TABLE) as table,
@@ -169,23 +158,20 @@ def _shared_outcomes(title, pieces, work, sharing: Sharing, out: Path, notes: li
             cluster(min(sharing.jobs or 1, count), sharing.scheduler) as client,
             closing(shared(there, pieces, client)) as results,
         ):
-            for number, result in results:
-                piece = left.pop(number)
-                progress(1 - len(left) / count, f"{count - len(left)} of {count} files")
-                early[number] = _lost(piece) if isinstance(result, Ended) else result
-                while outcome := early.pop(following, None):
-                    following += 1
-                    typer.echo(outcome.output, nl=False)
-                    typer.echo(outcome.complained, nl=False, err=True)
-                    if outcome.last:
-                        raise typer.Exit(outcome.code)
-                    notes += outcome.notes
-                    table.add(outcome.record)
-                    yield outcome
+            for number, result in enumerate(results, 1):
+                outcome = result or _lost(left[0])
+                del left[0]
+                progress(number / count, f"{number} of {count} files")
+                typer.echo(outcome.output, nl=False)
+                typer.echo(outcome.complained, nl=False, err=True)
+                notes += outcome.notes
+                table.add(outcome.record)
+                records.append(outcome.record)
+                yield outcome
     finally:
-        for piece in left.values():  # after an interrupt: remove half-written results
+        for piece in left:  # after an interrupt: remove half-written results
             _sweep(piece)
-    write_fleet_page(out / TABLE, out / PAGE, title)
+    write_fleet_page(records, out / PAGE, title)
     say(f"all results: {out / TABLE}, {out / PAGE}")
 
 
@@ -196,7 +182,7 @@ def _sweep(piece: Piece) -> None:
 
 def _lost(piece: Piece) -> Outcome:
     _sweep(piece)
-    reason = "the worker that ran this file died, also with no other file at work"
+    reason = "the workers that had this file died, each time that it was tried"
     remedy = "free memory if it is short, or run the command on this file only, without workers"
     problem = error_text(DataError(reason, remedy, str(piece.file)))
     return Outcome(ExitCode.DATA, _failed(piece, problem), complained=problem + "\n")
@@ -210,28 +196,27 @@ _ALONE = threading.Lock()  # output is redirected for the whole process
 @lru_cache(maxsize=2)
 def _unpacked(content: bytes) -> Work:
     """The work with what all files share; JAX arrays have 64 bits only after the start."""
-    start_jax()
+    from tirefit.cli.start import start
+
+    start()
     return pickle.loads(content)
 
 
 def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome:
-    """Process one file in a worker without output; errors become its outcome.
+    """Process one file in a worker without output; a wrong use of the command is raised, and
+    so by Dask in the command.
 
     Args:
         of_command: working directory and version of the command.
         content: the work with what all files share, as bytes.
     """
-    output, complained, last = Unheard(), Unheard(), False
+    output, complained = Unheard(), Unheard()
     with _ALONE, redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
-        try:
-            with errors_to_exit(), _where_the_command_runs(*of_command):
-                code, record = _attempted(_unpacked(content), piece)
-        except typer.Exit as end:
-            code, last = ExitCode(end.exit_code), True
-            record = _failed(piece, complained.getvalue())
+        with _where_the_command_runs(*of_command):
+            code, record = _attempted(_unpacked(content), piece)
         notes = tuple(held)
         held.clear()
-    return Outcome(code, record, last, output.getvalue(), complained.getvalue(), notes)
+    return Outcome(code, record, output.getvalue(), complained.getvalue(), notes)
 
 
 def _where_the_command_runs(folder: str, version: str) -> chdir:

@@ -9,12 +9,11 @@ import typer
 
 from tirefit.cli.fit_one import CHAIN, PAGE, Also, fit_files
 from tirefit.cli.notes import warn
-from tirefit.cli.options import complain, given_options, progress_bar, say, start_jax
+from tirefit.cli.options import complain, progress_bar, refuse, say, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
-from tirefit.results import ExitCode, UsageError, exit_code
+from tirefit.results import ExitCode, exit_code
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
-_NAMES = ", ".join(MAGIC_FORMULA_NAMES)
 
 Combination = StrEnum("Combination", "none similarity ellipse")
 
@@ -41,12 +40,12 @@ def is_whole(model: str | None, own: Collection[str], unused: Collection[str]) -
         UsageError: an option of the other kind of fit was given.
     """
     whole = model in MAGIC_FORMULA_NAMES
-    refused = unused if whole else own
-    if wrong := [text for name, text in given_options().items() if name in refused]:
-        joint = f"with --model {model}" if whole else f"without --model {_NAMES}"
-        remedy = "a whole Magic Formula is fitted in fixed stages"
-        remedy = remedy if whole else "other models have no such stages"
-        raise UsageError(f"{', '.join(wrong)} {joint}", f"leave it out: {remedy}")
+    if whole:
+        remedy = "leave it out: a whole Magic Formula is fitted in fixed stages"
+        refuse(unused, f"with --model {model}", remedy)
+    else:
+        remedy = "leave it out: other models have no such stages"
+        refuse(own, f"without --model {', '.join(MAGIC_FORMULA_NAMES)}", remedy)
     return whole
 
 

@@ -70,6 +70,16 @@ SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
+Html = Annotated[bool, typer.Option("--html", help="write the report as one HTML page, too")]
+Forces = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--force", help="fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
+    ),
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="skip finished files; continue interrupted chains")
+]
 
 Side = StrEnum("Side", "left right")
 
@@ -167,19 +177,28 @@ def given_options() -> dict[str, str]:
     }
 
 
-def refuse_besides(used: Collection[str]) -> None:
-    """Refuse options without effect where the files are logs of a vehicle.
+def refuse(names: Collection[str], where: str, remedy: str) -> None:
+    """Refuse arguments and options that have no effect.
 
     Args:
-        used: names of the arguments and options that have an effect.
+        where: what makes them useless, as ``with --vehicle``.
 
     Raises:
-        UsageError: others are given; all of them.
+        UsageError: some of them are given; it names all of these.
     """
-    if wrong := [text for name, text in given_options().items() if name not in used]:
-        reason = f"{', '.join(wrong)} with --vehicle"
-        remedy = "leave it out: vehicle.toml says how logs are read"
-        raise UsageError(InputProblem(reason, remedy))
+    if wrong := [text for name, text in given_options().items() if name in names]:
+        raise UsageError(f"{', '.join(wrong)} {where}", remedy)
+
+
+def refuse_besides(used: Collection[str]) -> None:
+    """Refuse all but these arguments and options, where the files are logs of a vehicle."""
+    remedy = "leave it out: vehicle.toml says how logs are read"
+    refuse(given_options().keys() - {*used}, "with --vehicle", remedy)
+
+
+def refuse_of_vehicle(*names: str) -> None:
+    """Refuse options that only logs of a vehicle have."""
+    refuse(names, "without --vehicle", "name the vehicle.toml of the logs")
 
 
 def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]):
@@ -275,9 +294,8 @@ def start_jax() -> None:
     """Start JAX as all commands use it; see :func:`tirefit.cli.start.start`."""
     from tirefit.cli.start import start
 
-    with errors_to_exit():
-        if warning := start():
-            complain(warning)
+    if warning := start():
+        complain(warning)
 
 
 class Unheard(StringIO):
@@ -379,16 +397,9 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
         return
     # Slow to import, and used only on a terminal.
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-    from rich.progress import TimeRemainingColumn as Remaining
+    from rich.progress import Progress, TextColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        Remaining(),
-        TextColumn("{task.fields[note]}"),
-    )
+    columns = (*Progress.get_default_columns(), TextColumn("{task.fields[note]}"))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=1.0, note="")
 

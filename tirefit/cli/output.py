@@ -14,7 +14,7 @@ from tirefit import __version__
 from tirefit.cli.options import CONTEXT, say
 from tirefit.door import replaced_inputs
 from tirefit.files import fcntl, remove_left, replace_together, took_lock
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 
 def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None:
@@ -113,6 +113,14 @@ def check_table(path: Path, text: str) -> None:
         raise DataError(reason, "choose another --out, or remove the file", str(path))
 
 
+_MARKS = {
+    ".json": b'"schema": "tirefit.',
+    ".toml": b"that tirefit fit estimated",
+    ".html": b"tirefit",
+}
+"""Words of the documents that tirefit writes, also in damaged ones."""
+
+
 def _is_of_others(path: Path, made: Collection[Path]) -> bool:
     """Whether tirefit did not write this file.
 
@@ -125,27 +133,12 @@ def _is_of_others(path: Path, made: Collection[Path]) -> bool:
         return False
     if not content.strip():
         return False
-    if path.suffix in (".json", ".toml"):
-        return not _is_our_text(path.suffix, content.decode(errors="replace"))
-    if b"tirefit" in content or path.suffix == ".html":
-        return b"tirefit" not in content
+    if path.suffix in _MARKS or b"tirefit" in content:
+        return _MARKS.get(path.suffix, b"") not in content
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
     own = [one for one in documents if path.name.startswith(f"{one.name.partition('.')[0]}.")]
     documents = own or documents
     return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)
-
-
-def _is_our_text(ending: str, text: str) -> bool:
-    """Whether tirefit wrote a JSON or TOML file. A damaged JSON file counts as written by
-    tirefit if it names a schema of tirefit."""
-    if ending == ".toml":
-        return "that tirefit fit estimated" in text.partition("\n")[0]
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        return '"schema": "tirefit.' in text
-    schema = content.get("schema") if isinstance(content, dict) else None
-    return str(schema).startswith("tirefit.")
 
 
 def _is(path: Path) -> bool:
@@ -287,6 +280,27 @@ def digest(*asked: Any) -> str:
 def are_whole(files: Iterable[Path]) -> bool:
     """Whether all files exist, and none is empty, as after a crash of the machine."""
     return all(path.is_file() and path.stat().st_size for path in files)
+
+
+def done_before(
+    files: Iterable[Path], document: Path, asked: str, record_of: Callable[[Path], Any]
+) -> Any:
+    """The record of a document if all files of its result are whole, and it answers the same
+    as ``asked``, a :func:`digest`; else None.
+
+    Args:
+        record_of: makes the record of the path of a document; it raises an error for a
+            document that is not as it was written.
+    """
+    if not are_whole(files):
+        return None
+    try:
+        content = json.loads(document.read_text(encoding="utf-8"))
+        return record_of(document) if content["asked"] == asked else None
+    except (TirefitError, OSError, ValueError, LookupError, RecursionError):
+        return None
+    except (TypeError, AttributeError):  # parts of another type
+        return None
 
 
 _SCHEMA = re.compile(rb"tirefit\.\w+/\d")

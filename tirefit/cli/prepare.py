@@ -14,7 +14,6 @@ from tirefit.cli.options import (
     DataOptions,
     Folder,
     completed,
-    errors_to_exit,
     read_config,
     read_options,
     takes_data_options,
@@ -66,28 +65,27 @@ def prepare(
     For each FILE: NAME.csv (rows to fit, with run, segment, bin), NAME.segments.tsv,
     NAME.png (the whole test), NAME.prepare.json (all that was done).
     """
-    with errors_to_exit():
-        sharing, files = Sharing(jobs, scheduler), expanded(files)
-        changes = {
-            "bandwidth": bandwidth,
-            "filter": False if unfiltered else None,
-            "rate": rate,
-            "warm_up": warm_up,
-            "keep": keep,
-        }
-        changes = {key: value for key, value in changes.items() if value is not None}
-        base = read_config(options.config)
-        how = read_options(options, base)
-        config = _settings(base, changes)
-        names = names_of(files, "prepare them into different --out")
-        ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
-        made = [out / f"{name}{end}" for name in names for end in ends]
-        check_results([*made, *sharing.files(out, made)], files)
-        pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        with claimed(out):
-            work = partial(_one, out, how, config)
-            done = run_pieces("prepare", pieces, work, sharing, out)
-            raise typer.Exit(worst_of([outcome.code for outcome in done]))
+    sharing, files = Sharing(jobs, scheduler), expanded(files)
+    changes = {
+        "bandwidth": bandwidth,
+        "filter": False if unfiltered else None,
+        "rate": rate,
+        "warm_up": warm_up,
+        "keep": keep,
+    }
+    changes = {key: value for key, value in changes.items() if value is not None}
+    base = read_config(options.config)
+    how = read_options(options, base)
+    config = _settings(base, changes)
+    names = names_of(files, "prepare them into different --out")
+    ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
+    made = [out / f"{name}{end}" for name in names for end in ends]
+    check_results([*made, *sharing.files(out, made)], files)
+    pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
+    with claimed(out):
+        work = partial(_one, out, how, config)
+        done = run_pieces("prepare", pieces, work, sharing, out)
+        raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 def _settings(base, changes: dict[str, Any]):

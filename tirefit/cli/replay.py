@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import Folder, Seed, errors_to_exit, progress_bar, start_jax
+from tirefit.cli.options import Folder, Html, Seed, progress_bar, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.readers.remote import file_at
 from tirefit.results import InputProblem, UsageError
@@ -46,9 +46,7 @@ def replay(
         ),
     ] = None,
     seed: Seed = 0,
-    html: Annotated[
-        bool, typer.Option("--html", help="write the report as one page, replay.html")
-    ] = False,
+    html: Html = False,
 ) -> None:
     """Predict measured drives of a car from its tires; report the error over time.
 
@@ -56,26 +54,25 @@ def replay(
     for up to five seconds, with the speed and the steering as measured. The same car on
     linear tires, and a car without slip, are predicted for comparison.
     """
-    with errors_to_exit():
-        if not logs:
-            reason, remedy = "a log is missing", "name one log or more"
-            raise UsageError(InputProblem(reason, remedy))
-        check_results([out / name for name in FILES])
-        start_jax()
-        from tirefit.vehicle.replay import HORIZONS
-        from tirefit.vehicle.replay import replay as predicted
+    if not logs:
+        reason, remedy = "a log is missing", "name one log or more"
+        raise UsageError(InputProblem(reason, remedy))
+    check_results([out / name for name in FILES])
+    start_jax()
+    from tirefit.vehicle.replay import HORIZONS
+    from tirefit.vehicle.replay import replay as predicted
 
-        with claimed(out):
-            with progress_bar("replay", soon=0.0) as progress:
-                result = predicted(
-                    logs,
-                    vehicle,
-                    front,
-                    rear,
-                    horizons=horizon or HORIZONS,
-                    steering_delay=steering_delay,
-                    effects=effects,
-                    seed=seed,
-                    progress=progress,
-                )
-            write_result(result, out, FILES, FIGURES, PAGE if html else "")
+    with claimed(out):
+        with progress_bar("replay", soon=0.0) as progress:
+            result = predicted(
+                logs,
+                vehicle,
+                front,
+                rear,
+                horizons=horizon or HORIZONS,
+                steering_delay=steering_delay,
+                effects=effects,
+                seed=seed,
+                progress=progress,
+            )
+        write_result(result, out, FILES, FIGURES, PAGE if html else "")

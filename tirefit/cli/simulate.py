@@ -48,18 +48,17 @@ def _command(kind: str) -> Callable:
     """The command of one kind of simulation, with its settings as options."""
 
     def run(*, out: OutFile, truth: Truth = None, **given) -> None:
-        with errors_to_exit():
-            problems: list[InputProblem] = []
-            if "values" in given:
-                given["values"] = numbers("--set", given["values"], problems)
-            if "drop" in given:
-                given["drop"] = _drop(given["drop"])
-            problems += [*_file_problems(out, truth), *KINDS[kind](**given).problems()]
-            UsageError.raise_for(problems)
-            start_jax()
-            from tirefit.sim.simulate import simulate as simulated
+        problems: list[InputProblem] = []
+        if "values" in given:
+            given["values"] = numbers("--set", given["values"], problems)
+        if "drop" in given:
+            given["drop"] = _drop(given["drop"])
+        problems += [*_file_problems(out, truth), *KINDS[kind](**given).problems()]
+        UsageError.raise_for(problems)
+        start_jax()
+        from tirefit.sim.simulate import simulate as simulated
 
-            _write(simulated(kind, **given), out, truth, given["seed"])
+        _write(simulated(kind, **given), out, truth, given["seed"])
 
     own = list(inspect.signature(run).parameters.values())[:2]
     ours = [*own, *map(_option, fields(KINDS[kind]))]
@@ -69,7 +68,7 @@ def _command(kind: str) -> Callable:
 
 
 for _kind in KINDS:
-    simulate.command(_kind)(_command(_kind))
+    simulate.command(_kind)(errors_to_exit()(_command(_kind)))
 
 
 def _drop(text: str | None) -> tuple[float, float] | None:

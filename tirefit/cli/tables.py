@@ -21,7 +21,6 @@ from tirefit.cli.options import (
     SideOption,
     SignsOption,
     complain,
-    errors_to_exit,
     model_names,
     numbers,
     pairs,
@@ -100,11 +99,10 @@ def inspect(
         say(dumps(json_safe(content), indent=1) if json else text)
         return ExitCode.OK, None
 
-    with errors_to_exit():
-        how, files = read_options(options, read_config(options.config)), expanded(files)
-        pieces = [Piece(file, "") for file in files]
-        done = run_pieces("inspect", pieces, show, Sharing(), Path())
-        raise typer.Exit(worst_of([one.code for one in done]))
+    how, files = read_options(options, read_config(options.config)), expanded(files)
+    pieces = [Piece(file, "") for file in files]
+    done = run_pieces("inspect", pieces, show, Sharing(), Path())
+    raise typer.Exit(worst_of([one.code for one in done]))
 
 
 def _identified(data, models):
@@ -142,12 +140,11 @@ def derive(
     """Compute slip angle and lateral force of an axle from vehicle logs."""
     from tirefit.data.vehicle.derive import derive_files
 
-    with errors_to_exit():
-        units = pairs("--unit", unit)
-        if out.parent.is_dir() and not out.is_dir():  # others are refused with the CSV
-            check_results([out, out.with_name(f"{out.stem}.derive.json")])
-        written = derive_files(files, vehicle, out, axle.value, units, believe, say)
-        say(written.summary())
+    units = pairs("--unit", unit)
+    if out.parent.is_dir() and not out.is_dir():  # others are refused with the CSV
+        check_results([out, out.with_name(f"{out.stem}.derive.json")])
+    written = derive_files(files, vehicle, out, axle.value, units, believe, say)
+    say(written.summary())
 
 
 @takes_data_options
@@ -176,46 +173,45 @@ def predict(
     ] = False,
 ) -> None:
     """Compute the forces of a fit or a model for each row of a data file."""
-    with errors_to_exit():
-        how = read_options(options, read_config(options.config))
-        of_file: dict = {"side": side, "signs": signs, "combination": combination}
-        of_file["starred"] = starred_angles
-        kind = tire_kind(source)
-        if kind != "tir" and any(of_file.values()):
-            own = "--starred-angles, --side, --signs and --combination"
-            reason = f"{own} apply to .tir files only"
-            raise UsageError(reason, f"leave them out with {source}")
-        values = _checked_request(kind == "fit", out, parameter)
-        from tirefit.data.tir.tir import read_tir
+    how = read_options(options, read_config(options.config))
+    of_file: dict = {"side": side, "signs": signs, "combination": combination}
+    of_file["starred"] = starred_angles
+    kind = tire_kind(source)
+    if kind != "tir" and any(of_file.values()):
+        own = "--starred-angles, --side, --signs and --combination"
+        reason = f"{own} apply to .tir files only"
+        raise UsageError(reason, f"leave them out with {source}")
+    values = _checked_request(kind == "fit", out, parameter)
+    from tirefit.data.tir.tir import read_tir
 
-        tir = read_tir(source) if kind == "tir" else None
-        start_jax()
-        from tirefit.data.read import read
-        from tirefit.fitting import tir as of_tir
-        from tirefit.fitting.predict import outside_fit
-        from tirefit.fitting.predict import predict as forces_of
-        from tirefit.fitting.store import load_fit
+    tir = read_tir(source) if kind == "tir" else None
+    start_jax()
+    from tirefit.data.read import read
+    from tirefit.fitting import tir as of_tir
+    from tirefit.fitting.predict import outside_fit
+    from tirefit.fitting.predict import predict as forces_of
+    from tirefit.fitting.store import load_fit
 
-        tire: Any = source
-        if tir is not None:
-            tire = of_tir.tire_of(tir, values=values, **of_file)
-            how["otherwise"] = of_tir.TIR_SIGNS, ".tir files"
-        elif kind == "fit":
-            tire = load_fit(source)
-            how["otherwise"] = tire.content["data"]["convention"], source
-        table = read(data, **how, forces=False)
-        warn(table)
-        noted = outside_fit(tire, table) if kind == "fit" else []
-        if tir is not None:
-            noted = [*of_tir.remarks(tir, tire, table, signs), *of_tir.moments_noted(tir, table)]
-        for text in noted:
-            complain(f"warning: {source}: {text}")
-        forces = forces_of(tire, table, values)
-        if tir is not None:
-            say(_tir_text(source, tir, of_file, values))
-        elif kind != "fit":
-            say(f"{source} with {_values_text(source, values)}")
-        _write(out, table, forces, source, beside)
+    tire: Any = source
+    if tir is not None:
+        tire = of_tir.tire_of(tir, values=values, **of_file)
+        how["otherwise"] = of_tir.TIR_SIGNS, ".tir files"
+    elif kind == "fit":
+        tire = load_fit(source)
+        how["otherwise"] = tire.content["data"]["convention"], source
+    table = read(data, **how, forces=False)
+    warn(table)
+    noted = outside_fit(tire, table) if kind == "fit" else []
+    if tir is not None:
+        noted = [*of_tir.remarks(tir, tire, table, signs), *of_tir.moments_noted(tir, table)]
+    for text in noted:
+        complain(f"warning: {source}: {text}")
+    forces = forces_of(tire, table, values)
+    if tir is not None:
+        say(_tir_text(source, tir, of_file, values))
+    elif kind != "fit":
+        say(f"{source} with {_values_text(source, values)}")
+    _write(out, table, forces, source, beside)
 
 
 def _write(out, table, forces, source, beside: bool) -> None:

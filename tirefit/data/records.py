@@ -123,42 +123,6 @@ def records_into(path: Path) -> Iterator[Any]:
             writer.file.close()
 
 
-class ResultsTable:
-    """Read a table of :func:`records_into`, one quantity at a time."""
-
-    def __init__(self, path: Path):
-        what, group = "the table of results", "cluster"
-        self._compute = extra("pyarrow.compute", what, str(path), group)
-        parquet = extra("pyarrow.parquet", what, str(path), group)
-        self._table = parquet.read_table(path, read_dictionary=list(_TEXTS))
-
-    def quantities(self) -> list[tuple[str, str, str]]:
-        """(kind, name, unit) of all numbers, in the order of their first rows."""
-        keys = self._table.select(["kind", "name", "unit"]).to_batches()
-        there: dict[tuple[str, str, str], None] = {}
-        for batch in keys:
-            columns = (column.to_pylist() for column in batch.columns)
-            there.update(dict.fromkeys(zip(*columns, strict=True)))
-        return [key for key in there if key[1]]
-
-    def of(self, kind: str, name: str) -> dict[str, np.ndarray]:
-        """``number``, ``value`` and ``std`` (n,) of a quantity; NaN for None."""
-        equal, both = self._compute.equal, self._compute.and_
-        mask = both(equal(self._table["kind"], kind), equal(self._table["name"], name))
-        rows = self._table.select(["number", "value", "std"]).filter(mask)
-        return {
-            column: np.asarray(rows[column].to_numpy(), float if place else int)
-            for place, column in enumerate(rows.column_names)
-        }
-
-    def files(self) -> dict[str, list]:
-        """The columns that describe files and not numbers: a list of n for each."""
-        number = self._table["number"].to_numpy()
-        first = np.flatnonzero(np.diff(number, prepend=0))
-        names = ["file", "result", "model", "status", "problem", "convention", "version", "seed"]
-        return self._table.select(names).take(first).to_pydict()
-
-
 _DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)([-_.]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])"
     r"(?:[T _-]?([01]\d|2[0-3])[-_:.h]?([0-5]\d)(?:[-_:.m]?([0-5]\d))?)?(?!\d)"

@@ -28,7 +28,6 @@ DARK, GREY = "#222222", "#8a8a8a"
 MOST_DRAWN = 20_000  # largest number of points of a panel; more overlap and are slow
 _FARTHEST = 20
 
-WIDTH = 7.0
 DPI = 130
 WIDE = 4.6
 """Width [in] of a picture of a page: on a screen of 375 pixels, 8.5 points are then 9.6
@@ -135,23 +134,19 @@ def images_of(panels: Iterable[Panel]) -> list[dict]:
 
 
 def together(
-    panels: Sequence[Panel], title: str, text: str, foot: str, columns: int = 1, color: str = DARK
+    panels: Sequence[Panel], title: str, text: str, foot: str, color: str = DARK
 ) -> Picture:
-    """The panels in rows, with title, text and footnote; the first row has the first panel
-    alone if the rows would not be full otherwise.
+    """The panels one below the other, with title, text and footnote.
 
     Args:
         color: of the text.
     """
-    first = (len(panels) - 1) % columns + 1
-    rows = [panels[:first], *(panels[i : i + columns] for i in range(first, len(panels), columns))]
-    heights = [max(panel.size[1] for panel in row) for row in rows]
-    width = max(WIDTH if columns > 1 else WIDE, *(panel.size[0] for panel in panels))
+    heights = [panel.size[1] for panel in panels]
+    width = max(WIDE, *(panel.size[0] for panel in panels))
     picture = frame(title, text, foot, (width, sum(heights)), panels[0].note, color)
-    parts = picture.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
-    for part, row in zip(parts.ravel(), rows, strict=True):
-        for cell, panel in zip(part.subfigures(1, len(row), squeeze=False)[0], row, strict=True):
-            panel.draw(cell)
+    parts = picture.subfigures(len(panels), 1, squeeze=False, height_ratios=heights)
+    for part, panel in zip(parts.ravel(), panels, strict=True):
+        panel.draw(part)
     return picture
 
 

@@ -270,7 +270,9 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
         to = ", ".join(_level_label(n, np.full(1, conditions[0][n])) for n in own)
         steady = "the steady state and " * problem.model.transient
         notes.append(f"points moved along the fit to {steady}{to or 'the values of their curve'}")
-    groups = _by_run(problem) if len(members) == 1 else members
+    groups = members
+    if len(members) == 1 and 1 < len(np.unique(runs)) <= _MOST_GROUPS:
+        groups = _members(result, {"run": runs})  # for colour only
     name, unit, _ = FORCE_LABEL[channel]
     return FitCurve(
         channel,
@@ -280,16 +282,6 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
         curves,
         "\n".join(notes),
     )
-
-
-def _by_run(problem) -> list[tuple[str, np.ndarray]]:
-    """All rows by run, for colour only, where there are a few runs."""
-    run = problem.used(problem.rows.run)
-    codes = np.unique(run)
-    if not 1 < len(codes) <= _MOST_GROUPS:
-        return [("measured", np.ones(problem.n, bool))]
-    names = run_names(problem.layout.runs).short
-    return [(plain_text(names[code]), run == code) for code in codes]
 
 
 def overlay_of(fits: Mapping[str, FitResult], channel: str) -> FitCurve:

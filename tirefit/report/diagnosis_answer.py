@@ -98,14 +98,17 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
 
 def _cause_text(result: Diagnosis, effect: str, shares: Mapping[str, float]) -> str:
     """A cause with its size, its probability, its share of the error, and its remedy."""
-    twins = or_twins(result, effect)
-    text = f"{name_of(effect)}{of_size(result, effect)}{twins}"
-    text += f" ({result.verdict.each[effect].probability:.2f})"
+    each = result.verdict.each[effect]
+    text = f"{name_of(effect)}{of_size(result, effect)}"
+    if each.twins:
+        names = listing([name_of(twin) for twin in each.twins], "or")
+        text += f" or {names}, which this data cannot tell apart"
+    text += f" ({each.probability:.2f})"
     if effect in shares:
         text += f", {share_text(shares[effect])} of the error's mean square"
     # The first remedy; all are under the effects.
     remedy = words_on(effect, result.library, bool(result.data.motion))[1].partition(";")[0]
-    return f"{text}: {remedy}" if remedy and not twins else text
+    return f"{text}: {remedy}" if remedy and not each.twins else text
 
 
 def of_size(result: Diagnosis, effect: str) -> str:
@@ -147,15 +150,6 @@ def _acting(result: Diagnosis, shares: Mapping[str, float], what: str) -> str:
             text += f"; it removes {share_text(each.closed_left_out)} on data left out"
         parts.append(f"{text})")
     return f" In the model, {what} acts like {listing(parts)}." if parts else ""
-
-
-def or_twins(result, effect: str) -> str:
-    """Words on the effects that the data cannot distinguish from a named one."""
-    each = result.verdict.each.get(effect)
-    if each is None or not each.twins:
-        return ""
-    twins = listing([name_of(twin) for twin in each.twins], "or")
-    return f" or {twins}, which this data cannot tell apart"
 
 
 def change_texts(result: Diagnosis) -> list[str]:

@@ -29,8 +29,12 @@ _SEEN = 0.5  # an effect with a lower probability of detection may be present un
 
 def details(result: Diagnosis) -> list[Section]:
     """Sections on the gap, where it lies, all candidates, forecast, noise, settings."""
-    sections = [
-        Section("Gap on the rows fitted", list(_gap_lines(result))),
+    gap = result.gap
+    gaps = [gap_line(result, gap, f"the {result.n} rows fitted")]
+    if gap.holdout is not None:
+        gaps.append(gap_line(result, gap.holdout, gap.holdout.on))
+    return [
+        Section("Gap on the rows fitted", gaps),
         Section("Runs (each fitted with its own offset)", list(run_lines(result))),
         Section("Where the gap lies", (), _where(result)),
         Section(
@@ -42,14 +46,6 @@ def details(result: Diagnosis) -> list[Section]:
         Section("Also not testable", missing_lines(result)[1]),
         Section("Data and settings", list(_settings(result))),
     ]
-    return [one for one in sections if one.lines or len(one.table) > 1]
-
-
-def _gap_lines(result: Diagnosis) -> Iterator[str]:
-    gap = result.gap
-    yield gap_line(result, gap, f"the {result.n} rows fitted")
-    if gap.holdout is not None:
-        yield gap_line(result, gap.holdout, gap.holdout.on)
 
 
 def run_lines(result: Diagnosis) -> Iterator[str]:

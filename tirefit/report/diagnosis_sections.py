@@ -128,10 +128,8 @@ def step_label(result: Diagnosis, number: int) -> str:
     return f"instead: {' + '.join(map(name_of, effects))}"
 
 
-def _percent(share: float | None, std: float | None) -> str:
-    """``82 ± 5 %``; ``-`` for None."""
-    if share is None:
-        return "-"
+def _percent(share: float, std: float | None) -> str:
+    """``82 ± 5 %``."""
     return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
 
 
@@ -163,7 +161,7 @@ def _ladder(result: Diagnosis) -> Section:
         (
             step_label(result, k),
             format_number(step.rms_left_out, 3),
-            _percent(step.closed if k else None, step.closed_std or None),
+            _percent(step.closed, step.closed_std or None) if k else "-",
             format_estimate(step.gain, step.gain_std) if k else "-",
         )
         for k, step in enumerate(ladder.steps)
@@ -181,7 +179,8 @@ def _ladder(result: Diagnosis) -> Section:
     if result.gap.holdout is not None and result.settings.holdout:
         held = result.gap.holdout
         lines.append(gap_line(result, held, f"files held out ({held.on})"))
-    return Section(title, lines, table)
+    # On the page the first panel has the ladder.
+    return Section(title, lines, table, folded=True)
 
 
 def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:

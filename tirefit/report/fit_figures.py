@@ -35,7 +35,7 @@ from tirefit.report.fit_report import verdict_line
 from tirefit.report.fit_tables import fit_files, short_run
 from tirefit.report.posterior import corner_panels, has_trace, profile_panels, trace_panels
 from tirefit.report.residuals import residual_panels
-from tirefit.report.values import Points, draw_points, names_below
+from tirefit.report.values import Points, points_panel
 from tirefit.results import UsageError
 
 _LIGHT, _DENSE = 0.14, 0.40
@@ -108,11 +108,6 @@ def _curve_panels(result: FitResult) -> list[Panel]:
     return [curve_panel(fit_curve(result, name), text.format(name)) for name in result.forces]
 
 
-def has_runs(result: FitResult) -> bool:
-    """Whether a parameter has a value for each run."""
-    return any("[" in label for label in result.labels)
-
-
 def run_points(result: FitResult) -> list[Points]:
     """Every parameter that has a value per run, with its 95 % intervals."""
     runs = [str(run) for run in result.data["runs"]]
@@ -136,14 +131,7 @@ def _run_panels(result: FitResult) -> list[Panel]:
     for points in run_points(result):
         note = "values and 95 % intervals by run"
         note += "; grey: not identified" * bool((~points.known).any())
-
-        def draw(figure: Any, points: Points = points, note: str = note) -> None:
-            axes = figure.subplots()
-            draw_points(axes, points)
-            panel_title(axes, points.label, note)
-
-        height = 2.0 + 0.05 * max(map(len, names_below(points.names)))
-        panels.append(Panel(draw, f"{points.label} run by run", (WIDE, height)))
+        panels.append(points_panel(points, f"{points.label} run by run", note))
     return panels
 
 
@@ -164,7 +152,7 @@ FIGURE_FILES = tuple(f"{name}{suffix}" for name in PANELS for suffix in (".png",
 def missing_of(result: FitResult) -> dict[str, str]:
     """Name of a figure that the fit does not have -> what is missing."""
     sampled, missing = result.chains is not None, {}
-    if not has_runs(result):
+    if not any("[" in label for label in result.labels):
         missing["runs"] = "parameter for each run (per_run = true under [parameters.NAME])"
     if not result.profiles:
         missing["profile"] = "profile likelihood"
@@ -193,9 +181,8 @@ def figure_of(result: FitResult, name: str, **how: Any) -> Picture:
     if count > canvas.MOST_DRAWN:
         foot += f", {canvas.MOST_DRAWN} of them drawn"
     title = f"{result.model} fitted to {fit_files(result, 68)}"
-    color, columns = RED if result.outcomes else DARK, 2 if name == "residuals" else 1
-    panels = PANELS[name](result, **how)
-    return together(panels, title, verdict_line(result), foot, columns, color)
+    panels, color = PANELS[name](result, **how), RED if result.outcomes else DARK
+    return together(panels, title, verdict_line(result), foot, color)
 
 
 def plot_fit(result: FitResult, what: str = "fit", ax: Any = None, **how: Any) -> Any:

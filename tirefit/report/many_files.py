@@ -2,9 +2,8 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,19 +11,19 @@ import numpy as np
 
 from tirefit import __version__
 from tirefit.data.merged import merged
-from tirefit.data.records import FAILED, FileRecord, ResultsTable, dates_of
+from tirefit.data.records import FAILED, FileRecord, dates_of
 from tirefit.data.run_names import run_names
 from tirefit.files import write_text_atomic
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import record_of_fit
 from tirefit.fitting.uncertainty.derived import quantity_of
 from tirefit.fitting.verdict.across_files import AcrossFiles, across_files
-from tirefit.report.canvas import WIDE, Panel, images_of, panel_title
+from tirefit.report.canvas import images_of
 from tirefit.report.curves import overlay_of
 from tirefit.report.fit_figures import curve_panel
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Rows, Section, page, table_parts, verdict_of
-from tirefit.report.values import Points, draw_points
+from tirefit.report.values import Points, points_panel
 from tirefit.results import Outcome, UsageError
 
 _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
@@ -66,22 +65,26 @@ class Quantity(NamedTuple):
 class Files(NamedTuple):
     """All files, their short names and their quantities."""
 
-    columns: dict[str, list]  # of the table of results that describe files, (n,) each
+    records: Sequence[FileRecord]
     names: Sequence[str]
     pattern: str  # of the names that were shortened
     dates: np.ndarray | None  # (n,) from their names; None: use the order of files
     quantities: list[Quantity]
 
 
-def _files(columns: dict[str, list], given: Iterable[tuple]) -> Files:
-    """Files with quantities: of each its kind, name and unit, and the numbers of its files
-    from 1, its values and standard deviations (m,)."""
-    count, quantities = len(columns["file"]), []
-    dates = dates_of(columns["file"])
+def files_of(records: Sequence[FileRecord]) -> Files:
+    """Files with the quantities that enough of them have."""
+    count, files = len(records), [record.file for record in records]
+    given: dict[tuple[str, str, str], np.ndarray] = {}
+    for number, record in enumerate(records):
+        for row in record.rows:
+            key = row.kind, row.name, row.unit
+            numbers = given.setdefault(key, np.full((2, count), np.nan))
+            numbers[:, number] = [np.nan if x is None else x for x in (row.value, row.std)]
+    quantities = []
+    dates = dates_of(files)
     when = np.arange(count) + 1.0 if dates is None else dates.astype(float) / 86400
-    for kind, name, unit, number, *numbers in given:
-        value, std = np.full((2, count), np.nan)
-        value[number - 1], std[number - 1] = numbers
+    for (kind, name, unit), (value, std) in given.items():
         if kind not in _OWN_STD:
             std = np.zeros(count)
         known = np.isfinite(value + std)
@@ -89,36 +92,11 @@ def _files(columns: dict[str, list], given: Iterable[tuple]) -> Files:
             across = across_files(value[known], std[known], when[known])
             quantities.append(Quantity(kind, name, unit, value, std, known, across))
     quantities.sort(key=lambda one: _KINDS.index(one.kind))
-    done = [name for name, s in zip(columns["file"], columns["status"], strict=True) if s != FAILED]
+    done = [record.file for record in records if record.status != FAILED]
     short = run_names(done)
     shorter = dict(zip(done, short.short, strict=True))
-    names = [shorter.get(name, name) for name in columns["file"]]
-    return Files(columns, names, short.pattern, dates, quantities)
-
-
-def files_of_table(path: Path) -> Files:
-    """Files and quantities of a table of all results (``tirefit.data.records``)."""
-    table = ResultsTable(path)
-    keys = table.quantities()
-    return _files(table.files(), ((*key, *table.of(*key[:2]).values()) for key in keys))
-
-
-def files_of_records(records: Sequence[FileRecord]) -> Files:
-    """Files and quantities of records in memory."""
-    names = ("file", "model", "status", "problem", "convention", "version", "seed")
-    columns = {name: [getattr(one, name) for one in records] for name in names}
-    rows: dict[tuple, list] = {}
-    for number, record in enumerate(records, 1):
-        for row in record.rows:
-            key = row.kind, row.name, row.unit
-            rows.setdefault(key, []).append((number, row.value, row.std))
-    given = ((*key, *_columns(each)) for key, each in rows.items())
-    return _files(columns, given)
-
-
-def _columns(rows: Sequence[tuple]) -> tuple[np.ndarray, ...]:
-    number, value, std = np.array(rows, float).T
-    return number.astype(int), value, std
+    shown = [shorter.get(name, name) for name in files]
+    return Files(records, shown, short.pattern, dates, quantities)
 
 
 def summary_table(fits: Sequence[FileRecord]) -> str:
@@ -151,9 +129,9 @@ def _table_of_files(files: Files) -> Rows:
     """A row for each file, a column for each parameter, effect and gap."""
     shown = _main(files)
     rows = [["file", *(one.title for one in shown), "verdict"]]
-    for k, (name, status) in enumerate(zip(files.names, files.columns["status"], strict=True)):
+    for k, (name, record) in enumerate(zip(files.names, files.records, strict=True)):
         cells = [_cell(one.value[k], one.std[k]) if one.known[k] else "-" for one in shown]
-        rows.append([name, *cells, status])
+        rows.append([name, *cells, record.status])
     return rows[: _LISTED + 1]
 
 
@@ -197,7 +175,7 @@ def _different(files: Files) -> Rows:
     rows = [("file", "quantity", "value ± std", "unit", "distance in std")]
     for pull, one, k in far[:_LISTED]:
         text = _cell(one.value[k], one.std[k])
-        rows.append((files.columns["file"][k], one.name, text, one.unit, f"{pull:+.1f}"))
+        rows.append((files.records[k].file, one.name, text, one.unit, f"{pull:+.1f}"))
     return rows
 
 
@@ -227,32 +205,22 @@ def points_of(files: Files, one: Quantity) -> Points:
 
 
 def _pictures(files: Files) -> list[dict]:
+    note = "± standard deviation; grey: scatter of files {}"
     return images_of(
-        Panel(
-            partial(_draw_quantity, files=files, quantity=one),
+        points_panel(
+            points_of(files, one),
             f"{one.name} over the files",
-            (WIDE, 2.8 if files.dates is None else 2.3),
+            note.format(format_number(one.across.scatter, 2)),
         )
         for one in _main(files)[:_PICTURES]
     )
 
 
-def _draw_quantity(figure: Any, files: Files, quantity: Quantity) -> None:
-    axes = figure.subplots()
-    draw_points(axes, points_of(files, quantity), files.dates is not None)
-    scatter = format_number(quantity.across.scatter, 2)
-    panel_title(axes, quantity.title, f"± standard deviation; grey: scatter of files {scatter}")
-
-
 def _verdict(files: Files) -> dict[str, Any]:
     """How many files have each status, and the problems of single ones."""
-    status, problems = files.columns["status"], files.columns["problem"]
+    status = [record.status for record in files.records]
     counts = [f"{count} {name}" for name, count in Counter(status).most_common(_LISTED)]
-    lines = [
-        f"{file}: {name}: {problem}"
-        for file, name, problem in zip(files.columns["file"], status, problems, strict=True)
-        if problem
-    ]
+    lines = [f"{one.file}: {one.status}: {one.problem}" for one in files.records if one.problem]
     more = [f"and {len(lines) - _LISTED} more"] * (len(lines) > _LISTED)
     sentence = f"Verdict: of {len(status)} files: {', '.join(counts)}"
     return verdict_of(sentence, [*lines[:_LISTED], *more], set(status) == {Outcome.OK})
@@ -260,7 +228,8 @@ def _verdict(files: Files) -> dict[str, Any]:
 
 def _settings(files: Files, notes: Sequence[str]) -> Iterator[str]:
     def each(column: str) -> str:
-        values = [str(v) for v in files.columns[column] if v not in ("", None)]
+        given = (getattr(record, column) for record in files.records)
+        values = [str(value) for value in given if value not in ("", None)]
         count = Counter(values).most_common(4)
         more = len(set(values)) - len(count)
         texts = [f"{name} ({times} files)" if len(count) > 1 else name for name, times in count]
@@ -302,9 +271,9 @@ def files_page(
     return page(title, sections, _verdict(files), subtitle)
 
 
-def write_fleet_page(table: Path, path: Path, command: str) -> None:
-    """The page of a table of all results that ``command`` wrote."""
-    files = files_of_table(table)
+def write_fleet_page(records: Sequence[FileRecord], path: Path, command: str) -> None:
+    """Write the page of all results of a command."""
+    files = files_of(records)
     title = f"tirefit {command}: {len(files.names)} files"
     write_text_atomic(path, files_page(files, title))
 
@@ -323,7 +292,7 @@ def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = 
     records += [
         FileRecord(name, "", "", FAILED, problem=text) for name, text in (failed or {}).items()
     ]
-    files = files_of_records(records)
+    files = files_of(records)
     by_name = dict(zip(files.names, fits.values(), strict=False))
     channels = dict.fromkeys(channel for result in fits.values() for channel in result.forces)
     curves = images_of(

@@ -11,11 +11,10 @@ from tirefit.fitting.mf.parts import NEARLY_PURE, SLIPS_OF
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.predict import predict
 from tirefit.models import TireInputs
-from tirefit.report.canvas import GREY, WIDE, Picture, images_of, save_pictures
+from tirefit.report.canvas import Picture, images_of, save_pictures, together
 from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, even
 from tirefit.report.fit_figures import curve_panel, draw_fit
 from tirefit.report.fit_tables import fit_files
-from tirefit.report.numbers import plain_text
 from tirefit.results import UsageError
 
 MAGIC_FORMULA_FILES = tuple(
@@ -27,7 +26,6 @@ MAGIC_FORMULA_FILES = tuple(
 
 _POINTS = 80  # points of a curve between the first and the last bin
 _IN_95 = 1.96
-_HEIGHT = 3.5  # height of a panel with its legend [in]
 _BY = {
     "fz": "load",
     "gamma": "camber",
@@ -193,13 +191,7 @@ def title_of(fit: MagicFormulaFit) -> str:
 
 def stacked(curves: Sequence[FitCurve], title: str = "") -> Picture:
     """The curves one below the other, each with its legend below it."""
-    picture = Picture(figsize=(WIDE, _HEIGHT * len(curves)), layout="constrained")
-    if title:
-        picture.suptitle(plain_text(title), fontsize=9.5, color=GREY)
-    parts = picture.subfigures(len(curves), squeeze=False).ravel()
-    for part, curve in zip(parts, curves, strict=True):
-        curve_panel(curve, curve.title).draw(part)
-    return picture
+    return together([curve_panel(curve, curve.title) for curve in curves], title, "", "")
 
 
 def plot_magic_formula(fit: MagicFormulaFit, ax=None):

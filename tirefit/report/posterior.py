@@ -16,7 +16,7 @@ from tirefit.fitting.uncertainty.marginals import (
     marginal_density,
     near_level,
 )
-from tirefit.report.canvas import BLUE, COLORS, DARK, ORANGE, RED, WIDE, WIDTH, Panel, tidy
+from tirefit.report.canvas import BLUE, COLORS, DARK, ORANGE, RED, WIDE, Panel, tidy
 from tirefit.report.fit_tables import short_label, short_run, value_text
 from tirefit.report.numbers import plain_text
 from tirefit.results import UsageError
@@ -90,19 +90,15 @@ def _chosen(result: FitResult, rank: Sequence[float]) -> tuple[tuple[str, ...], 
     return tuple(result.labels[i] for i in sorted(best)), note
 
 
-def _most_correlated(result: FitResult) -> tuple[tuple[str, ...], str]:
-    strength = np.abs(np.nan_to_num(np.asarray(result.correlation, float)))
-    np.fill_diagonal(strength, 0.0)
-    return _chosen(result, strength.max(axis=1, initial=0.0))
-
-
 def corner_panels(result: FitResult, parameters: Sequence[str] | None = None) -> list[Panel]:
     """The posterior of every parameter and every pair as a grid of cells.
 
     Args:
         parameters: as in :func:`named_labels`; by default the ten most correlated.
     """
-    labels, note = _most_correlated(result)
+    strength = np.abs(np.nan_to_num(np.asarray(result.correlation, float)))
+    np.fill_diagonal(strength, 0.0)
+    labels, note = _chosen(result, strength.max(axis=1, initial=0.0))
     if parameters is not None:
         labels, note = named_labels(result, parameters), ""
     count = len(labels)
@@ -161,7 +157,7 @@ def trace_panels(result: FitResult, parameters: Sequence[str] | None = None) -> 
     if parameters is not None:
         labels, note = named_labels(result, parameters), ""
     draw, size = partial(_draw_trace, result=result, labels=labels), 0.6 + 1.1 * len(labels)
-    return [Panel(draw, "Draws of every ensemble in order", (WIDTH, size), note, scrolls=True)]
+    return [Panel(draw, "Draws of every ensemble in order", (WIDE, size), note)]
 
 
 def _draw_trace(figure: Any, result: FitResult, labels: Sequence[str]) -> None:

@@ -10,14 +10,12 @@ from tirefit.data.rig.prepare import Prepared
 from tirefit.data.rig.set_points import SHOWN
 from tirefit.data.rig.slips import LEAST, swept_range
 from tirefit.data.units import slip_from_sigma
-from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, WIDE, Picture, frame, tidy
-
-_GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
+from tirefit.report.canvas import BLUE, DARK, GREEN, GREY, ORANGE, SKY, WIDE, Picture, frame, tidy
 
 _COLOR = {
     "sweep up": BLUE,
-    "sweep down": _SKY,
-    "steady": _GREEN,
+    "sweep down": SKY,
+    "steady": GREEN,
     "warm-up": ORANGE,
     "standing": "#d8d8d8",
     "transition": GREY,

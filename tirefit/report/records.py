@@ -61,7 +61,7 @@ def log_figure(log: SimulatedLog) -> Picture:
         for name in log.columns
         if name != "time"
     ]
-    return together(panels, "Simulated log", "grey: measured; blue: truth", "", 2)
+    return together(panels, "Simulated log", "grey: measured; blue: truth", "")
 
 
 def export_text(done) -> str:

@@ -7,11 +7,10 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from tirefit.data.run_names import clipped
-from tirefit.report.canvas import BLUE, DARK, GREY, RED, tidy
+from tirefit.report.canvas import BLUE, DARK, GREY, RED, WIDE, Panel, panel_title, tidy
 from tirefit.report.numbers import plain_text
 
 _MOST_NAMES = 40
-_MOST = 300  # largest number of points drawn one by one; with more, as many bins of points
 
 
 class Points(NamedTuple):
@@ -42,39 +41,24 @@ def reach(points: Points) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def binned(points: Points, most: int = _MOST) -> Points:
-    """The points; of very many, medians and the central 68 % of bins of equally many
-    consecutive ones, and the ``most`` farthest of those that differ."""
-    near = np.flatnonzero(points.known & ~points.far)
-    if len(near) <= most:
-        return points
-    near = near[np.argsort(points.at[near], kind="stable")]
-    bins = np.array_split(near, most)
-    ends = np.array([np.quantile(points.value[bin], (0.16, 0.5, 0.84)) for bin in bins]).T
-    off = np.abs(points.value - ends[1].mean())
-    far = np.flatnonzero(points.far)
-    far = far[np.argsort(-off[far], kind="stable")][:most]
+def points_panel(points: Points, alternative: str, note: str) -> Panel:
+    """The points as a panel, with their names or dates below."""
 
-    def joined(of_bins: Any, own: np.ndarray) -> np.ndarray:
-        return np.concatenate([of_bins, own[far]])
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        draw_points(axes, points)
+        panel_title(axes, points.label, note)
 
-    return points._replace(
-        at=joined([points.at[bin].mean() for bin in bins], points.at),
-        value=joined(ends[1], points.value),
-        low=joined(ends[0], points.low),
-        high=joined(ends[2], points.high),
-        known=joined(np.ones(most, bool), points.known),
-        far=joined(np.zeros(most, bool), points.far),
-    )
+    longest = max(map(len, names_below(points.names)), default=6)
+    return Panel(draw, alternative, (WIDE, 2.0 + 0.05 * longest))
 
 
-def draw_points(axes: Any, points: Points, dated: bool = False) -> None:
+def draw_points(axes: Any, points: Points) -> None:
     """Draw values with their bars; those not identified are open and grey, those that differ
     red crosses."""
-    names, (low, high) = points.names, reach(points)
-    points = binned(points)
+    dated, (low, high) = not len(points.names), reach(points)
     at = (points.at * 86400).astype("datetime64[s]") if dated else points.at
-    size = float(np.clip(60 / len(at), 2.0, 5.0))
+    size = float(np.clip(60 / len(at), 1.0, 5.0))
     first = np.where(np.isnan(points.low), low, np.maximum(points.low, low))
     last = np.where(np.isnan(points.high), high, np.minimum(points.high, high))
     there, near = np.isfinite(points.value), points.known & ~points.far
@@ -103,7 +87,7 @@ def draw_points(axes: Any, points: Points, dated: bool = False) -> None:
     if dated:
         axes.set_xlabel("date in the file's name", fontsize=8.5)
     else:
-        _name_places(axes, names)
+        _name_places(axes, points.names)
 
 
 def names_below(names: Sequence[str]) -> list[str]:

@@ -36,20 +36,14 @@ _NAMES = {
     "heading": "heading",
     "lateral": "lateral position",
 }
-_COLORS = {
-    "tire": BLUE,
-    "linear tire": ORANGE,
-    "no slip": GREY,
-    "floor": GREEN,
-    "with the effects": RED,
+_MODELS = {
+    "tire": ("these tires", BLUE),
+    "linear tire": ("linear tires", ORANGE),
+    "no slip": ("no slip", GREY),
+    "floor": ("noise floor", GREEN),
+    "with the effects": ("with effects", RED),
 }
-_LABELS = {
-    "tire": "these tires",
-    "linear tire": "linear tires",
-    "no slip": "no slip",
-    "floor": "noise floor",
-    "with the effects": "with effects",
-}
+"""Compared car -> its label and colour."""
 _SHOWN = 40
 """Largest number of windows that are drawn: about ten seconds of driving."""
 _FAN = 1.0
@@ -89,7 +83,7 @@ def _sections(result: Replay) -> list[Section]:
         for model, errors in result.models.items():
             cells = ["-" if x is None else format_number(x, 2) for x in errors.rms()[name]]
             what = f"{_NAMES[name]} [{unit}]" if model == "tire" else ""
-            rows.append([what, _LABELS[model], *cells])
+            rows.append([what, _MODELS[model][0], *cells])
     rows.append(["starts", "", *map(str, result.windows)])
     known = {name: share for name, (share, *_) in result.held.items() if share is not None}
     each = ", ".join(f"{_NAMES[name]} {share:.0%}" for name, share in known.items())
@@ -103,7 +97,8 @@ def _sections(result: Replay) -> list[Section]:
         logs.append(f"the tires were not fitted to {', '.join(others)}")
     title, right = "Error by time after the start", range(2, len(rows[0]))
     return [
-        Section(title, [held] * bool(result.held), rows, right=right),
+        # On the page the panels have the errors.
+        Section(title, [held] * bool(result.held), rows, right=right, folded=True),
         Section("Logs", logs),
         Section("Assumed", result.notes),
     ]
@@ -143,8 +138,8 @@ _SERIES = {"yaw_rate": "yaw rate [rad/s]", "a_y": "lateral acceleration [m/s²]"
 def _draw_errors(axes: Any, result: Replay, name: str) -> None:
     for model, errors in result.models.items():
         values = [np.nan if v is None else v for v in errors.rms()[name]]
-        style = ".:" if model == "floor" else ".-"
-        axes.plot(result.horizons, values, style, color=_COLORS[model], label=_LABELS[model])
+        style, (label, color) = ".:" if model == "floor" else ".-", _MODELS[model]
+        axes.plot(result.horizons, values, style, color=color, label=label)
     axes.set(xscale="log", yscale="log")
     axes.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
     axes.minorticks_off()
