@@ -19,7 +19,7 @@ KNOWN = {"cpa2": CPA2, "mu": 0.9}
 
 
 def last(estimate, k=0):
-    return float(estimate.value[-1, k]), float(estimate.std[-1, k])
+    return float(estimate.value[-1, k]), float(estimate.own_std[-1, k])
 
 
 @pytest.mark.parametrize("d", [-0.2, 0.0, 0.3])
@@ -210,7 +210,7 @@ def test_the_mit_rule_converges_with_a_right_spread():
     _, estimate = run(estimator, log(n=20_000))
     value, std = last(estimate)
     assert abs(value - 0.9) < 2 * std < 0.4
-    assert std < 0.3 * estimate.std[200, 0]
+    assert std < 0.3 * estimate.own_std[200, 0]
 
 
 @pytest.mark.parametrize("name", ["rls", "mit", "ekf"])

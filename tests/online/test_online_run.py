@@ -97,12 +97,12 @@ def test_missing_samples_are_flagged_and_bridged(name, column):
 def test_time_without_samples_raises_the_std(name):
     data = log(n=1020)
     data["fx"][500:800] = np.nan
-    std = estimates_of(name, data).std
+    std = estimates_of(name, data).own_std
     assert np.all(std[799] > 1.05 * std[499])
     # Rows that are not even there count as those that are empty.
     kept = np.r_[:500, 800:1020]
     short = estimates_of(name, {k: v[kept] for k, v in data.items()})
-    np.testing.assert_allclose(short.std[500], std[800], rtol=1e-3)
+    np.testing.assert_allclose(short.own_std[500], std[800], rtol=1e-3)
     assert FLAGS[short.flag[500]] is Flag.GAP
 
 

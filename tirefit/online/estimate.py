@@ -83,14 +83,14 @@ def estimate(
     for name in names:
         estimator = estimator_of(name, load, chosen[name] | _rate(name, data, chosen))
         _, rows = run(estimator, columns)
-        value, std, flag, surprise = map(np.asarray, rows)
         done[name] = MethodEstimates(
             name,
             estimator.method.parameters,
-            value,
-            std,
-            flag,
-            surprise,
+            rows.value,
+            rows.std,
+            rows.own_std,
+            rows.flag,
+            rows.surprise,
             {key: float(x) for key, x in parameter_values(estimator).items()},
         )
     return _estimates(data, columns, done, seed)

@@ -56,7 +56,6 @@ from tirefit.online.base import (
     flag_of,
     floats,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 
@@ -279,7 +278,6 @@ class LuGreObserver(AbstractEstimator):
         mu, mu_std = state.peak[0], state.peak[1] * theta_std
         share = self.share(x[0], p, self.course(x[3:], p))
         flag = flag_of(
-            (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
             ((theta <= _LEAST) | (theta >= _MOST), Flag.OUT_OF_RANGE),
             (jnp.abs(share) < self.least_use, Flag.LITTLE_EXCITATION),
             (self._locked(x[3:]), Flag.LOCKED),

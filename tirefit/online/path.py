@@ -25,7 +25,6 @@ from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
-from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
     GRAVITY,
     AbstractVehicleMethod,
@@ -388,5 +387,5 @@ class Path(AbstractVehicleMethod):
         std = jnp.stack(
             [mu * mu_std, *(stiffness * spread), observed, fitted, state.used * mu_std, tlc[1]]
         )
-        flag = flag_of((mu_std > RESOLVED, Flag.LOW_USE), (state.used > self.warn, Flag.NEAR_LIMIT))
+        flag = flag_of((state.used > self.warn, Flag.NEAR_LIMIT))
         return Estimate(value, std, flag, surprise)

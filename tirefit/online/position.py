@@ -41,7 +41,7 @@ from tirefit.online.base import (
     floats,
     force_noise,
 )
-from tirefit.online.regression import RESOLVED, SLIDING, Regressors, regressors
+from tirefit.online.regression import SLIDING, Regressors, regressors
 from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
 
@@ -292,5 +292,4 @@ class Position(AbstractVehicleMethod):
         lasting = jnp.stack([bent, jnp.hypot(self.model_error, drawn)])
         relative = jnp.hypot(of_noise, lasting)
         value = jnp.stack([mu, stiffness])
-        flag = jnp.maximum(flag_of((~(relative[0] < RESOLVED), Flag.LOW_USE)), flag)
         return Estimate(value, value * relative, flag, surprise)

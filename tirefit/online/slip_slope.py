@@ -18,6 +18,7 @@ from jax.scipy.stats import norm
 from jaxtyping import Array, Float
 
 from tirefit.online.base import (
+    RESOLVED,
     AbstractEstimator,
     Estimate,
     Flag,
@@ -31,7 +32,6 @@ from tirefit.online.base import (
     slip_noise,
     widest,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 ROADS = ("asphalt", "gravel", "snow", "ice")

@@ -238,6 +238,8 @@ class Xbs(AbstractEstimator):
         "first-order wheel",
     )
 
+    judged: ClassVar[bool] = False
+
     average: float = par(1.0, (1.0, 1.0 + 1e-9), "-", "every sample is a step", "", "n")
     rate: float = par(200.0, (40.0, 1e4), "Hz", "samples a second", "O(3)", r"1/\tau")
     low: float = par(2.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
