@@ -117,7 +117,6 @@ class XbsServoState(NamedTuple):
 
     xbs: XbsState
     speed: Wheels  # [m/s] at the previous sample
-    reference: Wheels  # [m/s]
     target: Wheels  # [Pa]
     coming: Float[Array, "d w"]  # delayed changes of pressure [Pa]
     slowing: Float[Array, ""]  # filtered deceleration [m/s2]
@@ -242,7 +241,7 @@ class XbsServo(AbstractController):
         none = jnp.zeros_like(speed)
         coming = jnp.zeros((round(self.delay * self.rate), *speed.shape))
         xbs = jax.tree.map(lambda x: jnp.full_like(speed, x), self.xbs.init())
-        return XbsServoState(xbs, speed, speed, none, coming, jnp.zeros(()), jnp.max(speed))
+        return XbsServoState(xbs, speed, none, coming, jnp.zeros(()), jnp.max(speed))
 
     def step(self, state: XbsServoState, measurement: Measurement) -> Any:
         s, m = state, measurement
@@ -268,7 +267,6 @@ class XbsServo(AbstractController):
         after = XbsServoState(
             xbs,
             m.wheel_speed,
-            s.reference + change,
             target,
             jnp.concatenate([s.coming, moved[None]])[1:],
             slowing,

@@ -126,20 +126,11 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
         return tire(TireInputs(sigma, 0.0, fz, speed)).fx
 
     slope = jax.vmap(jax.grad(force), (None, 0))(1e-6, jnp.asarray(car.fz))
-    hydraulics = request.hydraulics
-    return {
-        "radius": car.radius,
-        "inertia": car.inertia,
-        "brake_gain": car.brake_gain,
-        "fz": car.fz,
-        "stiffness": np.asarray(slope),
-        "rise": hydraulics.rise,
-        "fall": hydraulics.fall,
-        "delay": hydraulics.delay,
-        "lag": hydraulics.lag,
-        "steered": car.steered,
-        "ahead": car.x,
-    }
+    wheels = ("radius", "inertia", "brake_gain", "fz", "steered")
+    valves = ("rise", "fall", "delay", "lag")
+    known = {name: getattr(car, name) for name in wheels}
+    known |= {name: getattr(request.hydraulics, name) for name in valves}
+    return known | {"stiffness": np.asarray(slope), "ahead": car.x}
 
 
 def doubts(request: Request) -> list[str]:

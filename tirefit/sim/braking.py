@@ -32,7 +32,7 @@ from tirefit.models import LuGre, MagicFormula
 from tirefit.online.lugre_observer import peak_share
 from tirefit.results import UsageError
 from tirefit.sim.lugre import Bristles, Contact, bristle_forces, bristle_rate, distributed
-from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, TIRES, Braking
+from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, Braking
 from tirefit.slip import LOCKED
 
 _SHAPE = 1.22
@@ -196,13 +196,8 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
         The measured columns time, sigma_x, fx, fz, v, omega, torque, brake_pressure; the
         true columns are these without noise, ``mu`` (the peak), ``cpa2`` (half the slope
         at zero slip) and, for LuGre, ``deflection``, the bristles' mean z [m].
-
-    Raises:
-        ValueError: a tire that is not one of :data:`TIRES`.
     """
     how = Braking() if how is None else how
-    if how.tire not in TIRES:
-        raise ValueError(f"there is no tire {how.tire!r}; choose one of {', '.join(TIRES)}")
     n = round(how.teeth * how.period * how.rate)
     time = np.arange(n) / how.rate
     full = how.amplitude * how.radius * how.friction * how.load
