@@ -168,10 +168,13 @@ def test_a_new_run_resets_the_state(name):
     assert not rows_flagged(estimate, Flag.TIME_BACK)
 
 
-def test_false_alarms_are_rare():
-    # One in 14 hours of steps by the approximation; these are ten minutes.
-    estimate = estimates_of("ekf", log(n=60_000, slip_noise=0.001))
+@pytest.mark.parametrize("name", ["rls", "ekf"])
+def test_ten_minutes_give_no_false_alarm_and_a_symmetric_covariance(name):
+    # One alarm in 14 hours of steps by the approximation.
+    state, estimate = run(estimator_of(name, LOAD), log(n=60_000, slip_noise=0.001))
     assert rows_flagged(estimate, Flag.CHANGED) == []
+    p = state.inner.p if name == "rls" else state.inner.covariance
+    np.testing.assert_allclose(p, p.T, rtol=1e-9)
 
 
 @every_method
