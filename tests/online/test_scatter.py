@@ -9,7 +9,7 @@ from logs import CPA2, LOAD, log
 from tirefit.online.base import Estimate, Flag, code
 from tirefit.online.methods import estimator_of
 from tirefit.online.run import run
-from tirefit.online.scatter import no_scatter, reported
+from tirefit.online.scatter import Scatter, reported
 
 RLS = estimator_of("rls", LOAD)
 
@@ -24,7 +24,7 @@ def test_the_scatter_is_the_weighted_variance_within_each_level():
     random, dt = np.random.default_rng(0), 0.5
     mu = np.r_[0.9 + 0.1 * random.standard_normal(60), 0.5 + 0.05 * random.standard_normal(40)]
     std = random.uniform(0.01, 0.5, 100)
-    scatter = no_scatter()
+    scatter = Scatter()
     step = jax.jit(lambda *given: reported(RLS, *given)[0])
     for k in range(100):
         scatter = step(scatter, stated(mu[k], std[k]), dt, k == 60)
@@ -40,7 +40,7 @@ def test_the_scatter_is_the_weighted_variance_within_each_level():
 
 @pytest.mark.parametrize(("std", "flag"), [(0.11, Flag.OK), (0.13, Flag.LOW_USE)])
 def test_the_scatter_widens_mu_but_sets_no_flag(std, flag):
-    scatter = no_scatter()._replace(square=jnp.array(0.5), weight=jnp.array(2.0))
+    scatter = Scatter(square=jnp.array(0.5), weight=jnp.array(2.0))
     _, told = reported(RLS, scatter, stated(0.8, std), 0.0, False)
     expected = np.sqrt(std**2 + 0.5 / 2 + (0.05 * 0.8) ** 2)
     np.testing.assert_allclose(told.std, [expected, 1e3])

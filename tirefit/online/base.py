@@ -201,15 +201,8 @@ def widest(covariance, prior) -> Float[Array, "n n"]:
 
 def nominal_stiffness():
     """Field of the expected stiffness; by default from the load."""
-    return par(
-        2.5e5,
-        (1e-2, 1e9),
-        "N",
-        "expected c_p a^2; 9.26 times the load if not given",
-        "S(47)",
-        r"c_{p0} a^2",
-        scale="log",
-    )
+    meaning = "expected c_p a^2; 9.26 times the load if not given"
+    return par(2.5e5, (1e-2, 1e9), "N", meaning, "S(47)", r"c_{p0} a^2", scale="log")
 
 
 def nominal_friction():

@@ -83,14 +83,15 @@ def estimate(
     for name in names:
         estimator = estimator_of(name, load, chosen[name] | _rate(name, data, chosen))
         _, rows = run(estimator, columns)
+        value, std, flag, surprise, own_std = map(np.asarray, rows)
         done[name] = MethodEstimates(
             name,
             estimator.method.parameters,
-            rows.value,
-            rows.std,
-            rows.own_std,
-            rows.flag,
-            rows.surprise,
+            value,
+            std,
+            own_std,
+            flag,
+            surprise,
             {key: float(x) for key, x in parameter_values(estimator).items()},
         )
     return _estimates(data, columns, done, seed)

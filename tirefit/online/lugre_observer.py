@@ -122,12 +122,7 @@ class LuGreObserver(AbstractEstimator):
     radius: float = par(0.5, (0.01, 2.0), "m", "effective rolling radius", "", "R")
     inertia: float = par(15.0, (1e-6, 1e3), "kg m2", "of the wheel", "", "J")
     kappa: float = par(
-        0.0,
-        (0.0, 4.0),
-        "-",
-        "rate of leaving the patch, over omega R/L; 0: S(18)'s",
-        "S §3.4",
-        r"\kappa",
+        0.0, (0.0, 4.0), "-", "c of the patch over omega R/L; 0: S(18)", "S §3.4", r"\kappa"
     )
     adaptation: float = par(
         1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", "S §3.4", r"\gamma", scale="log"

@@ -146,12 +146,7 @@ class Position(AbstractVehicleMethod):
         0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §3.3", r"\lambda"
     )
     model_error: float = par(
-        0.015,
-        (0.0, 0.5),
-        "-",
-        "relative error of the force that is constant over a drive",
-        "",
-        r"\epsilon",
+        0.015, (0.0, 0.5), "-", "relative error of the force, constant in a drive", "", r"\epsilon"
     )
     force_noise: float = force_noise(0.05, "S §3.3")
     least_use: float = excitation("S §3.3")

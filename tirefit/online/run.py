@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
-from tirefit.online.scatter import Scatter, no_scatter, reported
+from tirefit.online.scatter import Scatter, reported
 from tirefit.padding import padded_size
 
 GUARDED = ("time", "run", "v", "omega")
@@ -66,7 +66,7 @@ def start(estimator: AbstractEstimator) -> Guarded:
     none, zero = jnp.full((), jnp.nan), jnp.zeros(())
     sums = dict.fromkeys(estimator.method.inputs, zero)
     flag = jnp.asarray(code(Flag.LITTLE_EXCITATION))
-    began = (estimator.init(), none, none, sums, zero, flag, no_scatter(), zero, zero, none)
+    began = (estimator.init(), none, none, sums, zero, flag, Scatter(), zero, zero, none)
     return _strong(Guarded(*began))
 
 

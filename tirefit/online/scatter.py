@@ -29,10 +29,10 @@ differ by 3 to 6 % on the f1tenth and DART cars."""
 class Scatter(NamedTuple):
     """Recent estimates of mu, weighted by time, age and their own standard deviation."""
 
-    mean: Float[Array, ""]  # [-] since the last detected change
-    square: Float[Array, ""]  # sum of the squared deviations from the mean of their time
-    weight: Float[Array, ""]  # sum of the weights of all
-    level: Float[Array, ""]  # sum of the weights since the last change
+    mean: Float[Array, ""] | float = 0.0  # [-] since the last detected change
+    square: Float[Array, ""] | float = 0.0  # sum of squared deviations from the mean of their time
+    weight: Float[Array, ""] | float = 0.0  # sum of the weights of all
+    level: Float[Array, ""] | float = 0.0  # sum of the weights since the last change
 
     @property
     def variance(self) -> Float[Array, ""]:
@@ -49,11 +49,6 @@ class Scatter(NamedTuple):
         step = new / jnp.where(level > 0, level, 1.0) * off
         square = keep * self.square + new * off * (off - step)
         return Scatter(self.mean + step, square, weight, level)
-
-
-def no_scatter() -> Scatter:
-    """The scatter before the first estimate."""
-    return Scatter(*[jnp.zeros(())] * len(Scatter._fields))
 
 
 def reported(

@@ -113,21 +113,10 @@ class TireSensor(AbstractSingleSample):
     half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a")
     force_noise: float = force_noise()
     moment_noise: float = par(
-        0.005,
-        (1e-6, 1.0),
-        "-",
-        "std of the moment over load and half-length",
-        "S §3.6",
-        r"\sigma_M",
-        scale="log",
+        0.005, (1e-6, 1.0), "-", "std of the moment over a F_z", "S §3.6", r"\sigma_M", scale="log"
     )
     own_error: float = par(
-        0.01,
-        (0.0, 1.0),
-        "-",
-        "std of the error of the network in mu_u and theta / y",
-        "S §3.6",
-        r"\sigma_n",
+        0.01, (0.0, 1.0), "-", "std of the network in mu_u and theta / y", "S §3.6", r"\sigma_n"
     )
 
     def from_sample(self, sample: Sample):

@@ -269,13 +269,7 @@ class Xbs(AbstractEstimator):
         0.0, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
     )
     stiffness: float = par(
-        6e4,
-        (1.0, 1e8),
-        "N",
-        "K_s = 2 c_p a^2, slope of the force at rest",
-        "O(16)",
-        "K_s",
-        scale="log",
+        6e4, (1.0, 1e8), "N", "2 c_p a^2, slope of the force at rest", "O(16)", "K_s", scale="log"
     )
     stiffness_spread: float = par(0.1, (0.0, 1.0), "-", "relative std of it", "", r"\sigma_K")
     # Computed from the settings above whenever they change; not a setting.

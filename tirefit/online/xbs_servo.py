@@ -135,12 +135,7 @@ class XbsServo(AbstractController):
 
     share: float = par(0.9, (0.3, 0.995), "-", "wanted share of the friction", "O(22)", r"\gamma")
     pull: float = par(
-        0.5,
-        (0.01, 50.0),
-        "m/s2",
-        "extra deceleration for twice the target stiffness",
-        "O §3.1",
-        "c",
+        0.5, (0.01, 50.0), "m/s2", "extra deceleration at twice the target stiffness", "O §3.1", "c"
     )
     release: float = par(
         0.3, (0.0, 50.0), "m/s2", "less deceleration for zero stiffness", "O §3.1", "c_-"

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.models import AbstractTire, TireInputs, modelled
-from tirefit.params import parameter_values
+from tirefit.params import check_names, parameter_values
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.brake import Plant, Sensors
 from tirefit.sim.brake_vehicle import (
@@ -206,18 +206,15 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
     Raises:
         UsageError: a name that neither of them has.
     """
-    hydraulics, sensors, problems = request.hydraulics, request.sensors, []
-    for name, value in values.items():
-        if name in Hydraulics._fields:
-            hydraulics = hydraulics._replace(**{name: value})
-        elif name in Sensors._fields:
-            sensors = sensors._replace(**{name: value})
-        else:
-            known = ", ".join((*Hydraulics._fields, *Sensors._fields))
-            reason = f"--plant {name}: there is no such number"
-            problems.append(InputProblem(reason, f"choose one of {known}"))
-    UsageError.raise_for(problems)
-    return replace(request, hydraulics=hydraulics, sensors=sensors)
+    if values:
+        check_names("number of --plant", list(values), (*Hydraulics._fields, *Sensors._fields))
+    hydraulics = {k: v for k, v in values.items() if k in Hydraulics._fields}
+    sensors = {k: v for k, v in values.items() if k in Sensors._fields}
+    return replace(
+        request,
+        hydraulics=request.hydraulics._replace(**hydraulics),
+        sensors=request.sensors._replace(**sensors),
+    )
 
 
 def tire_curve(

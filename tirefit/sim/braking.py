@@ -212,7 +212,9 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     if how.tire == "lugre":
         soft = tuple(lugre_tire(peak, how.speed) for peak in ends)
         omega, fx, bent = braked_wheel(numbers, soft, PATCH, time, how.teeth)
-        slope, extra = _slope_at_rest(soft[0], how.speed), {"deflection": bent}
+        tire, extra = soft[0], {"deflection": bent}
+        # Slope of the force at zero slip over the load [-]; it depends on the speed.
+        slope = tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * how.speed
     else:
         stiff = tuple(map(source_tire, ends))
         omega, fx, _ = braked_wheel(numbers, stiff, STEADY, time, how.teeth)
@@ -246,8 +248,3 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     }
     known = {"mu": mu, "cpa2": np.full(n, slope * how.load / 2), **extra}
     return SimulatedLog(columns, truth | known)
-
-
-def _slope_at_rest(tire: LuGre, v: float) -> float:
-    """Slope of the force at zero slip over the load [-]; it depends on the speed."""
-    return tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * v
