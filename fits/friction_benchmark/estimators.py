@@ -49,6 +49,8 @@ def settings_of(name: str, kind: str) -> dict[str, float]:
     """Settings of a method for a log, in addition to its defaults."""
     if name == "lugre-observer":
         return matched_lugre()
+    if name == "cubic":  # it is the one that follows from the load, but known
+        return {"cpa2": STIFFNESS / 2}
     return {"slope": STIFFNESS / LOAD} if kind == "braking" and "slip" in name else {}
 
 

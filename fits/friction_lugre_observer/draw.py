@@ -41,7 +41,7 @@ def properties() -> dict[str, float]:
         ends = [observed(mu, seed)[1] for seed in SEEDS]
         numbers[f"mu = {mu:g}: mu"] = np.mean([end.value[-1, 0] for end in ends])
         numbers[f"mu = {mu:g}: theta"] = np.mean([end.value[-1, 1] for end in ends])
-        pulls += [(end.value[-1, 0] - mu) / end.std[-1, 0] for end in ends]
+        pulls += [(end.value[-1, 0] - mu) / end.own_std[-1, 0] for end in ends]
     numbers["rms pull"] = np.sqrt(np.mean(np.square(pulls)))
     waits, early = [], 0
     for seed in SEEDS:
@@ -61,7 +61,7 @@ def properties() -> dict[str, float]:
 
 
 def _panel(axes, log, seen, title: str) -> None:
-    time, mu, std = log.columns["time"], seen.value[:, 0], seen.std[:, 0]
+    time, mu, std = log.columns["time"], seen.value[:, 0], seen.own_std[:, 0]
     sure = seen.flag == 0
     axes.fill_between(
         time, mu - 1.96 * std, mu + 1.96 * std, color=COLORS[0], alpha=0.2, linewidth=0

@@ -82,7 +82,7 @@ def finals(seeds=SEEDS) -> dict[str, list[float]]:
                     value = ours[method][parameter][-1]
                     put(f"{name}: {method} {parameter}", value)
                     target = reference_of(f"{name}: {parameter}")
-                    std = ours[method].std_of(parameter)[-1]
+                    std = own_std(ours[method], parameter)[-1]
                     put(f"{name}: {method} {parameter}, pull", (value - target) / std)
             put(f"{name}: rls mu, settings of S", source["rls"]["mu"][-1])
             other = second_tire(amplitude, seed)["rls"]["mu"][-1]
@@ -90,6 +90,11 @@ def finals(seeds=SEEDS) -> dict[str, list[float]]:
         for d in ASYMMETRIES:
             put(f"60 %: rls mu, two terms, d = {d:g}", two_terms(d, seed)["rls"]["mu"][-1])
     return ends
+
+
+def own_std(method, parameter: str) -> np.ndarray:
+    """Standard deviations (n,) by the method alone, without the scatter of its estimates."""
+    return method.own_std[:, method.parameters.index(parameter)]
 
 
 @cache
@@ -119,7 +124,7 @@ def start() -> dict[str, float]:
     early = ours.time < 2 * TOOTH
     target = reference_of("75 %: mu")
     supported = ours["rls"].flag == 0
-    pulls = [abs(run["rls"]["mu"] - target) / run["rls"].std_of("mu") for run in (ours, source)]
+    pulls = [abs(run["rls"]["mu"] - target) / own_std(run["rls"], "mu") for run in (ours, source)]
     return {
         "75 %: share of the first second that is flagged": np.mean(
             ours["rls"].flag[ours.time < 1] > 0
@@ -166,7 +171,7 @@ def main() -> None:
         below.axhline(PEAK, color=DARK, linewidth=0.8, linestyle="--", label="peak")
         below.axhline(target, color=DARK, linewidth=0.8, linestyle=":", label="brush")
         for color, name in zip(COLORS, ours.methods, strict=False):
-            mu, std = ours[name]["mu"], ours[name].std_of("mu")
+            mu, std = ours[name]["mu"], own_std(ours[name], "mu")
             below.plot(time, mu, color=color, linewidth=1, label=name)
             below.fill_between(time, mu - std, mu + std, color=color, alpha=0.15, linewidth=0)
         below.plot(

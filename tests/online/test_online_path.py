@@ -18,7 +18,6 @@ from tirefit.online.path import (
     observer_step,
     wheel_rls_step,
 )
-from tirefit.online.run import Stream
 
 C_F, C_R, MASS, INERTIA, L_F, L_R, U = 9e4, 8e4, 1500.0, 2500.0, 1.2, 1.4, 25.0
 MATRICES = bicycle(C_F, C_R, MASS, INERTIA, L_F, L_R, jnp.asarray(U))
@@ -119,7 +118,7 @@ def test_the_truth_lies_within_the_stated_spread():
     log = drive(bend=0.5, brake=0.3, duration=25.0)
     truth, end = log.truth, estimated("path", log.columns)
     late = slice(500, None)
-    mu, mu_std = end.value[late, 0], end.std[late, 0]
+    mu, mu_std = end.value[late, 0], end.own_std[late, 0]
     assert np.mean(abs(mu - 0.9) < 2.5 * mu_std) > 0.9 and mu_std[-1] < 0.3
     force = truth["fx_fl"] + truth["fx_fr"]
     for k in (3, 4):  # the fall of a saw-tooth takes them some samples
@@ -151,11 +150,3 @@ def test_missing_rows_are_flagged_and_bridged():
     assert np.all(np.isfinite(end.value[1:, :6]))
     close = abs(end.value[-1, :3] - whole.value[-1, :3]) < 2 * whole.std[-1, :3]
     assert np.all(close)
-
-
-def test_scan_equals_single_steps():
-    columns = drive(bend=0.5, brake=0.3, duration=25.0).columns
-    scanned, stream = estimated("path", columns), Stream(estimator_of("path", 1.0))
-    each = [stream.push({k: v[i] for k, v in columns.items()}) for i in range(120)]
-    np.testing.assert_allclose(scanned.value[:120], [e.value for e in each], rtol=1e-6)
-    assert jax.tree.all(jax.tree.map(lambda x: bool(np.all(np.isfinite(x))), each[-1].std))

@@ -97,12 +97,12 @@ def test_missing_samples_are_flagged_and_bridged(name, column):
 def test_time_without_samples_raises_the_std(name):
     data = log(n=1020)
     data["fx"][500:800] = np.nan
-    std = estimates_of(name, data).std
+    std = estimates_of(name, data).own_std
     assert np.all(std[799] > 1.05 * std[499])
     # Rows that are not even there count as those that are empty.
     kept = np.r_[:500, 800:1020]
     short = estimates_of(name, {k: v[kept] for k, v in data.items()})
-    np.testing.assert_allclose(short.std[500], std[800], rtol=1e-3)
+    np.testing.assert_allclose(short.own_std[500], std[800], rtol=1e-3)
     assert FLAGS[short.flag[500]] is Flag.GAP
 
 
@@ -168,10 +168,13 @@ def test_a_new_run_resets_the_state(name):
     assert not rows_flagged(estimate, Flag.TIME_BACK)
 
 
-def test_false_alarms_are_rare():
-    # One in 14 hours of steps by the approximation; these are ten minutes.
-    estimate = estimates_of("ekf", log(n=60_000, slip_noise=0.001))
+@pytest.mark.parametrize("name", ["rls", "ekf"])
+def test_ten_minutes_give_no_false_alarm_and_a_symmetric_covariance(name):
+    # One alarm in 14 hours of steps by the approximation.
+    state, estimate = run(estimator_of(name, LOAD), log(n=60_000, slip_noise=0.001))
     assert rows_flagged(estimate, Flag.CHANGED) == []
+    p = state.inner.p if name == "rls" else state.inner.covariance
+    np.testing.assert_allclose(p, p.T, rtol=1e-9)
 
 
 @every_method

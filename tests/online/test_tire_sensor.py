@@ -100,7 +100,7 @@ def test_the_stated_spread_agrees_with_many_samples():
     data["mz"] += 0.002 * LOAD * LENGTH * random.normal(size=n)
     _, estimate = run(estimator_of("tire-sensor", LOAD, SETTINGS | noise), data)
     for k in range(3):
-        assert abs(np.std(estimate.value[:, k]) / np.median(estimate.std[:, k]) - 1) < 0.1
+        assert abs(np.std(estimate.value[:, k]) / np.median(estimate.own_std[:, k]) - 1) < 0.1
 
 
 def test_the_network_inverts_the_brush():

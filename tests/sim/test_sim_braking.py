@@ -105,8 +105,8 @@ def test_the_lugre_tire_has_the_requested_peak():
         found = forces(tire, TireInputs(sigma_x=slip, fz=1.0, v=v)).fx
         assert abs(float(np.max(found)) - peak) < 1e-3
         assert tire.mu_s / tire.mu_c == LuGre().mu_s / LuGre().mu_c
-    with pytest.raises(ValueError, match="no tire 'brush'"):
-        simulate_braking(Braking(tire="brush"))
+    with pytest.raises(tirefit.UsageError, match="no tire 'brush'"):
+        simulate("braking", tire="brush")
 
 
 def test_the_brake_pressure_gives_the_torque():

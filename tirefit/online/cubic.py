@@ -10,19 +10,17 @@ below f = 1/3 the tire slides and S(20) holds, :math:`\mu = F / F_z`. S prints k
 the physical slip is used, with which S(19) equals S(12) exactly.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
+    AbstractSingleSample,
     Flag,
     Method,
     Sample,
-    choose,
+    Single,
     excitation,
     flag_of,
     force_noise,
@@ -30,7 +28,6 @@ from tirefit.online.base import (
     nominal_stiffness,
     slip_noise,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 _LEAST_SLIDING = 1e-3
@@ -57,14 +54,7 @@ def friction_by_cubic(fx, sigma, cpa2, fz):
     return jnp.where(short < _LEAST_SLIDING, jnp.nan, mu)
 
 
-class CubicState(NamedTuple):
-    """The last friction [-] from a sample, and its standard deviation."""
-
-    mu: Float[Array, ""]
-    std: Float[Array, ""]
-
-
-class Cubic(AbstractEstimator):
+class Cubic(AbstractSingleSample):
     """Friction from every single sample; the stiffness must be known."""
 
     method: ClassVar[Method] = Method(
@@ -78,35 +68,30 @@ class Cubic(AbstractEstimator):
 
     cpa2: float = nominal_stiffness()
     mu: float = nominal_friction()
-    cpa2_std: float = par(0.05, (0.0, 1.0), "-", "relative std of c_p a^2", "S(19)", r"\sigma_c")
+    cpa2_std: float = par(
+        0.05, (0.0, 0.99), "-", "relative std of c_p a^2; 0.7 without cpa2", "S(19)", r"\sigma_c"
+    )
     force_noise: float = force_noise()
     slip_noise: float = slip_noise()
     least_use: float = excitation()
 
-    def init(self) -> CubicState:
-        return CubicState(jnp.full((), jnp.nan), jnp.full((), jnp.nan))
-
-    def step(self, state: CubicState, sample: Sample) -> tuple[CubicState, Estimate]:
+    def from_sample(self, sample: Sample):
         sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
         fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
         cpa2 = jnp.asarray(self.cpa2, float)
-        mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1, 2))(fx, sigma, cpa2, fz)
+        mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1))(fx, sigma, cpa2, fz)
         share = 1 / jnp.sqrt(sample["count"])
-        noises = (share * self.force_noise * fz, share * self.slip_noise)
-        stds = (*noises, self.cpa2_std * cpa2)
-        std = jnp.sqrt(sum((g * s) ** 2 for g, s in zip(slope, stds, strict=True)))
+        # A difference, as a tire that slides at the expected stiffness, where the slope is
+        # zero, does not slide at a smaller one. If no friction explains the force there, mu is
+        # not known.
+        softer = friction_by_cubic(fx, sigma, (1 - self.cpa2_std) * cpa2, fz)
+        parts = (
+            slope[0] * share * self.force_noise * fz,
+            slope[1] * share * self.slip_noise,
+            jnp.where(jnp.isfinite(softer), softer - mu, mu),
+        )
+        std = jnp.sqrt(sum(part**2 for part in parts))
         idle = 2 * cpa2 * sigma < self.least_use * fz
         usable = jnp.isfinite(mu) & jnp.isfinite(std) & (mu > 0) & ~idle
-        after = choose(usable, CubicState(mu, std), state)
-        return after, self._estimate(after, idle, usable)
-
-    def hold(self, state: CubicState, dt, steps) -> tuple[CubicState, Estimate]:
-        return state, self._estimate(state, False, True)
-
-    def _estimate(self, state: CubicState, idle, usable) -> Estimate:
-        flag = flag_of(
-            (~(state.std < RESOLVED * state.mu) | ~usable, Flag.LOW_USE),
-            (idle, Flag.LITTLE_EXCITATION),
-        )
-        nothing = jnp.full((), jnp.nan)
-        return Estimate(state.mu[None], state.std[None], flag, nothing)
+        flag = flag_of((~usable, Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION))
+        return Single(mu[None], std[None]), usable, flag

@@ -30,7 +30,6 @@ from tirefit.online.base import (
     slip_noise,
     widest,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 _MEMORY = 0.98
@@ -122,5 +121,5 @@ class Ekf(AbstractEstimator):
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))
         relative = (widened * jnp.sqrt(jnp.diag(state.covariance)))[::-1]
         value = jnp.exp(state.x)[::-1]
-        flag = flag_of((~(relative[0] < RESOLVED), Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION))
+        flag = flag_of((idle, Flag.LITTLE_EXCITATION))
         return Estimate(value, value * relative, flag, surprise)

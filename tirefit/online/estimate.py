@@ -83,12 +83,13 @@ def estimate(
     for name in names:
         estimator = estimator_of(name, load, chosen[name] | _rate(name, data, chosen))
         _, rows = run(estimator, columns)
-        value, std, flag, surprise = map(np.asarray, rows)
+        value, std, flag, surprise, own_std = map(np.asarray, rows)
         done[name] = MethodEstimates(
             name,
             estimator.method.parameters,
             value,
             std,
+            own_std,
             flag,
             surprise,
             {key: float(x) for key, x in parameter_values(estimator).items()},

@@ -22,8 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
-from tirefit.online.regression import RESOLVED
+from tirefit.online.base import Estimate, Method, Sample, choose, floats
 from tirefit.online.vehicle import (
     GRAVITY,
     AbstractVehicleMethod,
@@ -267,5 +266,5 @@ class ForceFilter(AbstractVehicleMethod):
         rows = rows.at[1, 12].set(1.0).at[2, 13].set(1.0)
         stds = jnp.sqrt(jnp.diag(rows @ state.covariance @ rows.T))
         value = jnp.concatenate([mu[None], rows @ state.x])
-        flag = flag_of((~(mu_std < RESOLVED * mu), Flag.LOW_USE))
-        return Estimate(value, jnp.concatenate([mu_std[None], stds]), flag, surprise)
+        std = jnp.concatenate([mu_std[None], stds])
+        return Estimate(value, std, jnp.zeros((), int), surprise)

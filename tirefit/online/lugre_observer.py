@@ -56,7 +56,6 @@ from tirefit.online.base import (
     flag_of,
     floats,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 
@@ -123,12 +122,7 @@ class LuGreObserver(AbstractEstimator):
     radius: float = par(0.5, (0.01, 2.0), "m", "effective rolling radius", "", "R")
     inertia: float = par(15.0, (1e-6, 1e3), "kg m2", "of the wheel", "", "J")
     kappa: float = par(
-        0.0,
-        (0.0, 4.0),
-        "-",
-        "rate of leaving the patch, over omega R/L; 0: S(18)'s",
-        "S §3.4",
-        r"\kappa",
+        0.0, (0.0, 4.0), "-", "c of the patch over omega R/L; 0: S(18)", "S §3.4", r"\kappa"
     )
     adaptation: float = par(
         1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", "S §3.4", r"\gamma", scale="log"
@@ -279,7 +273,6 @@ class LuGreObserver(AbstractEstimator):
         mu, mu_std = state.peak[0], state.peak[1] * theta_std
         share = self.share(x[0], p, self.course(x[3:], p))
         flag = flag_of(
-            (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
             ((theta <= _LEAST) | (theta >= _MOST), Flag.OUT_OF_RANGE),
             (jnp.abs(share) < self.least_use, Flag.LITTLE_EXCITATION),
             (self._locked(x[3:]), Flag.LOCKED),

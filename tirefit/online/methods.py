@@ -38,6 +38,8 @@ METHODS: dict[str, type[AbstractEstimator]] = {
 STIFFNESS_OF_LOAD = 250 / 27
 """Default of the expected c_p a^2 over the load [-]: the truck tire of S section 5 (C_x =
 5e5 N at 27 kN); car tires have 8 to 15."""
+_SPREAD_OF_STIFFNESS = 0.7
+"""Relative std of that default: the axles of the f1tenth car have 0.14 to 0.54 of it."""
 
 
 def estimator_of(
@@ -56,6 +58,8 @@ def estimator_of(
     template = METHODS[name]()
     known, values = specs(template), dict(settings or {})
     check_values(template, f"method {name!r}", values, noun="setting")
-    if "cpa2" in known:
-        values.setdefault("cpa2", STIFFNESS_OF_LOAD * float(load))
+    if "cpa2" in known and "cpa2" not in values:
+        values["cpa2"] = STIFFNESS_OF_LOAD * float(load)
+        if "cpa2_std" in known:
+            values.setdefault("cpa2_std", _SPREAD_OF_STIFFNESS)
     return with_values(template, {key: float(value) for key, value in values.items()})

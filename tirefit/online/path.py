@@ -25,7 +25,6 @@ from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
-from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
     GRAVITY,
     AbstractVehicleMethod,
@@ -208,12 +207,7 @@ class Path(AbstractVehicleMethod):
         0.2, (1e-6, 100.0), "m/s2/sqrt(Hz)", "unknown lateral acceleration", "", "q_y"
     )
     force_noise: float = par(
-        0.15,
-        (1e-4, 1.0),
-        "-",
-        "std of a sample's force over the load, tire included",
-        "",
-        r"\sigma_F",
+        0.15, (1e-4, 1.0), "-", "std of the force over the load, tire included", "", r"\sigma_F"
     )
     gps_std: float = par(0.02, (1e-5, 10.0), "m", "noise of offset", "", r"\sigma_y")
     heading_std: float = par(0.002, (1e-6, 1.0), "rad", "noise of heading", "", r"\sigma_\psi")
@@ -388,5 +382,5 @@ class Path(AbstractVehicleMethod):
         std = jnp.stack(
             [mu * mu_std, *(stiffness * spread), observed, fitted, state.used * mu_std, tlc[1]]
         )
-        flag = flag_of((mu_std > RESOLVED, Flag.LOW_USE), (state.used > self.warn, Flag.NEAR_LIMIT))
+        flag = flag_of((state.used > self.warn, Flag.NEAR_LIMIT))
         return Estimate(value, std, flag, surprise)

@@ -41,7 +41,7 @@ from tirefit.online.base import (
     floats,
     force_noise,
 )
-from tirefit.online.regression import RESOLVED, SLIDING, Regressors, regressors
+from tirefit.online.regression import SLIDING, Regressors, regressors
 from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
 
@@ -146,12 +146,7 @@ class Position(AbstractVehicleMethod):
         0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §3.3", r"\lambda"
     )
     model_error: float = par(
-        0.015,
-        (0.0, 0.5),
-        "-",
-        "relative error of the force that is constant over a drive",
-        "",
-        r"\epsilon",
+        0.015, (0.0, 0.5), "-", "relative error of the force, constant in a drive", "", r"\epsilon"
     )
     force_noise: float = force_noise(0.05, "S §3.3")
     least_use: float = excitation("S §3.3")
@@ -292,5 +287,4 @@ class Position(AbstractVehicleMethod):
         lasting = jnp.stack([bent, jnp.hypot(self.model_error, drawn)])
         relative = jnp.hypot(of_noise, lasting)
         value = jnp.stack([mu, stiffness])
-        flag = jnp.maximum(flag_of((~(relative[0] < RESOLVED), Flag.LOW_USE)), flag)
         return Estimate(value, value * relative, flag, surprise)

@@ -31,10 +31,6 @@ from tirefit.online.base import (
 )
 from tirefit.params import par
 
-RESOLVED = 0.15
-"""Relative standard deviation above which mu is not resolved: asphalt, gravel and snow
-differ by 0.2 to 0.3, two of these standard deviations."""
-
 SLIDING = 0.37
 """Force over that without sliding, with nine tenths of the patch sliding; the polynomial
 S(49) is not valid below."""
@@ -137,11 +133,7 @@ class AbstractRegression(AbstractEstimator):
         mu = jnp.where(curved, theta[0] ** 2 / safe * self.mu, jnp.nan)
         slope = jnp.stack([2 / theta[0], -1 / safe])  # of ln mu
         mu_std = mu * jnp.sqrt(jnp.sum(covariance * jnp.outer(slope, slope)))
-        flag = flag_of(
-            (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
-            (slides, Flag.OUT_OF_RANGE),
-            (idle, Flag.LITTLE_EXCITATION),
-        )
+        flag = flag_of((slides, Flag.OUT_OF_RANGE), (idle, Flag.LITTLE_EXCITATION))
         value = jnp.stack([mu, self.cpa2 * theta[0]])
         std = jnp.stack([mu_std, self.cpa2 * jnp.sqrt(covariance[0, 0])])
         return Estimate(value, std, flag, surprise)

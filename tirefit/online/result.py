@@ -39,6 +39,7 @@ class MethodEstimates:
     parameters: tuple[str, ...]
     value: np.ndarray  # (n, p)
     std: np.ndarray  # (n, p)
+    own_std: np.ndarray  # (n, p) by the method alone, for :func:`changes`
     flag: np.ndarray  # (n,) codes
     surprise: np.ndarray  # (n,) [-]
     settings: Mapping[str, float]  # values of its fields
@@ -148,7 +149,7 @@ def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
 
     "Before" is the estimate shortly before the detection, "after" that at the next
     detection or the end. A detection without a move of three standard deviations (of
-    both together) was a false alarm, which is only flagged.
+    both together, by the method alone) was a false alarm, which is only flagged.
     """
     alarms = np.flatnonzero(method.flag == code(Flag.CHANGED))
     ends = [*(alarms[1:] - 1), len(time) - 1][: len(alarms)]
@@ -157,7 +158,7 @@ def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
         early = max(int(alarm) - _SETTLE, 0)
         for k, parameter in enumerate(method.parameters):
             before, after = method.value[early, k], method.value[end, k]
-            spread = np.hypot(method.std[early, k], method.std[end, k])
+            spread = np.hypot(method.own_std[early, k], method.own_std[end, k])
             if abs(after - before) > _FAR * spread:
                 moved = (time[alarm], before, after)
                 there.append(Change(float(moved[0]), parameter, *map(float, moved[1:])))

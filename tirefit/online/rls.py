@@ -71,7 +71,8 @@ class Rls(AbstractRegression):
         k = s.p @ x.u
         spread = x.u @ k
         # The mean of several samples has the weight of all of them.
-        gain = count / (forget + count * spread) * k
+        scale = count / (forget + count * spread)
+        gain = scale * k
         theta2 = s.theta[1] ** 2 / s.theta[0]
         error = x.y - s.theta @ x.u - theta2 * x.u2
         of_y = s.of_y + gain * (x.y - s.of_y @ x.u)
@@ -80,7 +81,8 @@ class Rls(AbstractRegression):
             limited(of_y - theta2 * of_u2),
             of_y,
             of_u2,
-            self._forgotten(s.p - jnp.outer(gain, k), 1 / forget),
+            # Exactly symmetric: forgetting would multiply a difference by e in 1000 samples.
+            self._forgotten(s.p - scale * jnp.outer(k, k), 1 / forget),
             forget * s.squares + count * error**2 / (1 + count * spread),
             forget * s.weight + 1,
         )

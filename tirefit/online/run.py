@@ -4,7 +4,8 @@ For all methods, a guard checks each sample first. For samples that are missing,
 order, without load, of a locked wheel or at standstill, the method holds its state, whose
 covariance grows with time, and the row is flagged. Usable samples are averaged in small
 groups before the method steps, because slip noise biases a curve: with single samples,
-mu would be a fifth too low in S section 5.1.
+mu would be a fifth too low in S section 5.1. The reported standard deviation of mu includes
+the scatter of the recent estimates (:mod:`tirefit.online.scatter`).
 """
 
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
+from tirefit.online.scatter import Scatter, reported
 from tirefit.padding import padded_size
 
 GUARDED = ("time", "run", "v", "omega")
@@ -53,6 +55,7 @@ class Guarded(NamedTuple):
     sums: dict[str, Float[Array, ""]]  # of the inputs since the last step
     gathered: Float[Array, ""]  # number of samples in them
     flag: Int[Array, ""]  # of the last step
+    scatter: Scatter  # of the recent estimates of mu
     rise: Float[Array, ""]  # cumulative sum for a rise
     fall: Float[Array, ""]  # cumulative sum for a fall
     run: Float[Array, ""]  # code of the run
@@ -63,7 +66,7 @@ def start(estimator: AbstractEstimator) -> Guarded:
     none, zero = jnp.full((), jnp.nan), jnp.zeros(())
     sums = dict.fromkeys(estimator.method.inputs, zero)
     flag = jnp.asarray(code(Flag.LITTLE_EXCITATION))
-    began = (estimator.init(), none, none, sums, zero, flag, zero, zero, none)
+    began = (estimator.init(), none, none, sums, zero, flag, Scatter(), zero, zero, none)
     return _strong(Guarded(*began))
 
 
@@ -112,7 +115,10 @@ def guarded_step(
         lambda: _strong((kept, waiting, *jnp.zeros(2, bool))),
     )
     events = flag_of((usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (broken, Flag.RESET))
+    counted = jnp.where(usable, dt, 0.0)
+    scatter, estimate = reported(estimator, state.scatter, estimate, counted, alarm | broken)
     after = kept._replace(
+        scatter=scatter,
         time=jnp.where(jnp.isnan(now), state.time, now),
         interval=_usual_interval(state.interval, dt, steps),
         run=jnp.asarray(sample.get("run", state.run), float),

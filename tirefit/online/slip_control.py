@@ -30,7 +30,6 @@ class SlipControl(AbstractController):
 
     name: ClassVar[str] = "slip"
     meaning: ClassVar[str] = "slip held at the true peak of the road: the upper limit"
-    reads_truth: ClassVar[bool] = True
 
     share: float = par(0.8, (0.1, 2.0), "-", "target slip over that of the peak", "", "s")
     gain: float = par(10.0, (0.0, 100.0), "-", "pressure by slip error", "", "K")

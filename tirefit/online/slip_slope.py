@@ -18,6 +18,7 @@ from jax.scipy.stats import norm
 from jaxtyping import Array, Float
 
 from tirefit.online.base import (
+    RESOLVED,
     AbstractEstimator,
     Estimate,
     Flag,
@@ -31,7 +32,6 @@ from tirefit.online.base import (
     slip_noise,
     widest,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 ROADS = ("asphalt", "gravel", "snow", "ice")
@@ -85,13 +85,7 @@ class SlipSlope(AbstractEstimator):
     )
 
     slope: float = par(
-        18.5,
-        (0.5, 500.0),
-        "-",
-        "slope of the tire on asphalt, to be calibrated",
-        "S §3.1",
-        "k_0",
-        scale="log",
+        18.5, (0.5, 500.0), "-", "slope on asphalt, to be calibrated", "S §3.1", "k_0", scale="log"
     )
     prior_slope: float = par(
         0.5, (1e-4, 5.0), "-", "relative std of the first 1/k", "S §3.1", r"\sigma_k"
@@ -107,12 +101,7 @@ class SlipSlope(AbstractEstimator):
     )
     most_use: float = _most_use(0.3)
     rough: float = par(
-        0.003,
-        (0.0, 1.0),
-        "-",
-        "relative std of the rolling radius of a rough road",
-        "S §3.1",
-        "r_g",
+        0.003, (0.0, 1.0), "-", "relative std of the radius on a rough road", "S §3.1", "r_g"
     )
     force_noise: float = force_noise()
     slip_noise: float = slip_noise()

@@ -14,25 +14,22 @@ that noise cannot have moved from this range are flagged.
 import json
 from functools import cache
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
+    AbstractSingleSample,
     Flag,
     Method,
     Sample,
-    choose,
+    Single,
     flag_of,
     force_noise,
     nominal_stiffness,
 )
-from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
@@ -100,14 +97,7 @@ def seen(y, m, y_std=0.0, m_std=0.0):
     return force_fits & (m <= most) & (m >= least)
 
 
-class TireSensorState(NamedTuple):
-    """The last estimates (3,) from a sample, and their standard deviations."""
-
-    value: Float[Array, "3"]
-    std: Float[Array, "3"]
-
-
-class TireSensor(AbstractEstimator):
+class TireSensor(AbstractSingleSample):
     """Slip angle and friction from force and moment of every single sample."""
 
     method: ClassVar[Method] = Method(
@@ -123,27 +113,13 @@ class TireSensor(AbstractEstimator):
     half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a")
     force_noise: float = force_noise()
     moment_noise: float = par(
-        0.005,
-        (1e-6, 1.0),
-        "-",
-        "std of the moment over load and half-length",
-        "S §3.6",
-        r"\sigma_M",
-        scale="log",
+        0.005, (1e-6, 1.0), "-", "std of the moment over a F_z", "S §3.6", r"\sigma_M", scale="log"
     )
     own_error: float = par(
-        0.01,
-        (0.0, 1.0),
-        "-",
-        "std of the error of the network in mu_u and theta / y",
-        "S §3.6",
-        r"\sigma_n",
+        0.01, (0.0, 1.0), "-", "std of the network in mu_u and theta / y", "S §3.6", r"\sigma_n"
     )
 
-    def init(self) -> TireSensorState:
-        return TireSensorState(jnp.full(3, jnp.nan), jnp.full(3, jnp.nan))
-
-    def step(self, state: TireSensorState, sample: Sample) -> tuple[TireSensorState, Estimate]:
+    def from_sample(self, sample: Sample):
         side = jnp.where(sample["fy"] < 0, -1.0, 1.0)
         y = side * sample["fy"] / sample["fz"]
         m = -side * sample["mz"] / (sample["fz"] * self.half_length)
@@ -159,20 +135,9 @@ class TireSensor(AbstractEstimator):
         std = jnp.sqrt(((slope * stds[None, :]) ** 2).sum(1) + own**2)
         value = value * jnp.stack([1.0, side, 1.0])
         # Far out of the range there is no estimate; near the edge it is flagged.
-        after: TireSensorState = choose(inside, TireSensorState(value, std), state)
-        return after, self._estimate(after, ~inside)
-
-    def hold(self, state: TireSensorState, dt, steps) -> tuple[TireSensorState, Estimate]:
-        return state, self._estimate(state, False)
+        return Single(value, std), inside, flag_of((~inside, Flag.OUT_OF_RANGE))
 
     def _outputs(self, x, stiffness):
         """mu, slip angle [rad] and used friction of one point (2,)."""
         theta, used = network(trained(), x[0], x[1])
         return jnp.stack([x[0] / used, jnp.arctan(theta / stiffness), used])
-
-    def _estimate(self, state: TireSensorState, outside) -> Estimate:
-        flag = flag_of(
-            (~(state.std[0] < RESOLVED * state.value[0]), Flag.LOW_USE),
-            (outside, Flag.OUT_OF_RANGE),
-        )
-        return Estimate(state.value, state.std, flag, jnp.full((), jnp.nan))

@@ -238,6 +238,8 @@ class Xbs(AbstractEstimator):
         "first-order wheel",
     )
 
+    judged: ClassVar[bool] = False
+
     average: float = par(1.0, (1.0, 1.0 + 1e-9), "-", "every sample is a step", "", "n")
     rate: float = par(200.0, (40.0, 1e4), "Hz", "samples a second", "O(3)", r"1/\tau")
     low: float = par(2.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
@@ -267,13 +269,7 @@ class Xbs(AbstractEstimator):
         0.0, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
     )
     stiffness: float = par(
-        6e4,
-        (1.0, 1e8),
-        "N",
-        "K_s = 2 c_p a^2, slope of the force at rest",
-        "O(16)",
-        "K_s",
-        scale="log",
+        6e4, (1.0, 1e8), "N", "2 c_p a^2, slope of the force at rest", "O(16)", "K_s", scale="log"
     )
     stiffness_spread: float = par(0.1, (0.0, 1.0), "-", "relative std of it", "", r"\sigma_K")
     # Computed from the settings above whenever they change; not a setting.

@@ -117,7 +117,6 @@ class XbsServoState(NamedTuple):
 
     xbs: XbsState
     speed: Wheels  # [m/s] at the previous sample
-    reference: Wheels  # [m/s]
     target: Wheels  # [Pa]
     coming: Float[Array, "d w"]  # delayed changes of pressure [Pa]
     slowing: Float[Array, ""]  # filtered deceleration [m/s2]
@@ -136,12 +135,7 @@ class XbsServo(AbstractController):
 
     share: float = par(0.9, (0.3, 0.995), "-", "wanted share of the friction", "O(22)", r"\gamma")
     pull: float = par(
-        0.5,
-        (0.01, 50.0),
-        "m/s2",
-        "extra deceleration for twice the target stiffness",
-        "O §3.1",
-        "c",
+        0.5, (0.01, 50.0), "m/s2", "extra deceleration at twice the target stiffness", "O §3.1", "c"
     )
     release: float = par(
         0.3, (0.0, 50.0), "m/s2", "less deceleration for zero stiffness", "O §3.1", "c_-"
@@ -242,7 +236,7 @@ class XbsServo(AbstractController):
         none = jnp.zeros_like(speed)
         coming = jnp.zeros((round(self.delay * self.rate), *speed.shape))
         xbs = jax.tree.map(lambda x: jnp.full_like(speed, x), self.xbs.init())
-        return XbsServoState(xbs, speed, speed, none, coming, jnp.zeros(()), jnp.max(speed))
+        return XbsServoState(xbs, speed, none, coming, jnp.zeros(()), jnp.max(speed))
 
     def step(self, state: XbsServoState, measurement: Measurement) -> Any:
         s, m = state, measurement
@@ -268,7 +262,6 @@ class XbsServo(AbstractController):
         after = XbsServoState(
             xbs,
             m.wheel_speed,
-            s.reference + change,
             target,
             jnp.concatenate([s.coming, moved[None]])[1:],
             slowing,

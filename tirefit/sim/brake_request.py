@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.models import AbstractTire, TireInputs, modelled
-from tirefit.params import parameter_values
+from tirefit.params import check_names, parameter_values
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.brake import Plant, Sensors
 from tirefit.sim.brake_vehicle import (
@@ -126,20 +126,11 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
         return tire(TireInputs(sigma, 0.0, fz, speed)).fx
 
     slope = jax.vmap(jax.grad(force), (None, 0))(1e-6, jnp.asarray(car.fz))
-    hydraulics = request.hydraulics
-    return {
-        "radius": car.radius,
-        "inertia": car.inertia,
-        "brake_gain": car.brake_gain,
-        "fz": car.fz,
-        "stiffness": np.asarray(slope),
-        "rise": hydraulics.rise,
-        "fall": hydraulics.fall,
-        "delay": hydraulics.delay,
-        "lag": hydraulics.lag,
-        "steered": car.steered,
-        "ahead": car.x,
-    }
+    wheels = ("radius", "inertia", "brake_gain", "fz", "steered")
+    valves = ("rise", "fall", "delay", "lag")
+    known = {name: getattr(car, name) for name in wheels}
+    known |= {name: getattr(request.hydraulics, name) for name in valves}
+    return known | {"stiffness": np.asarray(slope), "ahead": car.x}
 
 
 def doubts(request: Request) -> list[str]:
@@ -215,18 +206,15 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
     Raises:
         UsageError: a name that neither of them has.
     """
-    hydraulics, sensors, problems = request.hydraulics, request.sensors, []
-    for name, value in values.items():
-        if name in Hydraulics._fields:
-            hydraulics = hydraulics._replace(**{name: value})
-        elif name in Sensors._fields:
-            sensors = sensors._replace(**{name: value})
-        else:
-            known = ", ".join((*Hydraulics._fields, *Sensors._fields))
-            reason = f"--plant {name}: there is no such number"
-            problems.append(InputProblem(reason, f"choose one of {known}"))
-    UsageError.raise_for(problems)
-    return replace(request, hydraulics=hydraulics, sensors=sensors)
+    if values:
+        check_names("number of --plant", list(values), (*Hydraulics._fields, *Sensors._fields))
+    hydraulics = {k: v for k, v in values.items() if k in Hydraulics._fields}
+    sensors = {k: v for k, v in values.items() if k in Sensors._fields}
+    return replace(
+        request,
+        hydraulics=request.hydraulics._replace(**hydraulics),
+        sensors=request.sensors._replace(**sensors),
+    )
 
 
 def tire_curve(

@@ -300,25 +300,20 @@ class Braking(Record):
         if len(tables) == 1:
             return dict(*tables.values())
         headers = dict.fromkeys(key for table in tables.values() for key in table)
-        rows: dict[str, Any] = {"controller": []} | {key: [] for key in headers}
-        for name, table in tables.items():
-            n = len(table["time"])
-            rows["controller"] += [name] * n
-            for key in headers:
-                rows[key].append(table.get(key, np.full(n, np.nan)))
-        return {
-            key: values if key == "controller" else np.concatenate(values)
-            for key, values in rows.items()
+        names = [name for name, table in tables.items() for _ in table["time"]]
+        return {"controller": names} | {
+            key: np.concatenate(
+                [table.get(key, np.full_like(table["time"], np.nan)) for table in tables.values()]
+            )
+            for key in headers
         }
 
     def stops_columns(self) -> dict[str, Any]:
         """Columns of ``stops.csv``: one row for each seed and controller."""
-        rows: dict[str, Any] = {"controller": [], "seed": []}
-        rows |= {name: [] for name in (*UNITS, "stopped")}
-        for name, all_ in self.many.items():
-            k = len(all_.stopped)
-            rows["controller"] += [name] * k
-            rows["seed"] += list(range(self.seed, self.seed + k))
-            for key in (*UNITS, "stopped"):
-                rows[key] += np.asarray(getattr(all_, key)).tolist()
-        return rows
+        many = self.many.items()
+        seeds = [self.seed + k for _, all_ in many for k in range(len(all_.stopped))]
+        rows = {"controller": [name for name, all_ in many for _ in all_.stopped], "seed": seeds}
+        return rows | {
+            key: np.concatenate([getattr(all_, key) for _, all_ in many]).tolist()
+            for key in (*UNITS, "stopped")
+        }

@@ -32,7 +32,7 @@ from tirefit.models import LuGre, MagicFormula
 from tirefit.online.lugre_observer import peak_share
 from tirefit.results import UsageError
 from tirefit.sim.lugre import Bristles, Contact, bristle_forces, bristle_rate, distributed
-from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, TIRES, Braking
+from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, Braking
 from tirefit.slip import LOCKED
 
 _SHAPE = 1.22
@@ -196,13 +196,8 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
         The measured columns time, sigma_x, fx, fz, v, omega, torque, brake_pressure; the
         true columns are these without noise, ``mu`` (the peak), ``cpa2`` (half the slope
         at zero slip) and, for LuGre, ``deflection``, the bristles' mean z [m].
-
-    Raises:
-        ValueError: a tire that is not one of :data:`TIRES`.
     """
     how = Braking() if how is None else how
-    if how.tire not in TIRES:
-        raise ValueError(f"there is no tire {how.tire!r}; choose one of {', '.join(TIRES)}")
     n = round(how.teeth * how.period * how.rate)
     time = np.arange(n) / how.rate
     full = how.amplitude * how.radius * how.friction * how.load
@@ -217,7 +212,9 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     if how.tire == "lugre":
         soft = tuple(lugre_tire(peak, how.speed) for peak in ends)
         omega, fx, bent = braked_wheel(numbers, soft, PATCH, time, how.teeth)
-        slope, extra = _slope_at_rest(soft[0], how.speed), {"deflection": bent}
+        tire, extra = soft[0], {"deflection": bent}
+        # Slope of the force at zero slip over the load [-]; it depends on the speed.
+        slope = tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * how.speed
     else:
         stiff = tuple(map(source_tire, ends))
         omega, fx, _ = braked_wheel(numbers, stiff, STEADY, time, how.teeth)
@@ -251,8 +248,3 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     }
     known = {"mu": mu, "cpa2": np.full(n, slope * how.load / 2), **extra}
     return SimulatedLog(columns, truth | known)
-
-
-def _slope_at_rest(tire: LuGre, v: float) -> float:
-    """Slope of the force at zero slip over the load [-]; it depends on the speed."""
-    return tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * v

@@ -9,7 +9,7 @@ from tirefit.fitting.problem.build import find_model
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import check_names, check_values, with_values
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.results import UsageError
 from tirefit.sim.braking import SimulatedLog, simulate_braking
 from tirefit.sim.drive import simulate_drive
 from tirefit.sim.settings import KINDS, Sweeps
@@ -67,16 +67,8 @@ def simulate(kind: str = "braking", **settings) -> SimulatedLog:
     """
     require_x64("simulate")
     check_names("simulation", [kind], KINDS)
-    known = [one.name for one in fields(KINDS[kind])]
-    unknown = [
-        InputProblem(
-            f"{kind} has no setting {name!r}",
-            f"{did_you_mean(name, known)}it has {', '.join(known)}",
-        )
-        for name in settings
-        if name not in known
-    ]
-    UsageError.raise_for(unknown)
+    if settings:
+        check_names(f"{kind} setting", list(settings), [one.name for one in fields(KINDS[kind])])
     how = KINDS[kind](**settings)
     UsageError.raise_for(how.problems())
     if kind == "rig":
