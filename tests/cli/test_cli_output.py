@@ -18,6 +18,7 @@ from tests.killed import steps_of
 from tirefit.cli import options, silence
 from tirefit.cli.commands import app
 from tirefit.cli.output import check_results, claimed, is_page, staged
+from tirefit.files import replacing
 from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
