@@ -46,7 +46,7 @@ def test_controllers_are_compared_on_each_road(run, tmp_path):
         (("--tune", "abs.slip=9"), 2, "abs.slip = 9.0 is outside its bounds"),
         (("--tune", "xbs-servo.servo_gain=-400"), 2, "O(11)"),
         (("--tune", "quick"), 2, "NAME=VALUE"),
-        (("--plant", "dealy=1"), 2, "choose one of demand"),
+        (("--plant", "dealy=1"), 2, "no --plant quantity 'dealy'"),
         (("--plant", "demand=-1"), 2, "out of range"),
         (("--speed", "500"), 2, "--speed 500 is out of range"),
     ],

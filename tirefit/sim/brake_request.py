@@ -207,7 +207,7 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
         UsageError: a name that neither of them has.
     """
     if values:
-        check_names("number of --plant", list(values), (*Hydraulics._fields, *Sensors._fields))
+        check_names("--plant quantity", list(values), (*Hydraulics._fields, *Sensors._fields))
     hydraulics = {k: v for k, v in values.items() if k in Hydraulics._fields}
     sensors = {k: v for k, v in values.items() if k in Sensors._fields}
     return replace(
