@@ -154,7 +154,7 @@ def test_settings_of_the_plant_are_set_by_name():
     asked = Request(MODELS["brush"], "brush")
     other = with_numbers(asked, {"delay": 0.02, "speed_std": 0.0})
     assert other.hydraulics.delay == 0.02 and other.sensors.speed_std == 0.0
-    with pytest.raises(UsageError, match="no number of --plant 'dealy'"):
+    with pytest.raises(UsageError, match="no --plant quantity 'dealy'"):
         with_numbers(asked, {"dealy": 0.02})
     with pytest.raises(UsageError, match="demand"):
         check(with_numbers(asked, {"demand": -1.0}))
