@@ -109,6 +109,9 @@ CASES = {
     "thousands or decimals": (
         "kappa;fx;fz\n0;1;4,000\n1;2;4,000\n", {}, ["row 2, column 'fz': '4,000' has"]
     ),
+    "thousands beside names of runs": (
+        "run;kappa;fx;fz\n" + "dry, lap 1;0;1;4,000\n" * 3, {}, ["column 'fz': '4,000' has"]
+    ),
     "points group": (
         "kappa;fx;fz\n0,01;1;4.000,5\n1;2;3\n", {},
         ["row 2, column 'fz': '4.000,5' has a comma"],

@@ -132,3 +132,10 @@ def test_numpy_and_csv_read_the_same(name, tmp_path, one_by_one):
         assert used == [True] * 3 + [True] * (len(used) > 3)
     if name in ("text", "a short row"):
         assert used.count(False) == 1
+
+
+def test_names_of_runs_with_points_leave_the_decimal_comma(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("run;kappa;fx;fz\n2024.1;0,5;10,5;4000,0\n2024.2;0,4;11,5;4000,5\n")
+    found = read(path, convention="braking")
+    assert list(found.runs) == ["2024.1", "2024.2"] and list(found["fz"]) == [4000.0, 4000.5]

@@ -150,7 +150,7 @@ def test_the_command_writes_its_files_and_lists_all_faults(saved, tmp_path):
         tirefit.compare([saved[0], *wrong])
     assert [one.file for one in error.value.problems] == wrong
     assert all(one.remedy for one in error.value.problems)
-    assert "tirefit.replay/1: no tire, car or diagnosis" in str(error.value)
+    assert "its schema is tirefit.replay/1; tirefit.fit/1, " in str(error.value)
     failed = run(app, ["compare", str(saved[0]), *wrong, "--out", str(tmp_path / "p")])
     assert failed.exit_code == 3 and "5 problems" in failed.output
 

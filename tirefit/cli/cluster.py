@@ -8,6 +8,7 @@ import logging
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from itertools import count
 from typing import Any
 
 from tirefit.results import InputProblem, UsageError
@@ -87,8 +88,9 @@ def _connected(address: str) -> Any:
     return client
 
 
-def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[Any]:
-    """Yield ``work(piece)`` of every piece, in their order; None of one whose workers died.
+def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[tuple[int, Any]]:
+    """Yield (number, ``work(piece)``) of every piece, in the order of completion; None of one
+    whose workers died.
 
     When the iteration stops early, or is interrupted, pieces that have not begun are cancelled.
 
@@ -101,21 +103,23 @@ def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[Any]:
     Raises:
         UsageError: the scheduler, or every worker, is gone.
     """
+    from distributed import as_completed
     from distributed.scheduler import KilledWorker, NoValidWorkerError, NoWorkerError
 
-    futures: list[Any] = []
+    futures: dict[Any, int] = {}
     try:
-        futures = client.map(work, pieces, pure=False)
-        for future in futures:
+        futures = dict(zip(client.map(work, pieces, pure=False), count()))
+        for future in as_completed(list(futures), loop=client.loop):
+            number = futures.pop(future)
             try:
                 result = future.result()
             except KilledWorker:
                 result = None
-            yield result
+            yield number, result
     except (CancelledError, NoWorkerError, NoValidWorkerError) as error:
         lost = "connection to the scheduler is lost"
         reason = lost if isinstance(error, CancelledError) else "workers are all gone"
         raise UsageError(f"the {reason}", "start it again, then --resume") from None
     finally:
-        if client.status == "running":
-            client.cancel(futures, force=True)
+        if futures and client.status == "running":
+            client.cancel(list(futures), force=True)

@@ -150,7 +150,8 @@ def _shared_outcomes(title, pieces, work, sharing: Sharing, out: Path, notes: li
 
     there = partial(_apart, (os.getcwd(), __version__), pickle.dumps(work))
     out.mkdir(parents=True, exist_ok=True)
-    left, count, records = list(pieces), len(pieces), list[FileRecord]()
+    left, early = dict(enumerate(pieces)), dict[int, Outcome]()
+    count, records = len(pieces), list[FileRecord]()
     try:
         with (
             records_into(out / TABLE) as table,
@@ -158,18 +159,19 @@ def _shared_outcomes(title, pieces, work, sharing: Sharing, out: Path, notes: li
             cluster(min(sharing.jobs or 1, count), sharing.scheduler) as client,
             closing(shared(there, pieces, client)) as results,
         ):
-            for number, result in enumerate(results, 1):
-                outcome = result or _lost(left[0])
-                del left[0]
-                progress(number / count, f"{number} of {count} files")
-                typer.echo(outcome.output, nl=False)
-                typer.echo(outcome.complained, nl=False, err=True)
-                notes += outcome.notes
-                table.add(outcome.record)
-                records.append(outcome.record)
-                yield outcome
+            for number, result in results:
+                piece = left.pop(number)
+                progress(1 - len(left) / count, f"{count - len(left)} of {count} files")
+                early[number] = result or _lost(piece)
+                while outcome := early.pop(len(records), None):
+                    typer.echo(outcome.output, nl=False)
+                    typer.echo(outcome.complained, nl=False, err=True)
+                    notes += outcome.notes
+                    table.add(outcome.record)
+                    records.append(outcome.record)
+                    yield outcome
     finally:
-        for piece in left:  # after an interrupt: remove half-written results
+        for piece in left.values():  # after an interrupt: remove half-written results
             _sweep(piece)
     write_fleet_page(records, out / PAGE, title)
     say(f"all results: {out / TABLE}, {out / PAGE}")
@@ -203,8 +205,8 @@ def _unpacked(content: bytes) -> Work:
 
 
 def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome:
-    """Process one file in a worker without output; a wrong use of the command is raised, and
-    so by Dask in the command.
+    """Process one file in a worker without output. Errors of use are raised; Dask raises them
+    again in the command.
 
     Args:
         of_command: working directory and version of the command.

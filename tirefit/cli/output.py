@@ -113,14 +113,6 @@ def check_table(path: Path, text: str) -> None:
         raise DataError(reason, "choose another --out, or remove the file", str(path))
 
 
-_MARKS = {
-    ".json": b'"schema": "tirefit.',
-    ".toml": b"that tirefit fit estimated",
-    ".html": b"tirefit",
-}
-"""Words of the documents that tirefit writes, also in damaged ones."""
-
-
 def _is_of_others(path: Path, made: Collection[Path]) -> bool:
     """Whether tirefit did not write this file.
 
@@ -133,12 +125,27 @@ def _is_of_others(path: Path, made: Collection[Path]) -> bool:
         return False
     if not content.strip():
         return False
-    if path.suffix in _MARKS or b"tirefit" in content:
-        return _MARKS.get(path.suffix, b"") not in content
+    if path.suffix in (".json", ".toml"):
+        return not _is_our_text(path.suffix, content.decode(errors="replace"))
+    if b"tirefit" in content or path.suffix == ".html":
+        return b"tirefit" not in content
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
     own = [one for one in documents if path.name.startswith(f"{one.name.partition('.')[0]}.")]
     documents = own or documents
     return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)
+
+
+def _is_our_text(ending: str, text: str) -> bool:
+    """Whether tirefit wrote a JSON or TOML file. A damaged JSON file counts as written by
+    tirefit if it names a schema of tirefit."""
+    if ending == ".toml":
+        return "that tirefit fit estimated" in text.partition("\n")[0]
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return '"schema": "tirefit.' in text
+    schema = content.get("schema") if isinstance(content, dict) else None
+    return str(schema).startswith("tirefit.")
 
 
 def _is(path: Path) -> bool:

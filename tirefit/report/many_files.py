@@ -79,8 +79,9 @@ def files_of(records: Sequence[FileRecord]) -> Files:
     for number, record in enumerate(records):
         for row in record.rows:
             key = row.kind, row.name, row.unit
-            numbers = given.setdefault(key, np.full((2, count), np.nan))
-            numbers[:, number] = [np.nan if x is None else x for x in (row.value, row.std)]
+            if key not in given:
+                given[key] = np.full((2, count), np.nan)
+            given[key][:, number] = [np.nan if x is None else x for x in (row.value, row.std)]
     quantities = []
     dates = dates_of(files)
     when = np.arange(count) + 1.0 if dates is None else dates.astype(float) / 86400

@@ -198,6 +198,7 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
         at zero slip) and, for LuGre, ``deflection``, the bristles' mean z [m].
     """
     how = Braking() if how is None else how
+    UsageError.raise_for(how.problems())
     n = round(how.teeth * how.period * how.rate)
     time = np.arange(n) / how.rate
     full = how.amplitude * how.radius * how.friction * how.load

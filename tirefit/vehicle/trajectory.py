@@ -332,8 +332,8 @@ class _Problem:
         for k, axle in enumerate(("front", "rear")):
             if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
-                    end = self.run, z, starts, now, self.data, noise, pull
-                    ends[:, e] = profile_ends(*end, e, std[e], reach**2 * widened[e])
+                    given = self.run, z, starts, now, self.data, noise, pull
+                    ends[:, e] = profile_ends(*given, e, std[e], reach**2 * widened[e])
         found = self.estimates(at, std, ends)
         axles = {
             axle: self.axle(k, axle, at, covariance, found, rows[axle])

@@ -117,8 +117,10 @@ def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
 
 
 def has_decimal_comma(cells: Iterable[str]) -> bool:
-    """Whether cells have commas, not all as in 4,000, and no number has a point."""
-    marked = [cell for cell in cells if "," in cell or "." in cell]
+    """Whether numbers have commas, not all as in 4,000, and none has a point."""
+    marked = [
+        one for one in cells if ("," in one or "." in one) and is_number(one.replace(",", "."))
+    ]
     if any("." in cell and is_number(cell) for cell in marked):
         return False
     return not all(_GROUPED.fullmatch(cell) for cell in marked if "," in cell)

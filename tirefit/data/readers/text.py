@@ -8,6 +8,7 @@ import itertools
 import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.check import BadRows
-from tirefit.data.columns import is_number
+from tirefit.data.columns import Guess, guess, is_number
 from tirefit.data.declared import stated_convention
 from tirefit.data.readers.cells import Block, Column, Lines, has_decimal_comma, split
 from tirefit.data.readers.header import (
@@ -74,8 +75,9 @@ def read_bytes(path: Place) -> bytes:
         if isinstance(path, Path) and path.is_symlink():
             reason = f"it is a link to {path.readlink()}, which does not exist"
             raise _refusal(reason, "correct the link", path) from None
-        folder = path.parent if isinstance(path, Path) else None
-        beside = [other.name for other in folder.iterdir()] if folder and folder.is_dir() else []
+        beside = list[str]()
+        with suppress(OSError):  # no such folder, or no permission to list it
+            beside = [x.name for x in path.parent.iterdir()] if isinstance(path, Path) else beside
         remedy = did_you_mean(path.name, beside).strip() or "check the path"
         raise _refusal("the file does not exist", remedy, path) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
@@ -251,7 +253,9 @@ def _table(
     if is_quoted or commas:
         some = [*data, *itertools.islice(rows, None if is_quoted else _BLOCK)]
     if commas:
-        known = [k for k, header in enumerate(head.headers) if is_known(header)]
+        # Names of runs, as "dry, lap 1" or "2024.1", say nothing of the numbers.
+        names = {k for k, header in enumerate(head.headers) if guess(header) == Guess("run", None)}
+        known = {k for k, header in enumerate(head.headers) if is_known(header)} - names
         cells = (row[k] for _, row in some for k in known or range(len(row)) if k < len(row))
         commas = has_decimal_comma(cells)
     starts = range(first, len(lines), _BLOCK)

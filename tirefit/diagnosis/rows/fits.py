@@ -268,7 +268,9 @@ def check_followed(prepared: Prepared, missed: dict, name: str) -> None:
             )
             remedy = "choose a base model closer to the simulator with --model, and check"
             remedy += f" sign, unit and row order of {c}_sim"
-            along = np.corrcoef(prepared.column(f"{c}_sim"), prepared.observed[c])[0, 1]
+            force, measured = prepared.column(f"{c}_sim"), prepared.observed[c]
+            varies = np.ptp(force) > 0 and np.ptp(measured) > 0
+            along = np.corrcoef(force, measured)[0, 1] if varies else 0.0
             if along < _OPPOSITE:
                 remedy = f"reverse the sign of {c}_sim: it is opposite to the measured {c}"
                 remedy += f" (correlation {along:.2f})"

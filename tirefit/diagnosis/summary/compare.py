@@ -340,7 +340,8 @@ def _opened(source: Any) -> Source:
     except (LookupError, TypeError, AttributeError) as error:
         raise DataError(f"damaged: {error!r:.200}", "write it again", file) from None
     if isinstance(schema, str) and schema != FIT:
-        raise DataError(f"its schema is {schema}: no tire, car or diagnosis", _REMEDY, file)
+        known = f"{FIT}, {TRAJECTORY} and {DIAGNOSIS} are read"
+        raise DataError(f"its schema is {schema}; {known}", _REMEDY, file)
     given = given_tire(file or source)  # raises for other files
     if not (given.tir or given.content or not file):
         raise DataError("neither a fit, a diagnosis nor a .tir file", _REMEDY, file)

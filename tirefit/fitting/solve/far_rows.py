@@ -15,9 +15,9 @@ Each row is compared with what the *other* rows predict for it, with the uncerta
 that prediction: a row that alone determines a parameter is kept, however extreme its
 slip or load. The scale is that of the smallest 90 % of the residuals, or of the row's
 neighbours in slip and load where that is larger: rows that miss the curve together
-show a wrong model, not outliers. This one rule decides, except that a load far from all others
-is always excluded. Other values far from their column (``data.far``) only give the first set, and
-the column to look at first.
+show a wrong model, not outliers. A row is excluded by this rule alone, with one exception: a
+load far from all others is always excluded. Other values far from their column (``data.far``) are
+excluded in the first fit only, and name the column in the report.
 """
 
 from dataclasses import dataclass
