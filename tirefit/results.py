@@ -56,10 +56,7 @@ class Outcome(enum.StrEnum):
     UNSOUND = "unsound", "the tire fails a check of its forces"
     NOT_IDENTIFIED = "not identified", "the data do not identify this parameter"
     INCOMPLETE = "incomplete"
-    INTERRUPTED = (
-        "interrupted",
-        "interrupted: the samples drawn so far are kept; --resume continues",
-    )
+    INTERRUPTED = ("interrupted", "the samples drawn so far are kept; --resume continues")
     CHAIN_TOO_SHORT = (
         "chain too short",
         "the posterior chain is too short for its autocorrelation time or its"

@@ -143,6 +143,16 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
     assert states == {b"old", b"new"}
 
 
+def test_a_result_that_a_kill_left_in_parts_is_restored_before_it_is_judged(tmp_path):
+    """Killed while files were set aside: a figure has no document that shows whose it is."""
+    aside = tmp_path / ".fit.json.earlier.tirefit-part"
+    aside.mkdir()
+    (aside / "1.fit.json").write_text('{"schema": "tirefit.fit/1"}')
+    (tmp_path / "fit.png").write_bytes(b"figure")
+    check_results([tmp_path / "fit.png", tmp_path / "fit.json"])
+    assert set(files_of(tmp_path)) == {"fit.png", "fit.json"}
+
+
 def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
     """A worker claims the folder in which the command writes the table of all results."""
     with replacing(tmp_path / "results.parquet") as temporary:

@@ -13,7 +13,7 @@ from typing import Any
 from tirefit import __version__
 from tirefit.cli.options import CONTEXT, say
 from tirefit.door import replaced_inputs
-from tirefit.files import fcntl, remove_left, replace_together, took_lock
+from tirefit.files import PART, fcntl, remove_left, replace_together, took_lock
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 
@@ -30,8 +30,8 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
         UsageError: a folder cannot be created or written.
         DataError: a file is an input, or one that tirefit did not write.
     """
-    problems = []
-    for directory in dict.fromkeys(path.parent for path in made):
+    problems, folders = [], dict.fromkeys(path.parent for path in made)
+    for directory in folders:
         there = next(p for p in (directory, *directory.absolute().parents) if _is(p))
         reason, remedy = "", "choose another folder with --out"
         if not there.is_dir():
@@ -42,6 +42,10 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
         if reason:
             problems.append(InputProblem(reason, remedy, str(directory)))
     UsageError.raise_for(problems)
+    for directory in folders:
+        if any(directory.glob(f".*{PART}")):
+            with claimed(directory):  # a killed command may have left its result in parts
+                pass
     check_inputs_kept(made, inputs)
     reason = "it would be replaced, but tirefit did not write it"
     remedy = "choose another folder with --out, or rename the file"

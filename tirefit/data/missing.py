@@ -1,5 +1,6 @@
 """Rows that lack a value: they are excluded and counted, up to a tenth of the rows."""
 
+import shlex
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,7 +48,8 @@ def is_spare(name: str, missing: int, rows: int) -> bool:
 def unread(name: str, header: str, missing: int, rows: int) -> str:
     """A sentence on a column that :func:`is_spare` leaves out."""
     text = f"column {header!r} is not read: {missing} of its {rows} cells have no value"
-    return text + (f"; --column {name}={header} reads it" if missing < rows else "")
+    column = shlex.quote(f"{name}={header}")
+    return text + (f"; --column {column} reads it" if missing < rows else "")
 
 
 def of_read(notes: Sequence[str], unread: Sequence[str]) -> list[str]:

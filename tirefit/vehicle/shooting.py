@@ -13,6 +13,8 @@ from tirefit.fitting.uncertainty.profile import Side
 from tirefit.params import Values
 
 _SETTLED = 1e-8  # share of the squares that one more step would take off
+_AT_BOUND = 6.0
+"""|z| of an element at its bound, 0.25 % of the range away, where the squares hardly change."""
 
 
 class Data(NamedTuple):
@@ -137,6 +139,40 @@ def minimised(
     return jnp.asarray(at.z), at.starts, at.now, end.converged
 
 
+def _squares(z: jax.Array, missed: Values, noise: jax.Array, pull: Values) -> float:
+    return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
+
+
+def minimised_inside(
+    run: Callable[..., Any],
+    z: jax.Array,
+    starts: jax.Array,
+    now: tuple[Values, ...],
+    data: Data | None,
+    noise: jax.Array,
+    pull: jax.Array,
+    held: np.ndarray | None = None,
+    tolerance: float = _SETTLED,
+) -> tuple[jax.Array, jax.Array, tuple[Values, ...], bool]:
+    """As :func:`minimised`; if free elements end at a bound, which they cannot leave, also from
+    the middle of their range: the lower end.
+
+    Args:
+        held: (p,) whether an element keeps its value; None: none does.
+    """
+    held = np.zeros(len(z), bool) if held is None else held
+    bounds = np.where(held, z, -np.inf), np.where(held, z, np.inf)
+    end = minimised(run, z, starts, now, data, noise, pull, bounds, tolerance)
+    at_bound = (np.abs(end[0]) > _AT_BOUND) & ~held
+    if at_bound.any():
+        inside = jnp.where(at_bound, 0.0, end[0])
+        here = run(inside, end[1], data)
+        other = minimised(run, inside, end[1], here, data, noise, pull, bounds, tolerance)
+        ends = sorted((end, other), key=lambda one: _squares(one[0], one[2][0], noise, pull))
+        return ends[0]
+    return end
+
+
 def sandwich(
     missed: jax.Array, by_z: jax.Array, by_start: jax.Array, noise: jax.Array, pull: jax.Array
 ) -> tuple[np.ndarray, int, np.ndarray]:
@@ -177,23 +213,16 @@ def profile_ends(
     Args:
         std: standard error of the element, by which the search begins.
     """
-
-    def squares(z: jax.Array, missed: Values) -> float:
-        return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
-
-    best, least, ends = float(z[element]), squares(z, now[0]), []
-    free = np.full(len(z), np.inf)
+    best, least, ends = float(z[element]), _squares(z, now[0], noise, pull), []
+    held = np.arange(len(z)) == element
     for sign in (-1, 1):
         side, at, begin = Side(best, sign, std, level), z, starts
         for _ in range(_POINTS):
             distance = side.next_distance()
             at = at.at[element].set(best + sign * distance)
-            held = np.arange(len(z)) == element
-            bounds = np.where(held, at, -free), np.where(held, at, free)
-            here = run(at, begin, data)
-            given = at, begin, here, data, noise, pull, bounds
-            at, begin, here, _ = minimised(run, *given, tolerance=_ROUGHLY)
-            side.add(distance, squares(at, here[0]) - least)
+            given = at, begin, run(at, begin, data), data, noise, pull
+            at, begin, here, _ = minimised_inside(run, *given, held, _ROUGHLY)
+            side.add(distance, _squares(at, here[0], noise, pull) - least)
             if side.done:
                 break
         ends.append(sign * np.inf if side.open else best + sign * side.end)

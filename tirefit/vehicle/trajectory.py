@@ -45,7 +45,7 @@ from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import logged
-from tirefit.vehicle.shooting import Data, linearised, minimised, profile_ends, sandwich
+from tirefit.vehicle.shooting import Data, linearised, minimised_inside, profile_ends, sandwich
 from tirefit.vehicle.windows import (
     CHANNELS,
     cut_in_windows,
@@ -77,6 +77,8 @@ the wheelbase."""
 
 WINDOW = 0.5
 """Length [s] of a window."""
+_SHAPES = "brush", "brush-d", "magic-formula"
+"""Models to compare where the peak follows from the shape."""
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
 _MOST_SLIPS = 99.5
@@ -133,9 +135,11 @@ class TrajectoryFit(Record):
             for axle, share in self.reached.items()
             if share < NEAR_PEAK
         ]
+        used = {tire.name for tire in self.axles.values()}
+        others = [name for name in _SHAPES if name not in used]
         shape = (
             f"{Outcome.SHAPE_DEPENDENT}: the slip angles reach {', '.join(below)} of the peak;"
-            " compare with front=brush-d,rear=brush-d and with magic-formula"
+            f" compare with {' and '.join(f'front={name},rear={name}' for name in others)}"
         )
         return {
             Outcome.SHAPE_DEPENDENT: shape if below else "",
@@ -320,7 +324,9 @@ class _Problem:
         pull, now = self.pulls(), self.run(z, starts, self.data)
         for _ in range(_ROUNDS):
             noise = jnp.sqrt(jnp.mean(now[0] ** 2, axis=(0, 1)))
-            z, starts, now, converged = minimised(self.run, z, starts, now, self.data, noise, pull)
+            z, starts, now, converged = minimised_inside(
+                self.run, z, starts, now, self.data, noise, pull
+            )
         missed, by_z, by_start = now
         free = self.data.start.size + len(self.z)
         count = missed.shape[0] * missed.shape[1]
