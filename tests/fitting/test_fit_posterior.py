@@ -105,7 +105,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path, sampl
 
 
 @pytest.mark.parametrize("stage", ["cells", "emcee", "importance"])
-def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, stage):
+def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, capsys, stage):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -116,6 +116,7 @@ def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, stage):
     result = sample(given, sampler=None if stage == "cells" else stage)
     assert Outcome.INTERRUPTED in result.outcomes
     assert result.posterior is None
+    assert capsys.readouterr() == ("", "")
 
 
 def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, chunk, monkeypatch):

@@ -118,10 +118,13 @@ def _emcee_chunk(density, state: dict, steps: int):
     samples = np.empty((ensembles, steps, walkers, size))
     values = np.empty((ensembles, steps, walkers))
     accepted, after = 0.0, {key: value.copy() for key, value in state.items()}
+
+    def log_prob(u: np.ndarray) -> np.ndarray:
+        return np.asarray(density(u))
+
     for e in range(ensembles):
-        sampler = emcee.EnsembleSampler(
-            walkers, size, lambda u: np.asarray(density(u)), moves=moves, vectorize=True
-        )
+        sampler = emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True)
+        sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
         start = emcee.State(
             state["coordinates"][e],
             log_prob=state["values"][e],
