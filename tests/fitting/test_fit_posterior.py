@@ -105,7 +105,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path, sampl
 
 
 @pytest.mark.parametrize("stage", ["cells", "emcee", "importance"])
-def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, capsys, stage):
+def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, stage):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -116,7 +116,25 @@ def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, capsys, 
     result = sample(given, sampler=None if stage == "cells" else stage)
     assert Outcome.INTERRUPTED in result.outcomes
     assert result.posterior is None
-    assert capsys.readouterr() == ("", "")
+
+
+def test_an_interrupt_while_walkers_move_prints_nothing(given, monkeypatch, capsys):
+    whole, calls = posterior._density, []
+
+    def interrupted(solved):
+        density = whole(solved)
+
+        def later(u):
+            calls.append(u)
+            if len(calls) > 40:
+                raise KeyboardInterrupt
+            return density(u)
+
+        return later
+
+    monkeypatch.setattr(posterior, "_density", interrupted)
+    assert Outcome.INTERRUPTED in sample(given, sampler="emcee").outcomes
+    assert len(calls) == 41 and capsys.readouterr() == ("", "")
 
 
 def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, chunk, monkeypatch):
