@@ -195,7 +195,7 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
         raise refused("it was changed or damaged since it was written")
     seal = content.pop(_SEAL, None)
     if seal != _digest(content):
-        raise refused("it was changed or damaged since it was written: its checksum")
+        raise refused("its checksum is wrong: it was changed or damaged since it was written")
     return content
 
 

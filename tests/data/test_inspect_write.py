@@ -75,6 +75,13 @@ def test_combined_slip_is_reported():
     assert inspect(read_frame(sweep())).combined_rows == 0
 
 
+@pytest.mark.parametrize("name", ["kappa_std", "alpha_std"])
+def test_a_stated_error_of_either_slip_is_seen(name):
+    columns = sweep(alpha=0.02, fy=10.0)
+    found = [inspect(read_frame(columns | more)) for more in ({}, {name: np.full(22, 0.01)})]
+    assert [support(one, "errors in slip").possible for one in found] == [False, True]
+
+
 def test_a_continuous_sweep_has_a_rate_and_a_direction():
     kappa = np.sort(RNG.uniform(0, 0.2, 2000))
     frame = {"kappa": kappa, "fx": kappa, "fz": np.full(2000, 4e3), "time": np.arange(2000) / 50}

@@ -245,7 +245,7 @@ def _supports(data: TireData) -> list[Support]:
     supports.append(_spread_support(data, "v", "speed-dependent friction"))
     supports.append(_spread_support(data, "fz", "load dependence", "brush-load"))
     for fit, names in (
-        ("errors in slip", ["sigma_x_std"]),
+        ("errors in slip", ["sigma_x_std", "alpha_std"]),
         ("a noise level that is known", ["fx_std", "fy_std", "mz_std"]),
     ):
         have = [name for name in names if name in data]
