@@ -83,7 +83,8 @@ def test_a_simulated_force_in_another_unit_is_refused(factor):
     data = rig_data()
     with pytest.raises(DataError, match="times that of the measured force") as caught:
         tirefit.diagnose(read_frame(data), sim=factor * data["fx"])
-    assert caught.value.problems[0].column == "fx_sim"
+    (problem,) = caught.value.problems
+    assert problem.column == "fx_sim" and ("--unit fx_sim=kN" in problem.remedy) == (factor == 1e-3)
 
 
 def test_a_simulated_force_without_a_number_is_refused():
