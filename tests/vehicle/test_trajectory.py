@@ -36,12 +36,9 @@ def steer(time):
     return 0.28 * np.sin(1.7 * time) + 0.12 * np.sin(6.1 * time + 1)
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    """A folder with a vehicle file and a log of poses with noise."""
-    folder = tmp_path_factory.mktemp("trajectory")
-    (folder / "vehicle.toml").write_text(TOML)
-    time, generator = np.arange(0, 24, 0.01), np.random.default_rng(3)
+def write_drive(path, turned, logged, seed):
+    """Write poses with noise of a car whose wheels are turned so, and the logged angle."""
+    time, generator = np.arange(0, 24, 0.01), np.random.default_rng(seed)
     true = solve_ivp(
         slopes,
         (0, time[-1]),
@@ -50,16 +47,23 @@ def drive(tmp_path_factory):
         rtol=1e-8,
         atol=1e-8,
         max_step=0.01,
-        args=[lambda t: 3.0, lambda t: steer(t - DELAY) + OFFSET],
+        args=[lambda t: 3.0, turned],
     )
     _, _, yaw, x, y = true.y
     noisy = [
         values + std * generator.standard_normal(len(time))
         for values, std in ((x, 1e-3), (y, 1e-3), (yaw, 2e-3))
     ]
-    rows = np.stack([time, *noisy, steer(time)], axis=1)
-    path = folder / "drive.csv"
+    rows = np.stack([time, *noisy, logged(time)], axis=1)
     np.savetxt(path, rows, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """A folder with a vehicle file and a log of poses with noise."""
+    folder = tmp_path_factory.mktemp("trajectory")
+    (folder / "vehicle.toml").write_text(TOML)
+    write_drive(folder / "drive.csv", lambda t: steer(t - DELAY) + OFFSET, steer, 3)
     return folder
 
 
@@ -124,21 +128,12 @@ def test_intervals_of_a_more_general_tire_contain_the_truth(drive):
 def test_a_friction_far_above_the_slip_angles_has_only_a_lower_end(drive, tmp_path):
     """Steered a tenth as much, the tires reach a quarter of their peak: from these rows the
     friction has no upper end below that of the model (5), and a lower end below the truth."""
-    gentle = np.loadtxt(drive / "drive.csv", delimiter=",", skiprows=1)[:, 0]
-    true = solve_ivp(
-        slopes,
-        (0, gentle[-1]),
-        np.zeros(5),
-        t_eval=gentle,
-        rtol=1e-8,
-        max_step=0.01,
-        args=[lambda t: 3.0, lambda t: 0.1 * steer(t)],
-    )
-    noise = np.random.default_rng(5).standard_normal((3, len(gentle)))
-    seen = true.y[[3, 4, 2]] + np.array([[1e-3], [1e-3], [2e-3]]) * noise
-    rows = np.stack([gentle, *seen, 0.1 * steer(gentle)], axis=1)
+
+    def gently(time):
+        return 0.1 * steer(time)
+
     path = tmp_path / "gentle.csv"
-    np.savetxt(path, rows, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
+    write_drive(path, gently, gently, 5)
     found = fit_trajectory([path], drive / "vehicle.toml")
     assert max(found.reached.values()) < 0.5
     for axle, (_, mu) in TIRES.items():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from tirefit.vehicle.shooting import Data, linearised, minimised, sandwich
+from tirefit.vehicle.shooting import Data, Squares, linearised, minimised, sandwich
 
 TIME = np.linspace(0.0, 1.0, 21)
 NOISE, PULL = np.array([0.02, 0.05]), np.array([0.0, 4.0, 0.0])
@@ -43,10 +43,9 @@ def test_windows_have_the_minimum_of_scipy_in_all_unknowns(highest):
         residual, np.concatenate([z, data.start.ravel()]), "3-point",
         bounds=(-np.inf, high), xtol=1e-14, ftol=1e-14, gtol=1e-12,
     )  # fmt: skip
-    began = run(z, data.start, data)
-    found, starts, now, converged = minimised(
-        run, jnp.asarray(z), data.start, began, data, NOISE, PULL, bounds
-    )
+    squares = Squares(lambda z, starts: run(z, starts, data), NOISE, PULL)
+    began = squares.begun(jnp.asarray(z), data.start)
+    found, starts, now, converged = minimised(squares, began, bounds)
     assert converged
     # A billionth of the cost: 1e-5 standard errors.
     here = residual(np.concatenate([found, np.ravel(starts)]))
@@ -60,10 +59,10 @@ def test_start_states_alone_are_found():
     """At z of the minimum its own slope is zero, whatever the start states are."""
     data, run = problem(), linearised(missed, 1)
     z, starts = np.array([0.0, 0.0, 1.0]), data.start
-    z, starts, now, _ = minimised(run, z, starts, run(z, starts, data), data, NOISE, PULL)
+    squares = Squares(lambda z, starts: run(z, starts, data), NOISE, PULL)
+    z, starts, *_ = minimised(squares, squares.begun(z, starts))
     away = starts + 1e-3
-    began = run(z, away, data)
-    _, again, *_ = minimised(run, z, away, began, data, NOISE, PULL, tolerance=1e-5)
+    _, again, *_ = minimised(squares, squares.begun(z, away), tolerance=1e-5)
     np.testing.assert_allclose(again, starts, atol=3e-5)
 
 

@@ -77,104 +77,105 @@ def eliminated(
 eliminate = jax.jit(eliminated)
 
 
+class Squares(NamedTuple):
+    """The squares of residuals over their noise (c,), and of z with the precision ``pull`` (p,).
+
+    ``run`` gives the residuals and their derivatives for z and the start states (w, s), as
+    :func:`linearised` does.
+    """
+
+    run: Callable[[Any, Any], tuple[Values, ...]]
+    noise: jax.Array
+    pull: jax.Array
+
+    def of(self, missed: Values) -> float:
+        """Those of the residuals (w, k, c) alone."""
+        return float(jnp.sum((missed / self.noise[None, None]) ** 2))
+
+    def at(self, end: "End") -> float:
+        return self.of(end.now[0]) + float(self.pull @ end.z**2)
+
+    def begun(self, z: Values, starts: Values) -> "End":
+        """Where a search begins."""
+        return End(z, starts, self.run(z, starts))
+
+
+class End(NamedTuple):
+    """Where a search begins or ends: z, the start states, what ``run`` gives there, and
+    whether the search converged."""
+
+    z: Any
+    starts: Any
+    now: tuple[Values, ...]
+    converged: bool = False
+
+
 class _Windows:
     """Normal equations of z whose start states follow every step of z."""
 
-    def __init__(
-        self,
-        run: Callable[..., Any],
-        z: jax.Array,
-        starts: jax.Array,
-        now: tuple[Values, ...],
-        data: Data | None,
-        noise: jax.Array,
-        pull: Values,
-    ) -> None:
-        self.run, self.data, self.noise, self.pull = run, data, noise, np.asarray(pull)
-        self.z, self.starts, self.now = np.asarray(z), starts, now
+    def __init__(self, squares: Squares, start: End) -> None:
+        self.squares, self.end = squares, start._replace(z=np.asarray(start.z))
         self.cost, self.damping = np.inf, law.FIRST_DAMPING / law.EASE
         self.step: Any = 0.0
         self.tied: Any = None
 
     def __call__(self, z: np.ndarray) -> Normal:
-        starts, now = self.starts, self.now
+        squares, trial = self.squares, self.end._replace(z=z)
         if self.tied is not None:
-            starts = starts + self.step + self.tied @ (z - self.z)
-            now = self.run(z, starts, self.data)
-        cost = self.squares(now[0]) + float(self.pull @ z**2)
+            starts = self.end.starts + self.step + self.tied @ (z - self.end.z)
+            trial = squares.begun(z, starts)
+        cost = squares.at(trial)
         if cost < self.cost:
-            self.z, self.starts, self.now, self.cost = z, starts, now, cost
+            self.end, self.cost = trial, cost
             self.damping = max(self.damping * law.EASE, law.LEAST_DAMPING)
         else:
             self.damping /= law.EASE
-        score, information, self.step, self.tied = eliminate(*self.now, self.noise, self.damping)
-        missed, _, by_start = self.now
+        now, pull = self.end.now, np.asarray(squares.pull)
+        score, information, self.step, self.tied = eliminate(*now, squares.noise, self.damping)
+        missed, _, by_start = now
         after = missed + jnp.einsum("wkcs,ws->wkc", by_start, self.step)
-        beside = self.squares(missed) - self.squares(after)
-        normal = np.asarray(information.sum(axis=0)) + np.diag(self.pull)
-        return Normal(cost, normal, np.asarray(score.sum(axis=0)) + self.pull * z, beside)
-
-    def squares(self, missed: Values) -> float:
-        return float(jnp.sum((missed / self.noise[None, None]) ** 2))
+        beside = squares.of(missed) - squares.of(after)
+        normal = np.asarray(information.sum(axis=0)) + np.diag(pull)
+        return Normal(cost, normal, np.asarray(score.sum(axis=0)) + pull * z, beside)
 
 
 def minimised(
-    run: Callable[..., Any],
-    z: jax.Array,
-    starts: jax.Array,
-    now: tuple[Values, ...],
-    data: Data | None,
-    noise: jax.Array,
-    pull: Values,
+    squares: Squares,
+    start: End,
     bounds: Sequence[np.ndarray | None] = (None, None),
     tolerance: float = _SETTLED,
     most: int = MAX_STEPS,
-) -> tuple[jax.Array, jax.Array, tuple[Values, ...], bool]:
-    """Least squares in z within its bounds and in all start states; ``now`` is the result
-    of ``run`` there. Returns the end values, and whether it converged in at most ``most``
-    trials: a step would change the cost by less than ``tolerance`` of it."""
-    at = _Windows(run, z, starts, now, data, noise, pull)
+) -> End:
+    """The end of least squares in z within its bounds and in all start states. It has converged
+    if, after at most ``most`` trials, a step would change the cost by less than ``tolerance``
+    of it."""
+    at = _Windows(squares, start)
     solver, (lower, upper) = NormalEquations(tolerance), bounds
-    end = on_host(at, z, solver, lower=lower, upper=upper, max_steps=most)
-    return jnp.asarray(at.z), at.starts, at.now, end.converged
-
-
-def _squares(z: jax.Array, missed: Values, noise: jax.Array, pull: Values) -> float:
-    return float(jnp.sum((missed / noise[None, None]) ** 2) + pull @ z**2)
+    found = on_host(at, start.z, solver, lower=lower, upper=upper, max_steps=most)
+    return at.end._replace(z=jnp.asarray(at.end.z), converged=found.converged)
 
 
 def minimised_inside(
-    run: Callable[..., Any],
-    z: jax.Array,
-    starts: jax.Array,
-    now: tuple[Values, ...],
-    data: Data | None,
-    noise: jax.Array,
-    pull: jax.Array,
-    held: np.ndarray | None = None,
-    tolerance: float = _SETTLED,
-) -> tuple[jax.Array, jax.Array, tuple[Values, ...], bool]:
-    """As :func:`minimised`; if free elements end at a bound, which they cannot leave, also from
-    the middle of their range: the lower end.
+    squares: Squares, start: End, held: np.ndarray | None = None, tolerance: float = _SETTLED
+) -> End:
+    """As :func:`minimised`. If free elements end at a bound, where the squares have no slope, the
+    search also begins in the middle of their range, and the lower end counts.
 
     Args:
         held: (p,) whether an element keeps its value; None: none does.
     """
-    held = np.zeros(len(z), bool) if held is None else held
-    bounds = np.where(held, z, -np.inf), np.where(held, z, np.inf)
-    end = minimised(run, z, starts, now, data, noise, pull, bounds, tolerance)
-    at_bound = (np.abs(end[0]) > _AT_BOUND) & ~held
-    if at_bound.any():
-        inside = jnp.where(at_bound, 0.0, end[0])
-        here = run(inside, end[1], data)
-        other = minimised(run, inside, end[1], here, data, noise, pull, bounds, tolerance)
-        ends = sorted((end, other), key=lambda one: _squares(one[0], one[2][0], noise, pull))
-        return ends[0]
-    return end
+    held = np.zeros(len(start.z), bool) if held is None else held
+    bounds = np.where(held, start.z, -np.inf), np.where(held, start.z, np.inf)
+    end = minimised(squares, start, bounds, tolerance)
+    at_bound = (np.abs(end.z) > _AT_BOUND) & ~held
+    if not at_bound.any():
+        return end
+    inside = squares.begun(jnp.where(at_bound, 0.0, end.z), end.starts)
+    return min(end, minimised(squares, inside, bounds, tolerance), key=squares.at)
 
 
 def sandwich(
-    missed: jax.Array, by_z: jax.Array, by_start: jax.Array, noise: jax.Array, pull: jax.Array
+    missed: Values, by_z: Values, by_start: Values, noise: jax.Array, pull: jax.Array
 ) -> tuple[np.ndarray, int, np.ndarray]:
     """Covariance (p, p) of z from the scores of blocks of windows; their number; and its
     diagonal over that for independent residuals (p,)."""
@@ -192,37 +193,25 @@ _POINTS = 12  # largest number of points on one side of a profile
 _ROUGHLY = 1e-6  # share of the squares that one more step would take off at one of them
 
 
-def profile_ends(
-    run: Callable[..., Any],
-    z: jax.Array,
-    starts: jax.Array,
-    now: tuple[Values, ...],
-    data: Data | None,
-    noise: jax.Array,
-    pull: jax.Array,
-    element: int,
-    std: float,
-    level: float,
-) -> np.ndarray:
+def profile_ends(squares: Squares, end: End, element: int, std: float, level: float) -> np.ndarray:
     """Ends (2,) of the interval of an element of z: where the squares, least over all else,
-    exceed those of :func:`minimised`, which are at z, by ``level``; infinite if they never do.
+    exceed those at their minimum, ``end``, by ``level``; infinite if they never do.
 
-    They are not quadratic in the friction of a tire whose peak is not reached: more friction
-    than the windows reach changes them less and less.
+    The squares are not quadratic in the friction of a tire whose peak is not reached: the more
+    friction, the less they change with it.
 
     Args:
         std: standard error of the element, by which the search begins.
     """
-    best, least, ends = float(z[element]), _squares(z, now[0], noise, pull), []
-    held = np.arange(len(z)) == element
+    best, least, ends = float(end.z[element]), squares.at(end), []
+    held = np.arange(len(end.z)) == element
     for sign in (-1, 1):
-        side, at, begin = Side(best, sign, std, level), z, starts
+        side, at = Side(best, sign, std, level), end
         for _ in range(_POINTS):
             distance = side.next_distance()
-            at = at.at[element].set(best + sign * distance)
-            given = at, begin, run(at, begin, data), data, noise, pull
-            at, begin, here, _ = minimised_inside(run, *given, held, _ROUGHLY)
-            side.add(distance, _squares(at, here[0], noise, pull) - least)
+            z = at.z.at[element].set(best + sign * distance)
+            at = minimised_inside(squares, squares.begun(z, at.starts), held, _ROUGHLY)
+            side.add(distance, squares.at(at) - least)
             if side.done:
                 break
         ends.append(sign * np.inf if side.open else best + sign * side.end)

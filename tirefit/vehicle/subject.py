@@ -24,7 +24,7 @@ from tirefit.params import Values
 from tirefit.vehicle.car import Car, steps_a_sample
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
-from tirefit.vehicle.shooting import Data, minimised
+from tirefit.vehicle.shooting import Data, Squares, minimised
 from tirefit.vehicle.windows import Cut
 
 _COARSER = 2.0
@@ -264,9 +264,7 @@ class Windows:
         places = [*range(TIRES), *(TIRES + k for k in atoms)]
         # Sets of every size share the compiled programs.
 
-        def run(
-            own: np.ndarray, starts: Values, _: Any
-        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def run(own: np.ndarray, starts: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             z = np.zeros(self.model.size)
             z[places] = np.asarray(own)[:size]
             now, by = self.linear(z, starts, places)
@@ -279,19 +277,11 @@ class Windows:
             for side, own in ((-_MOST_OFF, priors.low), (_MOST_OFF, priors.high))
         ]
         own = np.concatenate([start.z, start.amplitude, [0.0] * fill])
-        found, states, _, _ = minimised(
-            run,
-            jnp.asarray(own),
-            jnp.asarray(start.state),
-            run(own, start.state, None),
-            None,
-            jnp.asarray(self.noise * np.sqrt(self.inflation)),
-            np.ones(len(own)),
-            sides,
-            _TOLERANCE,
-            _STEPS,
-        )
-        own = np.asarray(found)[:size]
+        noise = jnp.asarray(self.noise * np.sqrt(self.inflation))
+        squares = Squares(run, noise, jnp.ones(len(own)))
+        first = squares.begun(jnp.asarray(own), jnp.asarray(start.state))
+        end = minimised(squares, first, sides, _TOLERANCE, _STEPS)
+        own, states = np.asarray(end.z)[:size], end.starts
         z = self.coefficients(own[:TIRES], atoms, own[TIRES:])
         now, by = self.linear(z, states, places)
         return fitted(

@@ -45,7 +45,14 @@ from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import logged
-from tirefit.vehicle.shooting import Data, linearised, minimised_inside, profile_ends, sandwich
+from tirefit.vehicle.shooting import (
+    Data,
+    Squares,
+    linearised,
+    minimised_inside,
+    profile_ends,
+    sandwich,
+)
 from tirefit.vehicle.windows import (
     CHANNELS,
     cut_in_windows,
@@ -77,8 +84,7 @@ the wheelbase."""
 
 WINDOW = 0.5
 """Length [s] of a window."""
-_SHAPES = "brush", "brush-d", "magic-formula"
-"""Models to compare where the peak follows from the shape."""
+_SHAPES = "brush", "brush-d", "magic-formula"  # to compare where the peak is not reached
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
 _MOST_SLIPS = 99.5
@@ -136,10 +142,10 @@ class TrajectoryFit(Record):
             if share < NEAR_PEAK
         ]
         used = {tire.name for tire in self.axles.values()}
-        others = [name for name in _SHAPES if name not in used]
+        others = (f"front={name},rear={name}" for name in _SHAPES if name not in used)
         shape = (
             f"{Outcome.SHAPE_DEPENDENT}: the slip angles reach {', '.join(below)} of the peak;"
-            f" compare with {' and '.join(f'front={name},rear={name}' for name in others)}"
+            f" compare with {' and '.join(others)}"
         )
         return {
             Outcome.SHAPE_DEPENDENT: shape if below else "",
@@ -284,7 +290,8 @@ class _Problem:
         self.names = CHANNELS[data.logged.shape[-1]]
         slowest = float(np.min(data.v_x))
         self.parts = steps_a_sample(self.car(self.z), slowest, rate)
-        self.run = linearised(self.missed, self.parts)
+        run = linearised(self.missed, self.parts)
+        self.run = lambda z, starts: run(z, starts, data)
 
     def unknown(self, z: Values, name: str, default: float = 0.0) -> jax.Array | float:
         """The value of an unknown, in its unit; its neutral value if not estimated."""
@@ -320,26 +327,23 @@ class _Problem:
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
     def solved(self, rows: Mapping[str, TireData]) -> TrajectoryFit:
-        z, starts = jnp.asarray(self.z), jnp.asarray(self.data.start)
-        pull, now = self.pulls(), self.run(z, starts, self.data)
+        squares = Squares(self.run, jnp.ones(len(self.names)), self.pulls())
+        end = squares.begun(jnp.asarray(self.z), jnp.asarray(self.data.start))
         for _ in range(_ROUNDS):
-            noise = jnp.sqrt(jnp.mean(now[0] ** 2, axis=(0, 1)))
-            z, starts, now, converged = minimised_inside(
-                self.run, z, starts, now, self.data, noise, pull
-            )
-        missed, by_z, by_start = now
-        free = self.data.start.size + len(self.z)
+            squares = squares._replace(noise=jnp.sqrt(jnp.mean(end.now[0] ** 2, axis=(0, 1))))
+            end = minimised_inside(squares, end)
+        at, (missed, by_z, by_start) = np.asarray(end.z), end.now
+        free = self.data.start.size + len(at)
         count = missed.shape[0] * missed.shape[1]
         noise = jnp.sqrt(jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1))
-        covariance, blocks, widened = sandwich(missed, by_z, by_start, noise, pull)
-        at, std = np.asarray(z), np.sqrt(np.diag(covariance))
-        reach = stdtrit(max(blocks - 1, 1), 0.975)
+        covariance, blocks, widened = sandwich(missed, by_z, by_start, noise, squares.pull)
+        std, reach = np.sqrt(np.diag(covariance)), stdtrit(max(blocks - 1, 1), 0.975)
         ends, car = at + reach * np.outer((-1, 1), std), self.car(at)
         for k, axle in enumerate(("front", "rear")):
             if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
-                    given = self.run, z, starts, now, self.data, noise, pull
-                    ends[:, e] = profile_ends(*given, e, std[e], reach**2 * widened[e])
+                    level = reach**2 * widened[e]
+                    ends[:, e] = profile_ends(squares._replace(noise=noise), end, e, std[e], level)
         found = self.estimates(at, std, ends)
         axles = {
             axle: self.axle(k, axle, at, covariance, found, rows[axle])
@@ -353,7 +357,7 @@ class _Problem:
             len(self.data.v_x),
             blocks,
             self.found_vehicle(found),
-            bool(converged),
+            bool(end.converged),
             axles,
             rows,
         )

@@ -254,8 +254,8 @@ def _table(
         some = [*data, *itertools.islice(rows, None if is_quoted else _BLOCK)]
     if commas:
         # Names of runs, as "dry, lap 1" or "2024.1", say nothing of the numbers.
-        names = {k for k, header in enumerate(head.headers) if guess(header) == Guess("run", None)}
-        known = {k for k, header in enumerate(head.headers) if is_known(header)} - names
+        run = Guess("run", None)
+        known = [k for k, x in enumerate(head.headers) if is_known(x) and guess(x) != run]
         cells = (row[k] for _, row in some for k in known or range(len(row)) if k < len(row))
         commas = has_decimal_comma(cells)
     starts = range(first, len(lines), _BLOCK)
