@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import softmax
 
 from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING, UNSEEN
@@ -109,7 +110,7 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
             whitened[f, s] = np.sum(left[out] ** 2)
         parameters.append(fit.z + moved[:, : len(fit.z)])
         sizes.append(fit.amplitude + moved[:, len(fit.z) :])
-    smooth = [_smooth(subject, null, out) for out in outs]
+    smooth = _smooth(subject, null, outs)
     given = subject.given_residual
     return Predicted(
         folds.on,
@@ -125,21 +126,27 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     )
 
 
-def _smooth(subject: Forward, null: Fit, out: np.ndarray) -> np.ndarray:
-    """Residuals (m,) of the model without effects and smooth functions fitted to the rest,
-    averaged over their size by its evidence there."""
+def _smooth(subject: Forward, null: Fit, outs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """For each part the residuals (m,) of the model without effects and smooth functions fitted
+    to the other parts, averaged over their size by its evidence there."""
     columns = np.concatenate([null.columns, subject.discrepancy.additive], axis=1)
-    own, rest, p = columns[~out], null.residual[~out], null.columns.shape[1]
-    gram, score = own.T @ own, own.T @ rest
-    logs, fits = [], []
-    for size in SIZES:
-        ridge = np.full(columns.shape[1], size**-2.0)
-        ridge[:p] = np.maximum(null.pull**2, FLAT)
-        found = np.linalg.solve(gram + np.diag(ridge), score)
-        curvature = np.linalg.slogdet(gram + np.diag(ridge))[1]
-        logs.append(0.5 * (score @ found - curvature + np.sum(np.log(ridge[p:]))))
-        fits.append(found)
-    return null.residual - columns @ (softmax(logs) @ np.array(fits))
+    p, whole = null.columns.shape[1], np.column_stack([columns, null.residual])
+    parts = [whole[out] for out in (*outs, ~np.any(outs, axis=0))]
+    products = np.array([part.T @ part for part in parts])
+    ridges = np.repeat(SIZES[:, None] ** -2.0, columns.shape[1], axis=1)
+    ridges[:, :p] = np.maximum(null.pull**2, FLAT)
+    left = []
+    for f in range(len(outs)):
+        others = np.delete(products, f, axis=0).sum(axis=0)
+        gram, score, logs, fits = others[:-1, :-1], others[:-1, -1], [], []
+        for ridge in ridges:
+            factor = cho_factor(gram + np.diag(ridge), lower=True, check_finite=False)
+            found = cho_solve(factor, score, check_finite=False)
+            curvature = 2 * np.sum(np.log(np.diag(factor[0])))
+            logs.append(0.5 * (score @ found - curvature + np.sum(np.log(ridge[p:]))))
+            fits.append(found)
+        left.append(null.residual - columns @ (softmax(logs) @ np.array(fits)))
+    return left
 
 
 def _error(parts: np.ndarray) -> float:

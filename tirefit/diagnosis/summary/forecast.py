@@ -60,7 +60,8 @@ def scores_of_nothing(
     """Scores of unit directions in white noise: (K, draws)."""
     values, vectors = np.linalg.eigh(directions.T @ directions)
     root = vectors * np.sqrt(np.maximum(values, 0))
-    return root @ generator.standard_normal((directions.shape[1], draws))
+    # The scores of one draw side by side: their largest one is found much faster.
+    return np.asfortranarray(root @ generator.standard_normal((directions.shape[1], draws)))
 
 
 def recognition(
