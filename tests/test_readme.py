@@ -38,6 +38,20 @@ def test_the_example_prints_the_shown_output(page, tmp_path, monkeypatch, capsys
         assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
+def test_the_linear_simulator_gets_the_shown_answer(monkeypatch, capsys):
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    setting, reading = (
+        re.search(rf"^{start}.*$", blocks[0], re.MULTILINE).group()
+        for start in ("jax.config", "data = ")
+    )
+    said = README.split(blocks[1], 1)[1].split("\n\n", 2)[1]
+    shown = textwrap.dedent(said).removesuffix("...").strip()
+    monkeypatch.chdir(ROOT)
+    exec(f"import jax\nimport tirefit\n{setting}\n{reading}\n{blocks[1]}", {})
+    assert len(shown.splitlines()) > 8 and capsys.readouterr().out.startswith(shown)
+
+
 def test_every_simulate_command_names_its_output():
     """Without it the command refuses."""
     (row,) = re.findall(r"^\| (`tirefit simulate.*?) \|", README, re.MULTILINE)

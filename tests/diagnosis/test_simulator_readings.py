@@ -8,6 +8,7 @@ import pytest
 from tirefit.data.accept import as_data
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.engine.left_out import OWN_MODEL, SMOOTH
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.structure import structures_of
@@ -112,6 +113,19 @@ def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
     assert "has no friction limit" not in text.split("HOW FAR")[1]
     assert "so it has no friction limit: here it uses up to" in text
     assert "times too high" not in text and "check columns" not in text
+    # The answer is of both descriptions; what the changed simulator acts like is a detail.
+    assert "EFFECTS" not in text and "BUDGET" not in text
+    details = " ".join(diagnosis_text(found, full=True).split())
+    assert "THE SIMULATOR, CHANGED: BUDGET" in details
+    # The library's own model is the last model of the ladder.
+    *_, own, smooth, floor = found.ladder.steps
+    assert (own.effects, smooth.effects) == (OWN_MODEL, SMOOTH)
+    assert own.rms_left_out == both.measured.rms_left_out < both.rms_changed
+    left, whole = (
+        step.rms_left_out**2 - floor.rms_left_out**2 for step in (own, found.ladder.steps[0])
+    )
+    np.testing.assert_allclose(own.closed, 1 - np.sqrt(max(left, 0) / whole), rtol=1e-9)
+    assert (own.gain, own.gain_std) == (both.gain, both.gain_std)
     written = json.loads(found.to_json())["simulator"]["readings"]
     assert written["structure"][0]["id"] == "no_saturation"
 

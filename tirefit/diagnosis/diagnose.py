@@ -176,8 +176,14 @@ def diagnose(
         def study(rows: Prepared, rig: Rig) -> Case:
             return studied(rows, form, rig, effects, without)
 
-        both = readings_of(case, some, rig, form, study)
-        return replace(found, simulator=found.simulator._replace(readings=both))
+        read = readings_of(case, some, rig, form, study)
+        if read is None:
+            return found
+        both, step = read
+        steps = found.ladder.steps
+        ladder = found.ladder._replace(steps=(*steps[:-2], step, *steps[-2:]))
+        simulator = found.simulator._replace(readings=both)
+        return replace(found, simulator=simulator, ladder=ladder)
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------

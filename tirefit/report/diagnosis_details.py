@@ -7,7 +7,7 @@ from tirefit.diagnosis.effects.measurement import RELATIVE
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.diagnosis_sections import gap_line, missing_lines
+from tirefit.report.diagnosis_sections import gap_line, is_described, missing_lines, of_effects
 from tirefit.report.diagnosis_words import (
     amount_text,
     amplitude_text,
@@ -33,7 +33,9 @@ def details(result: Diagnosis) -> list[Section]:
     gaps = [gap_line(result, gap, f"the {result.n} rows fitted")]
     if gap.holdout is not None:
         gaps.append(gap_line(result, gap.holdout, gap.holdout.on))
+    changed = of_effects(result) if is_described(result) else []
     return [
+        *(one._replace(title=f"The simulator, changed: {one.title}") for one in changed),
         Section("Gap on the rows fitted", gaps),
         Section("Runs (each fitted with its own offset)", list(run_lines(result))),
         Section("Where the gap lies", (), _where(result)),

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, SizeByGroup, Step
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, SizeByGroup, Step
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.result import (
     UNITS,
@@ -121,6 +121,8 @@ def step_label(result: Diagnosis, number: int) -> str:
         return "+ its parameters" if number else f"{result.model}, no effect"
     if effects in (SMOOTH, NOISE):
         return "noise floor" if effects == NOISE else SMOOTH[0]
+    if effects == OWN_MODEL and result.simulator and result.simulator.readings:
+        return f"a {result.simulator.readings.model} with effects"
     before = set(steps[number - 1].effects)
     if before < set(effects):
         added = [e for e in effects if e not in before]
@@ -378,14 +380,34 @@ def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
     return lines[:_MOST_NEEDS], lines[_MOST_NEEDS:]
 
 
+def is_described(result: Diagnosis) -> bool:
+    """Whether the answer compares two descriptions, as no change of the simulator predicts the
+    measured rows as well as the library's own model."""
+    both = result.simulator.readings if result.simulator else None
+    return both is not None and both.first == "described"
+
+
 def first_screen(result: Diagnosis) -> list[Section]:
-    """Sections of the short report: ladder, budget of a simulator, effects, remainder,
-    next measurement, effects that cannot be tested."""
+    """Sections of the short report: both readings of a simulator, the ladder, and what
+    :func:`of_effects` has, unless the answer compares two descriptions."""
     sections = [_ladder(result)]
-    if result.simulator or result.verdict.helping:
-        sections += [_budget(result, channel) for channel in result.budgets]
     if result.simulator and result.simulator.readings:
         sections.insert(0, readings_section(result.simulator.readings, result.unit))
+    if not is_described(result):
+        return [*sections, *of_effects(result)]
+    names = listing([name_of(effect) for effect in result.verdict.helping])
+    lines = [f"what the simulator acts like if it is changed ({names}): --full"] * bool(names)
+    lines += ["effects on the measured forces, what is left, what to measure next:"]
+    lines += [f"    tirefit diagnose FILE --model {result.simulator.readings.model}"]
+    return [*sections, Section("More", lines)]
+
+
+def of_effects(result: Diagnosis) -> list[Section]:
+    """Budget of a simulator, effects, remainder, next measurement, effects that cannot be
+    tested."""
+    sections = []
+    if result.simulator or result.verdict.helping:
+        sections += [_budget(result, channel) for channel in result.budgets]
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)

@@ -21,6 +21,10 @@ _UNRESOLVED = 0.01
 AS_GIVEN: Key = ("as given",)
 """``Step.effects`` of a simulator as given, the first step of its ladder."""
 
+OWN_MODEL: Key = ("own model",)
+"""``Step.effects`` of the library's own model with effects, fitted to the measured rows, in the
+ladder of a simulator; its gain is over the simulator with parameters and effects changed."""
+
 SMOOTH: Key = ("anything smooth",)
 NOISE: Key = ("noise",)
 """``Step.effects`` of the last two steps of a ladder: the part that smooth functions
@@ -66,7 +70,8 @@ class Step(NamedTuple):
 
     Attributes:
         effects: ids of the set; ("as given",) first, of a simulator whose parameters
-            are not refitted; ("anything smooth",) and ("noise",) at the end.
+            are not refitted; ("own model",) after those of a simulator, ("anything smooth",)
+            and ("noise",) at the end.
         rms_left_out: of observed minus predicted on the data left out.
         closed: share of what the first step leaves beyond the noise that is closed there.
         closed_std: its standard error over the parts left out.
@@ -161,7 +166,7 @@ def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
         floor: mean square of the noise of the first channel.
     """
     parts = out.whitened[:, old] - out.whitened[:, new]
-    closed, error = _closed(out.rows, out.loss[:, new], out.loss[:, old], floor)
+    closed, error = closed_share(out.rows, out.loss[:, new], out.loss[:, old], floor)
     return Gain(float(parts.sum()), _error(parts), closed, error)
 
 
@@ -174,7 +179,7 @@ def jackknife_error(values: np.ndarray | Sequence[float]) -> np.ndarray | np.flo
     return np.sqrt(len(values) - 1) * np.std(values, axis=0)
 
 
-def _closed(
+def closed_share(
     rows: np.ndarray, after: np.ndarray, before: np.ndarray, floor: float
 ) -> tuple[float, float]:
     """1 - rms(after) / rms(before) beyond the noise, and its error by the jackknife
@@ -205,7 +210,7 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
         parts, rms = share * (before - after), float(np.sqrt(share @ after))
         closed = (1.0, 0.0)
         if effects != NOISE:
-            closed = _closed(out.rows, after, first, floor)
+            closed = closed_share(out.rows, after, first, floor)
         return Step(effects, rms, *closed, float(parts.sum()), _error(parts))
 
     now: Key = ()

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.engine.left_out import predicted
+from tirefit.diagnosis.engine.decide import floor_of
+from tirefit.diagnosis.engine.left_out import OWN_MODEL, Step, closed_share, predicted
 from tirefit.diagnosis.rows.fits import as_measured
 from tirefit.diagnosis.rows.prepared import Prepared, prepare
 from tirefit.diagnosis.rows.rig import Rig
@@ -75,8 +76,9 @@ class Readings(NamedTuple):
 
 def readings_of(
     case: Case, whole: Prepared, rig: Rig, model: str, study: Callable[[Prepared, Rig], Case]
-) -> Readings | None:
-    """Both readings of a simulator that was diagnosed; None if the model cannot be fitted.
+) -> tuple[Readings, Step] | None:
+    """Both readings of a simulator that was diagnosed, and the step of its ladder that the second
+    one makes; None if the model cannot be fitted.
 
     Args:
         case: the simulator, changed.
@@ -90,22 +92,27 @@ def readings_of(
     # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
     left = predicted(own.search.subject, [own.chosen], own.search.null, folds).loss[:, 0]
-    changed, share = _loss(case), case.predicted.rows / case.predicted.rows.sum()
+    out, changed = case.predicted, _loss(case)
+    share = out.rows / out.rows.sum()
     gains = share * (changed - left)
     gain, error = float(gains.sum()), float(np.sqrt(len(gains)) * np.std(gains, ddof=1))
     structure = structures_of(whole)
     lacking = any(one.id in UNLIKE for one in structure)
     itself = None if lacking else _of_simulator(whole, rig, study)
-    return Readings(
+    first = out.as_given if out.as_given is not None else out.loss[:, out.effects.index(())]
+    closed = closed_share(out.rows, left, first, floor_of(case.base, out))
+    step = Step(OWN_MODEL, float(np.sqrt(share @ left)), *closed, gain, error)
+    both = Readings(
         "described" if gain > error else "changed",
         gain,
         error,
         float(np.sqrt(share @ changed)),
         model,
-        _described(own, float(np.sqrt(share @ left))),
+        _described(own, step.rms_left_out),
         itself,
         structure,
     )
+    return both, step
 
 
 def _of_simulator(whole: Prepared, rig: Rig, study: Callable[..., Any]) -> Described | None:
