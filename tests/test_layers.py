@@ -18,6 +18,7 @@ LAYERS = {
     "display": 1,
     "door": 1,
     "names": 0,
+    "arrays": 0,
     "params": 1,
     "precision": 1,
     "settings": 1,

@@ -8,21 +8,24 @@ import importlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from tirefit.files import json_text, write_texts
 from tirefit.results import Outcome, did_you_mean
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def _made_by(place: str, *given, **named) -> Any:
+
+def _made_by(place: str, *given: Any, **named: Any) -> Any:
     module, _, function = place.partition(":")
     return getattr(importlib.import_module(module), function)(*given, **named)
 
 
-class ByName(dict):
+class ByName(dict[str, Any]):
     """Records by name; the error for an unknown name suggests a known one."""
 
-    def __missing__(self, name: object):
+    def __missing__(self, name: object) -> NoReturn:
         raise KeyError(f"{name}: {did_you_mean(str(name), self)}known: {', '.join(self)}")
 
 
@@ -57,7 +60,7 @@ class Record(Displayed):
     internal: ClassVar[tuple[str, ...]] = ()
     """Attributes that completion does not offer."""
 
-    def __dir__(self):
+    def __dir__(self) -> list[str]:
         hidden = {*self.internal, "internal"}
         return [n for n in super().__dir__() if not n.endswith("_by") and n not in hidden]
 
@@ -91,7 +94,7 @@ class Record(Displayed):
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.summary().partition(chr(10))[0]}>"
 
-    def summary(self, **how) -> str:
+    def summary(self, **how: Any) -> str:
         """Return the report as text, as the command prints it.
 
         Args:
@@ -99,14 +102,14 @@ class Record(Displayed):
         """
         return _made_by(self.text_by, self, **how)
 
-    def plot(self, *what, **how):
+    def plot(self, what: str = "", **how: Any) -> "Figure":
         """The matplotlib figure.
 
         Args:
             what: the name of one figure, of results that have several.
             how: keywords of that figure.
         """
-        return _made_by(self.plot_by, self, *what, **how)
+        return _made_by(self.plot_by, self, *((what,) if what else ()), **how)
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, as in the JSON file."""
@@ -124,7 +127,7 @@ class Record(Displayed):
         """
         raise NotImplementedError
 
-    def save(self, path: str | os.PathLike, name: str = "") -> list[Path]:
+    def save(self, path: str | os.PathLike[str], name: str = "") -> list[Path]:
         """Write the files that the command writes, or one page; each completely or not at all.
 
         Args:

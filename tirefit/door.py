@@ -35,7 +35,9 @@ _LARGEST, _SMALLEST = 1e20, 1e-20
 _SEAL = "checksum"
 
 
-def too_large(path, most: int, error: type[TirefitError] = DataError) -> TirefitError:
+def too_large(
+    path: str | os.PathLike[str], most: int, error: type[TirefitError] = DataError
+) -> TirefitError:
     """The error for a file of more than ``most`` bytes."""
     reason = f"it holds more than {most // MIB} MiB"
     return error(InputProblem(reason, "split or thin it", str(path)))
@@ -159,18 +161,18 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 # --- our own files --------------------------------------------------------------
 
 
-def _digest(content: dict) -> str:
+def _digest(content: dict[str, Any]) -> str:
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def sealed(content: dict) -> dict:
+def sealed(content: dict[str, Any]) -> dict[str, Any]:
     """A JSON-able record with its checksum added."""
     bare = {key: value for key, value in content.items() if key != _SEAL}
     return bare | {_SEAL: _digest(bare)}
 
 
-def read_record(path: str | Path, schema: str, remedy: str) -> dict:
+def read_record(path: str | Path, schema: str, remedy: str) -> dict[str, Any]:
     """The content of a JSON file with a checksum by :func:`sealed`.
 
     Raises:

@@ -61,7 +61,7 @@ def json_safe(value: Any) -> Any:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[Path]:
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Context manager: a temporary file that is renamed to ``path`` at the end.
 
     If the block fails or is interrupted, ``path`` is not changed.
@@ -199,7 +199,7 @@ def _mode(path: Path) -> int:
     return 0o666 & ~umask
 
 
-def write_text_atomic(path: str | os.PathLike, text: str) -> None:
+def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
     """Write text as UTF-8; if that fails, ``path`` is not changed."""
     write_texts({path: text})
 

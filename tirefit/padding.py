@@ -1,6 +1,7 @@
 """Pad arrays to a few lengths, so that few programs are compiled."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 def padded_size(n: int, least: int = 8) -> int:
@@ -12,7 +13,7 @@ def padded_size(n: int, least: int = 8) -> int:
     return next(size for size in (power, power * 3 // 2, power * 2) if size >= max(n, least))
 
 
-def pad_rows(array, size: int) -> np.ndarray:
+def pad_rows(array: ArrayLike, size: int) -> np.ndarray:
     """Append copies of the first row up to ``size`` rows: (size, ...).
 
     A copy of a valid row is valid everywhere; the caller gives it a weight of zero.

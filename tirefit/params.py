@@ -8,6 +8,7 @@ the report. A model is an ``equinox.Module``; a parameter is a field made by
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from tirefit.arrays import Kept, Numbers
 from tirefit.results import InputProblem, UsageError, did_you_mean
 
 Model = TypeVar("Model", bound=eqx.Module)
@@ -75,7 +77,7 @@ def par(
     return eqx.field(default=default, metadata={"spec": spec})
 
 
-def _fields(model: eqx.Module) -> Iterator[tuple[dataclasses.Field, Any]]:
+def _fields(model: eqx.Module) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
     for field in dataclasses.fields(model):
         yield field, getattr(model, field.name)
 
@@ -213,7 +215,7 @@ def by_owner(
     return chosen
 
 
-def with_values(model: Model, values: Mapping[str, float]) -> Model:
+def with_values(model: Model, values: Mapping[str, Numbers]) -> Model:
     """Return the same model with other parameter values.
 
     Args:
@@ -255,13 +257,13 @@ def _interval(spec: Spec) -> tuple[float, float]:
     return spec.bounds
 
 
-def _library(value):
+def _library(value: Numbers) -> ModuleType:
     """``jax.numpy`` inside a trace and for JAX arrays; NumPy on the host, where JAX would
     compile each operation by itself."""
     return jnp if isinstance(value, jax.Array) else np
 
 
-def constrain(z, spec: Spec):
+def constrain(z: Kept, spec: Spec) -> Kept:
     """Map the real line to the open interval of the bounds, elementwise (any shape).
 
     It is a sigmoid over the interval, or over its logarithms on a ``log`` scale.
@@ -273,7 +275,7 @@ def constrain(z, spec: Spec):
     return library.exp(x) if spec.scale == "log" else x
 
 
-def unconstrain(x, spec: Spec):
+def unconstrain(x: Kept, spec: Spec) -> Kept:
     """Inverse of :func:`constrain`; a value at a bound is moved just inside it."""
     library = _library(x)
     lower, upper = _interval(spec)
@@ -282,12 +284,13 @@ def unconstrain(x, spec: Spec):
     return library.log(unit) - library.log1p(-unit)
 
 
-def log_jacobian(z, spec: Spec):
+def log_jacobian(z: Kept, spec: Spec) -> Kept:
     """log |dx/dz| of :func:`constrain` (any shape)."""
     library = _library(z)
     lower, upper = _interval(spec)
     # log of sigmoid(z) sigmoid(-z), stable in both tails.
-    log_slope = -abs(z) - 2 * library.log1p(library.exp(-abs(z)))
+    size = library.abs(z)
+    log_slope = -size - 2 * library.log1p(library.exp(-size))
     log_slope = log_slope + math.log(upper - lower)
     if spec.scale == "log":
         return log_slope + library.log(constrain(z, spec))

@@ -11,6 +11,7 @@ import enum
 import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 
 class ExitCode(enum.IntEnum):
@@ -159,7 +160,7 @@ _OPTION = re.compile(
 def in_python(text: str) -> str:
     """Replace command-line options in a text by the equivalent Python arguments."""
 
-    def argument(found: re.Match) -> str:
+    def argument(found: re.Match[str]) -> str:
         if found["pair"]:
             value = found["given"] or "..."
             quoted = value if _is_number(value) else f"'{value}'"
@@ -190,7 +191,9 @@ class TirefitError(Exception):
 
     exit_code = ExitCode.USAGE
 
-    def __init__(self, problems: Sequence[InputProblem] | InputProblem | str, *more, **named):
+    def __init__(
+        self, problems: Sequence[InputProblem] | InputProblem | str, *more: Any, **named: Any
+    ):
         if isinstance(problems, str):
             problems = InputProblem(problems, *more, **named)
         if isinstance(problems, InputProblem):
@@ -198,7 +201,7 @@ class TirefitError(Exception):
         self.problems = tuple(problems)
         super().__init__(in_python("\n".join(map(str, self.problems))))
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[type[Self], tuple[tuple[InputProblem, ...]]]:
         return type(self), (self.problems,)
 
     @classmethod

@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, TypeVar, get_args
+from typing import Any, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
@@ -39,7 +39,7 @@ class Section(BaseModel):
         return ()
 
     @model_validator(mode="after")
-    def _consistent(self):
+    def _consistent(self) -> Self:
         problems = tuple(self.contradictions())
         if problems:
             raise Contradiction(problems)
@@ -47,7 +47,7 @@ class Section(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _plain(cls, value):
+    def _plain(cls, value: object) -> object:
         """Accept NumPy scalars, which settings from Python may contain."""
         return value.item() if isinstance(value, np.generic) else value
 
@@ -55,7 +55,7 @@ class Section(BaseModel):
 S = TypeVar("S", bound=Section)
 
 
-def parse_settings(kind: type[S], content: dict, source: str) -> S:
+def parse_settings(kind: type[S], content: dict[str, Any], source: str) -> S:
     """Check the content of a settings file.
 
     Args:
@@ -88,7 +88,7 @@ def parse_settings(kind: type[S], content: dict, source: str) -> S:
     )
 
 
-def _without(content: dict, locations: Iterable[tuple]) -> dict:
+def _without(content: dict[str, Any], locations: Iterable[tuple[Any, ...]]) -> dict[str, Any]:
     """The content without the keys at the locations; a list is removed as a whole."""
     rest = copy.deepcopy(content)
     for location in locations:

@@ -23,7 +23,10 @@ These are the definitions of S Table 1. Files have their own convention; readers
 writers convert it by the signs of :data:`CONVENTIONS`.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:  # JAX takes half a second to import
+    from tirefit.arrays import Kept, Numbers
 
 GRAVITY = 9.80665  # standard acceleration of free fall [m/s2]
 
@@ -71,36 +74,36 @@ CONVENTIONS = {
 }  # fmt: skip
 
 
-def sigma_from_kappa(kappa):
+def sigma_from_kappa(kappa: "Kept") -> "Kept":
     """Physical slip sigma = kappa / (1 - kappa), S Table 1; kappa < 1, shape kept."""
     return kappa / (1 - kappa)
 
 
-def kappa_from_sigma(sigma):
+def kappa_from_sigma(sigma: "Kept") -> "Kept":
     """Practical slip kappa = sigma / (1 + sigma), S Table 1; sigma > -1, shape kept."""
     return sigma / (1 + sigma)
 
 
-def sigma_from_slip_ratio(ratio):
+def sigma_from_slip_ratio(ratio: "Kept") -> "Kept":
     """Physical slip from v_sx / max(v_x, Omega R_e): kappa braking, sigma driving."""
-    braking = (ratio + abs(ratio)) / 2
-    driving = (ratio - abs(ratio)) / 2
+    braking = (ratio + ratio.__abs__()) / 2
+    driving = (ratio - ratio.__abs__()) / 2
     return sigma_from_kappa(braking) + driving
 
 
-def slip_ratio_from_sigma(sigma):
+def slip_ratio_from_sigma(sigma: "Kept") -> "Kept":
     """Inverse of :func:`sigma_from_slip_ratio`."""
-    braking = (sigma + abs(sigma)) / 2
-    driving = (sigma - abs(sigma)) / 2
+    braking = (sigma + sigma.__abs__()) / 2
+    driving = (sigma - sigma.__abs__()) / 2
     return kappa_from_sigma(braking) + driving
 
 
-def lateral_slip(tan_alpha, sigma_x=0.0):
+def lateral_slip(tan_alpha: "Numbers", sigma_x: "Numbers" = 0.0) -> "Numbers":
     """Lateral physical slip sigma_y = tan(alpha) (1 + sigma_x), S Table 1."""
     return tan_alpha * (1 + sigma_x)
 
 
-def _identity(value):
+def _identity(value: "Kept") -> "Kept":
     return value
 
 

@@ -26,11 +26,11 @@ def main() -> None:
     """Run the ``tirefit`` command; Ctrl-C or SIGTERM ends it with exit code 130."""
     came = []
 
-    def interrupt(number, _):
+    def interrupt(number: int, _: object) -> NoReturn:
         came.append(number)
         raise KeyboardInterrupt
 
-    def unheard(what):
+    def unheard(what: sys.UnraisableHookArgs) -> None:
         # Python ignores exceptions within a callback of the garbage collector, which JAX
         # has, so raise an interrupt that comes then again after its end.
         if issubclass(what.exc_type, KeyboardInterrupt) and came:

@@ -88,7 +88,9 @@ def _connected(address: str) -> Any:
     return client
 
 
-def shared(work: Callable, pieces: Sequence, client: Any) -> Generator[tuple[int, Any]]:
+def shared(
+    work: Callable[..., Any], pieces: Sequence[Any], client: Any
+) -> Generator[tuple[int, Any]]:
     """Yield (number, ``work(piece)``) of every piece, in the order of completion; None of one
     whose workers died.
 

@@ -49,7 +49,7 @@ app = typer.Typer(
 class LazyCommand(TyperCommand):
     """A command of the list, whose module is imported when it is used."""
 
-    def loaded(self):
+    def loaded(self) -> Any:
         """The command itself, or the group of commands."""
         assert self.name is not None
         module = import_module(f"tirefit.cli.{_MODULES.get(self.name, self.name)}")
@@ -64,7 +64,9 @@ class LazyCommand(TyperCommand):
     def get_short_help_str(self, limit: int = 0) -> str:
         return self.help or ""  # whole, not cut at a line
 
-    def make_context(self, info_name, args, parent=None, **extra):
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
         context = self.loaded().make_context(info_name, args, parent, **extra)
         from tirefit.cli.options import CONTEXT  # imported with the command
 

@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -24,6 +24,10 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import check_results
 from tirefit.results import InputProblem, UsageError, exit_code
+
+if TYPE_CHECKING:
+    from tirefit.fitting.result import FitResult
+
 
 _SLIPS = 61  # slips of the grid, both ends included
 
@@ -89,7 +93,14 @@ def convert(
     raise typer.Exit(exit_code(result.outcomes))
 
 
-def _checked(file, magic_formula, slip_min, slip_max, loads, out):
+def _checked(
+    file: Path | None,
+    magic_formula: str | None,
+    slip_min: float | None,
+    slip_max: float | None,
+    loads: str | None,
+    out: Path,
+) -> tuple[Any, Any, Any]:
     """(coefficients by name or None, slips (n,), loads or None); raises all problems."""
     import numpy as np
 
@@ -133,7 +144,17 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
     return []
 
 
-def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
+def _refit(
+    file: Path | None,
+    coefficients: Any,
+    model: str,
+    force: Force,
+    slips: Any,
+    loads: Any,
+    seed: int | None,
+    out: Path,
+    signs: str | None,
+) -> "FitResult":
     """Fit the model to the curve, print the result and save it in the folder."""
     from tirefit.data.tir.tir import read_tir
 
@@ -150,7 +171,8 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     find_model(model)
     # A curve has no outliers.
     noise = NoiseConfig(loss="squares")
-    settings = FitConfig(model=model, force=[force.value], seed=seed or 0, noise=noise)
+    channel = cast(Literal["fx", "fy"], force.value)
+    settings = FitConfig(model=model, force=[channel], seed=seed or 0, noise=noise)
     if tir is None:
         tire: AbstractTire | str = "magic-formula"
         v, name = None, "Magic Formula"

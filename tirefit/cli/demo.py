@@ -57,7 +57,7 @@ def _check_unchanged(shipped: Path, samples: Path) -> None:
     DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in changed])
 
 
-def _run(context: typer.Context, *words) -> None:
+def _run(context: typer.Context, *words: str | Path) -> None:
     """Print a command and run it; a command that fails ends the demo."""
     line = [str(word) for word in words]
     say(f"$ tirefit {shlex.join(line)}\n")

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
@@ -51,12 +51,15 @@ from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
+    from tirefit.data.table import TireData
+    from tirefit.diagnosis.rows.rig import Rig
+    from tirefit.fitting.problem.config import FitConfig
 
 
 class Command(TyperCommand):
     """``--holdout A B C``: all file names up to the next option."""
 
-    def parse_args(self, ctx, args):
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         spread, after = [], False
         for word, following in zip_longest(args, args[1:], fillvalue="-"):
             if word.startswith("-"):
@@ -162,7 +165,7 @@ def diagnose(
     config = read_config(options.config)
     how, plain = read_options(options, config), _PLAIN if model is None else model
     if config is not None:
-        force = force or config.force
+        force = force or ([*config.force] if config.force else None)
         asked = {"model": plain, "seed": seed, "force": force}
         _warn_of_unused(config, how, asked)
     start_jax()
@@ -194,7 +197,7 @@ _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
 """Key or section of fit.toml -> the option or file of diagnose that replaces it."""
 
 
-def _warn_of_unused(config, how: dict, asked: dict) -> None:
+def _warn_of_unused(config: Any, how: dict[str, Any], asked: dict[str, Any]) -> None:
     """Warn once of keys that only a fit uses, except those with the values ``asked`` by
     options. ``how`` has the keys of ``[data]`` that reading uses."""
     used = {f"data.{key}" for key in how}
@@ -209,7 +212,7 @@ def _warn_of_unused(config, how: dict, asked: dict) -> None:
     complain(f"warning: {config.source}: {text}")
 
 
-def _keys(config) -> list[str]:
+def _keys(config: "FitConfig") -> list[str]:
     """Keys that a configuration sets: ``force``, ``noise.fx``, ``parameters.mu``."""
     keys = []
     for name, value in config.model_dump(exclude_unset=True).items():
@@ -218,7 +221,7 @@ def _keys(config) -> list[str]:
     return keys
 
 
-def _read(path: Path, how: dict, rig=None):
+def _read(path: Path, how: dict[str, Any], rig: "Rig | None" = None) -> "TireData":
     from tirefit.data.read import read
 
     table = read(path, **how)
@@ -226,7 +229,9 @@ def _read(path: Path, how: dict, rig=None):
     return table
 
 
-def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
+def _settings(
+    model: str | None, rig: Path | None, without: list[str] | None, how: dict[str, Any]
+) -> dict[str, Any]:
     """Arguments of ``tirefit.diagnose`` that all files share."""
     from tirefit.diagnosis.rows.rig import load_rig
     from tirefit.fitting.problem.build import find_model
@@ -241,7 +246,13 @@ def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
     return {"model": model, "rig": known, "without": tuple(without or [])}
 
 
-def _simulator(model: str | None, parameter, sim: bool, how: dict, of_tir: dict) -> dict:
+def _simulator(
+    model: str | None,
+    parameter: list[str] | None,
+    sim: bool,
+    how: dict[str, Any],
+    of_tir: dict[str, Any],
+) -> dict[str, Any]:
     """Arguments of ``tirefit.diagnose`` for a given simulator; none if a model is
     fitted. Data without a declared convention are read in that of the simulator.
 
@@ -279,9 +290,9 @@ class _Task:
     """Settings that all files share."""
 
     out: Path  # folder of the results
-    settings: dict  # arguments of ``tirefit.diagnose``
-    kept: list  # tables held out
-    how: dict  # arguments of ``tirefit.read``
+    settings: dict[str, Any]  # arguments of ``tirefit.diagnose``
+    kept: list[Any]  # tables held out
+    how: dict[str, Any]  # arguments of ``tirefit.read``
     figures: bool
     resume: bool
     seed: int
@@ -312,7 +323,7 @@ def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     return exit_code(result.outcomes), record_of_document(document)
 
 
-def _asked(task: _Task, table) -> str:
+def _asked(task: _Task, table: "TireData") -> str:
     """Digest of everything that the diagnosis of this table depends on."""
     rig, given = task.settings["rig"], task.settings.get("sim")
     if given not in (None, True):

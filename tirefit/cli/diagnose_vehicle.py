@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -53,7 +53,7 @@ def diagnose_car(
             from tirefit.vehicle.diagnose import diagnose_vehicle
             from tirefit.vehicle.simulated import compare_with_simulator
 
-            how: dict = {"without": without, "progress": progress}
+            how: dict[str, Any] = {"without": without, "progress": progress}
             if sim_logs:
                 result: Record = compare_with_simulator(logs, sim_logs, vehicle, front, rear, **how)
             else:

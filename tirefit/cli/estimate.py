@@ -2,8 +2,9 @@
 
 import csv
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +23,10 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import InputProblem, UsageError
+
+if TYPE_CHECKING:
+    from tirefit.data.table import TireData
+
 
 FILES = ("estimates.csv", "summary.json", "estimates.png")
 
@@ -64,7 +69,9 @@ def estimate(
         _whole(Path(log), names, values, how, out, seed)
 
 
-def _checked(log, out, follow, setting) -> dict[str, float]:
+def _checked(
+    log: str, out: Path | None, follow: bool, setting: list[str] | None
+) -> dict[str, float]:
     """Settings; raises UsageError with all problems before the work."""
     problems: list[InputProblem] = []
     values = numbers("--set", setting, problems)
@@ -87,7 +94,14 @@ def _checked(log, out, follow, setting) -> dict[str, float]:
     return values
 
 
-def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
+def _whole(
+    log: Path,
+    names: Sequence[str],
+    values: dict[str, float],
+    how: dict[str, Any],
+    out: Path,
+    seed: int,
+) -> None:
     from tirefit.data.read import read
     from tirefit.online.estimate import estimate as estimate_log
 
@@ -99,7 +113,7 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     write_result(result, out, FILES, {FILES[2]: ""})
 
 
-def _say_masked(table) -> None:
+def _say_masked(table: "TireData") -> None:
     """Print one unusable row of each kind, and the number of all."""
     first: dict[tuple[str | None, str], InputProblem] = {}
     for problem in table.source.masked:
@@ -112,7 +126,9 @@ def _say_masked(table) -> None:
         complain(f"warning: {table.source.path}: {rows}; their estimates are flagged")
 
 
-def _follow(names, chosen, how) -> None:
+def _follow(
+    names: Sequence[str], chosen: Mapping[str, Mapping[str, float]], how: dict[str, Any]
+) -> None:
     """Print estimates as CSV, one row at once for every row received."""
     from tirefit.data.readers.stream import RowReader
     from tirefit.online.estimate import Streams

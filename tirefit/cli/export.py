@@ -98,7 +98,9 @@ def export(
     raise Exit(exit_code(done.outcomes))
 
 
-def _ranges(items: list[str] | None, problems: list[InputProblem]):
+def _ranges(
+    items: list[str] | None, problems: list[InputProblem]
+) -> dict[str, tuple[float, float]]:
     """Ranges of --over; faults are added to ``problems``."""
     found: dict[str, tuple[float, float]] = {}
     for name, text in pairs("--over", items).items():

@@ -1,5 +1,6 @@
 """Fit one file, or files that are fitted together, for ``tirefit fit``."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,6 +12,7 @@ from tirefit.results import ExitCode, Outcome, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
+    from tirefit.data.table import TireData
     from tirefit.fitting.result import FitResult
 
 PAGE, CHAIN = "fit.html", "chain.npz"
@@ -37,19 +39,21 @@ class FitTask:
     """Settings that all files of a command share."""
 
     settings: Any  # of the fit
-    how: dict  # arguments of ``tirefit.read``
+    how: dict[str, Any]  # arguments of ``tirefit.read``
     posterior: bool
     resume: bool
     keep: bool  # skip fits that are done
     also: Also
 
-    def digest(self, tables) -> str:
+    def digest(self, tables: "Sequence[TireData]") -> str:
         """Digest of everything that the result of a fit of these tables depends on."""
         settings, files = self.settings.model_dump(mode="json"), [t.source.sha256 for t in tables]
         return digest(settings, self.how, self.posterior, files)
 
 
-def fit_one(files, directory: Path, task: FitTask) -> tuple["FileRecord", "FitResult | None"]:
+def fit_one(
+    files: Sequence[Any], directory: Path, task: FitTask
+) -> tuple["FileRecord", "FitResult | None"]:
     """The record of the fit, and the fit itself if it was not done before."""
     from tirefit.data.read import read
     from tirefit.data.table import join
@@ -88,7 +92,15 @@ def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
     return None if is_open else record
 
 
-def fit_into(directory, data, settings, posterior=False, resume=False, also=Also(), asked=""):
+def fit_into(
+    directory: Path,
+    data: "TireData",
+    settings: Any,
+    posterior: bool = False,
+    resume: bool = False,
+    also: Also = Also(),
+    asked: str = "",
+) -> "FitResult":
     """Fit the data, and write the result and its figures into the directory."""
     from tirefit.fitting.estimate import fit as fit_data
 
@@ -114,7 +126,7 @@ def fit_into(directory, data, settings, posterior=False, resume=False, also=Also
     return result
 
 
-def _first_words(result, directory: Path) -> str:
+def _first_words(result: "FitResult", directory: Path) -> str:
     """A line on the least-squares estimates, printed before the posterior is sampled."""
     from tirefit.report.fit_tables import parameter_rows
 
@@ -123,7 +135,7 @@ def _first_words(result, directory: Path) -> str:
     return f"least squares: {found}; written to {directory}; sampling the posterior\n"
 
 
-def _save(result, directory: Path, also: Also) -> list[str]:
+def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:
     """Write the result, its figures and its page; returns the names of the files."""
     from tirefit.report.fit_figures import save_figures
 
@@ -134,7 +146,7 @@ def _save(result, directory: Path, also: Also) -> list[str]:
     return write_result(result, directory, known, draw, PAGE if also.html else "", text="")
 
 
-def _sampled(result, directory: Path, settings, resume: bool):
+def _sampled(result: "FitResult", directory: Path, settings: Any, resume: bool) -> "FitResult":
     from tirefit.fitting.uncertainty.posterior import sample
 
     chosen = settings.posterior

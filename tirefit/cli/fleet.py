@@ -58,7 +58,7 @@ class Outcome(NamedTuple):
     record: "FileRecord"
     output: str = ""
     complained: str = ""
-    notes: tuple = ()
+    notes: tuple[Any, ...] = ()
 
 
 def worst_of(codes: Iterable[ExitCode]) -> ExitCode:
@@ -100,7 +100,7 @@ class Sharing:
     jobs: int | None = None
     scheduler: str | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.jobs is not None and self.scheduler is not None:
             remedy = "give one: --jobs starts a cluster on this machine"
             raise UsageError("--jobs together with --scheduler", remedy)
@@ -143,7 +143,9 @@ def run_pieces(
             yield Outcome(*(work(piece) if count == 1 else _attempted(work, piece)))
 
 
-def _shared_outcomes(title, pieces, work, sharing: Sharing, out: Path, notes: list):
+def _shared_outcomes(
+    title: str, pieces: Sequence[Piece], work: Work, sharing: Sharing, out: Path, notes: list[Any]
+) -> Iterator[Outcome]:
     """Process every file by the workers; print and yield results in the order of files."""
     from tirefit.data.records import FileRecord, records_into
     from tirefit.report.many_files import write_fleet_page
@@ -221,7 +223,7 @@ def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome
     return Outcome(code, record, output.getvalue(), complained.getvalue(), notes)
 
 
-def _where_the_command_runs(folder: str, version: str) -> chdir:
+def _where_the_command_runs(folder: str, version: str) -> chdir[str]:
     if version != __version__:
         reason = f"a worker runs tirefit {__version__}, the command {version}"
         raise UsageError(reason, "install the same for all workers")

@@ -1,9 +1,9 @@
 """``tirefit fit --model mf52|mf61|mf62``: fit a whole Magic Formula, write a ``.tir``."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,10 @@ from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, progress_bar, refuse, say, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import ExitCode, exit_code
+
+if TYPE_CHECKING:
+    from tirefit.fitting.mf.result import MagicFormulaFit
+
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
 
@@ -50,7 +54,13 @@ def is_whole(model: str | None, own: Collection[str], unused: Collection[str]) -
 
 
 def fit_whole(
-    files: list[Path], out: Path, settings, how: dict, options: dict, strict: bool, also: Also
+    files: list[Path],
+    out: Path,
+    settings: Any,
+    how: dict[str, Any],
+    options: dict[str, Any],
+    strict: bool,
+    also: Also,
 ) -> ExitCode:
     """Fit all files as runs of one tire; print and write the result with figures.
 
@@ -78,7 +88,14 @@ def fit_whole(
     return exit_code(result.outcomes, strict)
 
 
-def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict):
+def convert_whole(
+    file: Path,
+    model: str,
+    slip_max: float,
+    loads: Sequence[float] | None,
+    out: Path,
+    of_file: dict[str, Any],
+) -> ExitCode:
     """Fit a version of the Magic Formula to the forces of a file of another version."""
     from tirefit.data.table import CANONICAL
     from tirefit.data.tir.tir import read_tir
@@ -113,7 +130,9 @@ def _files(out: Path) -> list[Path]:
     return [*fit_files(out), *(out / name for name in ("fit.tir", *MAGIC_FORMULA_FILES))]
 
 
-def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
+def _write(
+    result: "MagicFormulaFit", out: Path, also: Also | None = None, advice: str = _ADVICE
+) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
     from tirefit.report.mf_figures import save_magic_formula
 

@@ -3,8 +3,13 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 from tirefit.cli.options import complain, say
+
+if TYPE_CHECKING:
+    from tirefit.data.table import TireData
+
 
 _held: list[tuple[str, list[str], list[str]]] | None = None
 """Notes of an open :func:`merged_notes`: file name, warnings, assumptions."""
@@ -15,7 +20,7 @@ def holds_notes() -> bool:
     return _held is not None
 
 
-def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> None:
+def warn(*tables: "TireData", assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> None:
     """Print the warnings on tables, now or at the end of :func:`merged_notes`.
 
     Args:
@@ -31,7 +36,7 @@ def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> No
         _held.extend(notes)
 
 
-def _print(notes) -> None:
+def _print(notes: Sequence[tuple[str, list[str], list[str]]]) -> None:
     from tirefit.data.merged import merged
 
     alone = f"{notes[0][0]}: " if len(notes) == 1 else ""
@@ -42,7 +47,7 @@ def _print(notes) -> None:
 
 
 @contextmanager
-def merged_notes(many: bool = True) -> Iterator[list]:
+def merged_notes(many: bool = True) -> Iterator[list[tuple[str, list[str], list[str]]]]:
     """Hold the notes on files if they are ``many``; print them merged at the end.
 
     Yields:

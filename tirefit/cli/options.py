@@ -14,7 +14,7 @@ from enum import StrEnum
 from functools import wraps
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,6 +23,10 @@ from tirefit.data.readers.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
+
+if TYPE_CHECKING:
+    from tirefit.fitting.problem.config import FitConfig
+
 
 CONTEXT: ContextVar[Any] = ContextVar("CONTEXT", default=None)
 """The command that runs, with the values of its options; None in a worker."""
@@ -137,7 +141,7 @@ class DataOptions:
     ] = False
 
 
-def takes_data_options(command: Callable) -> Callable:
+def takes_data_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The command with the fields of :class:`DataOptions` as options.
 
     They replace its parameter ``options``, which receives them as one object.
@@ -145,7 +149,7 @@ def takes_data_options(command: Callable) -> Callable:
     names = [field.name for field in fields(DataOptions)]
 
     @wraps(command)
-    def with_options(**given):
+    def with_options(**given: Any) -> Any:
         options = DataOptions(**{name: given.pop(name) for name in names})
         return command(**given, options=options)
 
@@ -201,7 +205,7 @@ def refuse_of_vehicle(*names: str) -> None:
     refuse(names, "without --vehicle", "name the vehicle.toml of the logs")
 
 
-def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]):
+def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]) -> dict[str, str]:
     pairs: dict[str, str] = {}
     for item in items or []:
         name, _, value = (part.strip() for part in item.partition("="))
@@ -261,7 +265,7 @@ _SOON, _NOW_AND_THEN = 5.0, 10.0
 """Seconds until the first line of progress without a terminal, and between others."""
 
 
-def read_options(given: DataOptions, config) -> dict[str, Any]:
+def read_options(given: DataOptions, config: "FitConfig | None") -> dict[str, Any]:
     """Arguments of ``tirefit.read``: those of fit.toml, overridden by options.
 
     Raises:
@@ -282,7 +286,8 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
         if None not in (own, stated) and own != stated:
             unused = f"[data] {name} = {stated!r} is not used"
             option = f"--{name.replace('_', '-')} {own}"
-            complain(f"warning: {config.source}: {unused}: {option} is given")
+            where = "" if config is None else config.source
+            complain(f"warning: {where}: {unused}: {option} is given")
     return {
         **{name: below.get(name, {}) | own for name, own in named.items()},
         **single,
@@ -410,7 +415,7 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
         yield show
 
 
-def read_config(path: Path | None):
+def read_config(path: Path | None) -> "FitConfig | None":
     if path is None:
         return None
     from tirefit.fitting.problem.config import load_config

@@ -24,6 +24,9 @@ from tirefit.results import ExitCode
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
+    from tirefit.data.rig.prepare import Prepared
+    from tirefit.data.rig.settings import PrepareConfig
+    from tirefit.fitting.problem.config import FitConfig
 
 _KEPT = ("sweep", "steady", "warm-up")
 
@@ -88,7 +91,7 @@ def prepare(
         raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
-def _settings(base, changes: dict[str, Any]):
+def _settings(base: "FitConfig | None", changes: dict[str, Any]) -> "PrepareConfig":
     from tirefit.data.rig.settings import PrepareConfig
     from tirefit.settings import parse_settings
 
@@ -96,7 +99,9 @@ def _settings(base, changes: dict[str, Any]):
     return parse_settings(PrepareConfig, below | changes, "prepare")
 
 
-def _one(out: Path, how: dict[str, Any], config, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
+def _one(
+    out: Path, how: dict[str, Any], config: "PrepareConfig", piece: Piece
+) -> tuple[ExitCode, "FileRecord"]:
     """Prepare one file into a folder; ``how`` are arguments of ``tirefit.read``."""
     from tirefit.data.read import read
     from tirefit.data.rig.prepare import prepare as prepare_data
@@ -111,7 +116,7 @@ def _one(out: Path, how: dict[str, Any], config, piece: Piece) -> tuple[ExitCode
     return ExitCode.OK, _record(prepared, str(file), str(out / f"{name}.csv"))
 
 
-def _record(prepared, file: str, result: str) -> "FileRecord":
+def _record(prepared: "Prepared", file: str, result: str) -> "FileRecord":
     """The record of a recording for the table of all results."""
     from tirefit.data.records import FileRecord, Row
 

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,10 @@ from tirefit.cli.output import check_table
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
+
+if TYPE_CHECKING:
+    from tirefit.sim.braking import SimulatedLog
+
 
 simulate = typer.Typer(
     help="Simulate logs and rig sweeps whose true tire is known.",
@@ -25,7 +29,7 @@ simulate = typer.Typer(
 Truth = Annotated[Path | None, path_option("FILE.csv", "CSV file of the true values")]
 
 
-def _option(one: Field) -> inspect.Parameter:
+def _option(one: Field[Any]) -> inspect.Parameter:
     """The option of a setting; the user gives a pair or a mapping as text."""
     kind, default, metavar = one.type, one.default, None
     flags = [f"--{one.name}"] if isinstance(default, bool) else []
@@ -44,10 +48,10 @@ def _option(one: Field) -> inspect.Parameter:
     )
 
 
-def _command(kind: str) -> Callable:
+def _command(kind: str) -> Callable[..., Any]:
     """The command of one kind of simulation, with its settings as options."""
 
-    def run(*, out: OutFile, truth: Truth = None, **given) -> None:
+    def run(*, out: OutFile, truth: Truth = None, **given: Any) -> None:
         problems: list[InputProblem] = []
         if "values" in given:
             given["values"] = numbers("--set", given["values"], problems)
@@ -94,7 +98,7 @@ def _file_problems(out: Path, truth: Path | None) -> list[InputProblem]:
     return problems
 
 
-def _write(made, out: Path, truth: Path | None, seed: int) -> None:
+def _write(made: "SimulatedLog", out: Path, truth: Path | None, seed: int) -> None:
     from tirefit.data.write import csv_text
 
     tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})

@@ -3,6 +3,7 @@
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 from tirefit.results import UsageError
 
@@ -70,7 +71,7 @@ def _of_variables(error: Exception) -> Exception:
     return UsageError(reason + cause, f"correct or unset {', '.join(named)}")
 
 
-def _store_programs(config) -> str | None:
+def _store_programs(config: Any) -> str | None:
     """Have JAX store programs in the folder of the user; returns a warning if the folder is
     not safe, else None."""
     from tirefit.compiled import open_entries, why_unsafe

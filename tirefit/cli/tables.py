@@ -1,10 +1,11 @@
 """Small commands: version, and tables of models, methods, files and forces."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import StrEnum
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -36,6 +37,14 @@ from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.files import json_safe
 from tirefit.results import ExitCode, InputProblem, UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tirefit.data.table import TireData
+    from tirefit.data.tir.tir import TirFile
+    from tirefit.fitting.verdict.identifiability import Identifiability
+
 
 Axle = StrEnum("Axle", "rear front")
 
@@ -105,7 +114,7 @@ def inspect(
     raise typer.Exit(worst_of([one.code for one in done]))
 
 
-def _identified(data, models):
+def _identified(data: "TireData", models: list[str] | None) -> "Identifiability":
     """How well the data determine the parameters of the models."""
     start_jax()
     from tirefit.fitting.verdict.identifiability import identifiability
@@ -174,7 +183,7 @@ def predict(
 ) -> None:
     """Compute the forces of a fit or a model for each row of a data file."""
     how = read_options(options, read_config(options.config))
-    of_file: dict = {"side": side, "signs": signs, "combination": combination}
+    of_file: dict[str, Any] = {"side": side, "signs": signs, "combination": combination}
     of_file["starred"] = starred_angles
     kind = tire_kind(source)
     if kind != "tir" and any(of_file.values()):
@@ -214,7 +223,9 @@ def predict(
     _write(out, table, forces, source, beside)
 
 
-def _write(out, table, forces, source, beside: bool) -> None:
+def _write(
+    out: Path, table: "TireData", forces: "Mapping[str, np.ndarray]", source: str, beside: bool
+) -> None:
     """Write the forces in the convention of the file and list the written columns.
 
     The first line of a table for `diagnose --sim` states the convention.
@@ -234,7 +245,9 @@ def _write(out, table, forces, source, beside: bool) -> None:
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
 
-def _tir_text(source: str, tir, of_file: dict, values: dict[str, float]) -> str:
+def _tir_text(
+    source: str, tir: "TirFile", of_file: dict[str, Any], values: dict[str, float]
+) -> str:
     """How a ``.tir`` file is used; ``of_file`` are arguments of ``tire_of``."""
     parts = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
     parts += [f"mounted {of_file['side']}"] if of_file["side"] else []

@@ -8,7 +8,7 @@ from tirefit.data.read import Columns, read, read_frame
 from tirefit.data.table import TireData
 from tirefit.results import UsageError
 
-DataLike = TireData | Columns | str | os.PathLike
+DataLike = TireData | Columns | str | os.PathLike[str]
 """What every function takes as data: read, columns by name, or a path."""
 
 

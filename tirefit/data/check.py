@@ -6,7 +6,7 @@ are masked. A doubt is a warning: the data can be used, but may have another mea
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -172,7 +172,7 @@ def _looks_like_percent(sigma: np.ndarray) -> bool:
     return low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)
 
 
-def _load_hint(text: str, columns, convention: str) -> tuple[str, str]:
+def _load_hint(text: str, columns: Mapping[str, np.ndarray], convention: str) -> tuple[str, str]:
     sign = CONVENTIONS[convention].fz
     look = "SAE (z down: loads are negative)" if sign > 0 else "z up (loads positive)"
     finite = np.all([np.isfinite(values) for values in columns.values()], axis=0)
@@ -228,7 +228,7 @@ def without_masking(problem: InputProblem) -> InputProblem:
 
 
 def check_columns(
-    columns,
+    columns: Collection[str],
     headers: Sequence[str],
     idle: Sequence[str],
     file: str,
@@ -308,7 +308,13 @@ def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
     ]
 
 
-def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, gaps: bool = False):
+def read_numbers(
+    cells: Sequence[str] | np.ndarray,
+    header: str,
+    ragged: np.ndarray,
+    commas: bool = False,
+    gaps: bool = False,
+) -> tuple[np.ndarray, list[BadRows]]:
     """Numbers of a column of cells, and the faulty ones.
 
     Args:
@@ -324,12 +330,11 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False, g
     if isinstance(cells, np.ndarray):
         values = cells.astype(float)
     else:
-        large = isinstance(cells, Column)
-        values = cells.numbers(commas) if large else parsed(cells, commas)
+        values = cells.numbers(commas) if isinstance(cells, Column) else parsed(cells, commas)
     is_sane = abs(values) < _LARGEST
     kinds: dict[str, list[tuple[int, str]]] = {}
     for row in np.flatnonzero(~is_sane & ~ragged):
-        shown, kind = _fault_of(str(cells[row]))
+        shown, kind = _fault_of(str(cells[int(row)]))
         if gaps and kind in _MISSING:
             continue
         kinds.setdefault(kind, []).append((int(row), shown))

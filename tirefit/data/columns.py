@@ -216,7 +216,7 @@ def plan_columns(
     return plan
 
 
-def _declared(headers, options, plan, file) -> dict[str, int]:
+def _declared(headers: Sequence[str], options: Options, plan: Plan, file: str) -> dict[str, int]:
     place_of = {}
     folded = [header.casefold() for header in headers]
     for name, header in options.columns.items():
@@ -241,7 +241,9 @@ def _declared(headers, options, plan, file) -> dict[str, int]:
     return place_of
 
 
-def _refuse_shared(place_of, headers, plan, file) -> None:
+def _refuse_shared(
+    place_of: Mapping[str, int], headers: Sequence[str], plan: Plan, file: str
+) -> None:
     """A problem for one header declared as two columns, or two declared slip columns."""
     names = list(place_of)
     for place, name in enumerate(names):
@@ -257,7 +259,13 @@ def _refuse_shared(place_of, headers, plan, file) -> None:
             plan.problems.append(InputProblem(reason, remedy, file, column=header))
 
 
-def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
+def _inferred(
+    headers: Sequence[str],
+    declared: Mapping[str, int],
+    plan: Plan,
+    file: str,
+    names: Mapping[str, str],
+) -> dict[str, int]:
     taken = {_group(name) for name in declared}
     by_group: dict[str, list[tuple[str, int]]] = {}
     for index, header in enumerate(headers):
@@ -273,8 +281,8 @@ def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
         listed = " and ".join(repr(headers[index]) for _, index in matches)
         places = _places([index for _, index in matches])
         name, index = matches[0]
-        names = " and ".join(dict.fromkeys(match for match, _ in matches))
-        reason = f"duplicate column: {listed} all mean {names} ({places})"
+        meant = " and ".join(dict.fromkeys(match for match, _ in matches))
+        reason = f"duplicate column: {listed} all mean {meant} ({places})"
         remedy = f'choose one: columns.{name} = "{headers[index]}" or --column {name}='
         if len({headers[index] for _, index in matches}) == 1:
             remedy = "rename or remove one of them in the file"
@@ -294,7 +302,9 @@ def _meant(header: str, names: Mapping[str, str]) -> Guess | None:
     return guess(header) if name is None else (Guess(name, None) if name else None)
 
 
-def _drop_lonely_std(chosen, inferred, headers, plan) -> None:
+def _drop_lonely_std(
+    chosen: dict[str, int], inferred: dict[str, int], headers: Sequence[str], plan: Plan
+) -> None:
     groups = {_group(name) for name in chosen}
     for name in list(inferred):
         if name.endswith("_std") and _group(name).removesuffix("_std") not in groups:
@@ -303,7 +313,9 @@ def _drop_lonely_std(chosen, inferred, headers, plan) -> None:
             plan.assumptions.append(f"column {header!r} not used: there is no {owner}")
 
 
-def _check_slip_std(chosen, headers, plan, file) -> None:
+def _check_slip_std(
+    chosen: Mapping[str, int], headers: Sequence[str], plan: Plan, file: str
+) -> None:
     """A problem if slip and its std have different definitions: std is not convertible."""
     names = {_group(name): name for name in chosen}
     slip, std = names.get("slip"), names.get("slip_std")
@@ -314,7 +326,14 @@ def _check_slip_std(chosen, headers, plan, file) -> None:
         plan.problems.append(InputProblem(reason, remedy, file, column=where))
 
 
-def _unit_of(name, index, headers, stated, options, chosen) -> tuple[str, str]:
+def _unit_of(
+    name: str,
+    index: int,
+    headers: Sequence[str],
+    stated: Mapping[int, tuple[str, str]],
+    options: Options,
+    chosen: Mapping[str, int],
+) -> tuple[str, str]:
     """Unit text of a column and, if it was not stated, how it was found."""
     if name == "run":
         return "", ""

@@ -12,7 +12,7 @@ from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 _STATED = re.compile(r"\bconvention\b\W*(?:is +)?([\w-]+(?: +sae\b)?)", re.IGNORECASE)
 
 
-def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
+def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple[Any, ...]]:
     """The sign convention that the lines ``above`` a header state, and warnings.
 
     Files that this package writes state it there. An unknown name causes a warning.

@@ -1,7 +1,7 @@
 """Find outliers: single rows with values far from their file or from their neighbours, as
 a wrong unit or a faulty channel causes them."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -39,6 +39,10 @@ _SLIP_STEP = 0.02  # ... and so do values of the slip across the force.
 _CHUNK = 1 << 16  # rows whose neighbours are sorted at once
 _ALL = "all other rows"
 _SLIP_OF = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
+
+
+Beyond = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Far rows (n,), and the ends (n,) of the range of the others."""
 
 
 class FarValue(NamedTuple):
@@ -127,7 +131,7 @@ def why_far(value: FarValue) -> str:
     return f"{value.value:.6g}{unit} is far from {value.among}, which have {have}"
 
 
-def _rules(data: TireData, column: str, values):
+def _rules(data: TireData, column: str, values: np.ndarray) -> Iterator[tuple[str, Beyond]]:
     """For each rule: (name of the others, (far rows, ends of the range of the others))."""
     if column == "fz":
         scales = (np.positive, np.log) if np.all(values > 0) else (np.positive,)
@@ -150,7 +154,11 @@ def _rules(data: TireData, column: str, values):
             yield among, _against(values, data.usable(slip))
 
 
-def _beyond_all(values, shape=np.positive, locked=np.inf):
+def _beyond_all(
+    values: np.ndarray,
+    shape: Callable[[np.ndarray], np.ndarray] = np.positive,
+    locked: float = np.inf,
+) -> Beyond:
     """Rows that a wide gap separates from all others, at either end.
 
     Args:
@@ -179,7 +187,7 @@ def _beyond_all(values, shape=np.positive, locked=np.inf):
     return far & (values < locked), *ends
 
 
-def _beside(values, order):
+def _beside(values: np.ndarray, order: np.ndarray) -> Beyond:
     """Rows far outside the range of their neighbours in an order.
 
     The first and last rows have neighbours on one side only and are not checked, as a
@@ -199,7 +207,7 @@ def _beside(values, order):
     return far, low, high
 
 
-def _against(values, slip):
+def _against(values: np.ndarray, slip: np.ndarray) -> Beyond:
     """Rows whose force is large and has the sign that belongs to the opposite slip."""
     outer = _inner_range(values)
     size = max(abs(outer[0]), abs(outer[1]))
@@ -208,14 +216,14 @@ def _against(values, slip):
     return far, np.where(slip > 0, 0.0, -size), np.where(slip > 0, size, 0.0)
 
 
-def _inner_range(values) -> tuple[float, float]:
+def _inner_range(values: np.ndarray) -> tuple[float, float]:
     """Range of the values without one in a hundred at either end."""
     few = max(1, len(values) // 100)
     ordered = np.partition(values, (few, len(values) - 1 - few))
     return float(ordered[few]), float(ordered[-1 - few])
 
 
-def _neighbours(at, count: int):
+def _neighbours(at: np.ndarray, count: int) -> np.ndarray:
     """Positions (m, 8) of the nearest rows to each of m positions, without itself."""
     start = np.clip(at - _BESIDE, 0, count - 2 * _BESIDE - 1)
     near = start[:, None] + np.arange(2 * _BESIDE)

@@ -3,7 +3,9 @@
 import dataclasses
 import math
 import textwrap
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +88,7 @@ class Inspection:
     masked: tuple[str, ...]
     far_rows: tuple[str, ...] = ()  # outliers
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; numbers that are not finite are None."""
         return json_safe(dataclasses.asdict(self))
 
@@ -273,7 +275,7 @@ def _combined_rows(data: TireData) -> int:
     return int(np.count_nonzero(np.logical_and(*slips)))
 
 
-def _spread_support(data: TireData, name: str, fit: str, model="") -> Support:
+def _spread_support(data: TireData, name: str, fit: str, model: str = "") -> Support:
     if name not in data:
         return Support(fit, False, f"no {name}")
     values = data.usable(name)
@@ -294,7 +296,7 @@ def _wrap(text: str, indent: str = "    ") -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent=indent) or [""]
 
 
-def _column_lines(columns) -> list[str]:
+def _column_lines(columns: Iterable[ColumnSummary]) -> list[str]:
     lines = [f"{'column':<16}{'unit':<7}{'min':>11}{'median':>11}{'max':>11}  read from"]
     for c in columns:
         header = c.header if c.header is not None else "(declared or computed)"

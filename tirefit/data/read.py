@@ -7,7 +7,7 @@ in ``Source.assumptions``.
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,7 +48,7 @@ class Columns(Protocol):
 
 
 def read(
-    path: Place | str | os.PathLike,
+    path: Place | str | os.PathLike[str],
     *,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -111,7 +111,7 @@ def read(
     return _checked(read_table(file_at(path), options.columns.values()), options)
 
 
-def read_frame(frame: Columns, name: str = "data", **options) -> TireData:
+def read_frame(frame: Columns, name: str = "data", **options: Any) -> TireData:
     """Read a frame or arrays into canonical, checked data.
 
     Args:
@@ -461,7 +461,7 @@ def _all_assumptions(reading: _Reading) -> list[str]:
     return [*messages, *findings(reading.table.constants)]
 
 
-def _warnings(reading: _Reading, run) -> tuple[str, ...]:
+def _warnings(reading: _Reading, run: np.ndarray) -> tuple[str, ...]:
     """Warnings by the rows that are complete: a prediction keeps others, without a force."""
     good = ~reading.bad() & np.all([np.isfinite(v) for v in reading.columns.values()], axis=0)
     if not good.any():

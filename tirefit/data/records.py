@@ -13,12 +13,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from tirefit.data.readers.extras import extra
 from tirefit.files import replacing
+
+if TYPE_CHECKING:
+    import pandas
+
 
 FAILED = "failed"
 
@@ -38,7 +42,7 @@ class Row(NamedTuple):
     identified: bool = True
 
 
-def frame(rows: Sequence[Row]):
+def frame(rows: Sequence[Row]) -> "pandas.DataFrame":
     """The numbers as a pandas data frame, a row for each.
 
     Raises:
@@ -85,7 +89,7 @@ class _Writer:
         fields |= {"identified": pyarrow.bool_(), "seed": pyarrow.int64()}
         self.table, self.schema = pyarrow.table, pyarrow.schema(fields.items())
         self.file = parquet.ParquetWriter(path, self.schema, compression="zstd")
-        self.columns: dict[str, list] = {name: [] for name in fields}
+        self.columns: dict[str, list[Any]] = {name: [] for name in fields}
         self.number = 0
 
     def add(self, record: FileRecord) -> None:

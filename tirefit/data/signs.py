@@ -230,7 +230,11 @@ def _remedy(
 
 
 def _undeclared(
-    columns, headers, definition: str, signs: Signs, pairs: Sequence[Evidence]
+    columns: Mapping[str, np.ndarray],
+    headers: Mapping[str, str],
+    definition: str,
+    signs: Signs,
+    pairs: Sequence[Evidence],
 ) -> str | None:
     """A warning that the sign of the slip may be wrong, as no convention was declared.
 
@@ -307,7 +311,13 @@ def check_slip(
     return SlipCheck(radius, difference, contradicts, text)
 
 
-def _causes(given, computed, definition: str, alpha, radius: float) -> Iterator[tuple]:
+def _causes(
+    given: np.ndarray,
+    computed: np.ndarray,
+    definition: str,
+    alpha: np.ndarray | None,
+    radius: float,
+) -> Iterator[tuple[str, np.ndarray]]:
     """Sentence on a cause of a difference -> the slip sigma_x (n,) that would then be right."""
     logged = slip_from_sigma(given, definition, alpha)
     meant = slip_from_sigma(computed, definition, alpha)

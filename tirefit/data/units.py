@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.arrays import Kept
 from tirefit.data.table import CANONICAL
 from tirefit.results import DataError, did_you_mean
 from tirefit.slip import CONVENTIONS, GRAVITY, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
@@ -31,11 +32,11 @@ class Unit(NamedTuple):
     scale: float
     offset: float = 0.0
 
-    def to_si(self, values, is_std=False):
+    def to_si(self, values: Kept, is_std: bool = False) -> Kept:
         """Convert file values to SI; a standard deviation has no sign and no offset."""
         return abs(self.scale) * values if is_std else self.scale * values + self.offset
 
-    def from_si(self, values, is_std=False):
+    def from_si(self, values: Kept, is_std: bool = False) -> Kept:
         """Inverse of :meth:`to_si`."""
         if is_std:
             return values / abs(self.scale)
@@ -173,7 +174,7 @@ def sign_of(convention: str, column: str) -> int:
     return getattr(CONVENTIONS[convention], field, 1)
 
 
-def slip_to_sigma(slip, definition, alpha=None):
+def slip_to_sigma(slip: np.ndarray, definition: str, alpha: np.ndarray | None = None) -> np.ndarray:
     """Slip of any definition, in canonical signs, to physical slip sigma_x.
 
     Args:
@@ -193,7 +194,7 @@ def slip_to_sigma(slip, definition, alpha=None):
     return np.clip(sigma, SPINNING, LOCKED)
 
 
-def slip_from_speeds(omega, v, rolling_radius):
+def slip_from_speeds(omega: np.ndarray, v: np.ndarray, rolling_radius: float) -> np.ndarray:
     """Physical slip (v - omega R) / (omega R), limited to SPINNING and LOCKED.
 
     Args:
@@ -210,7 +211,9 @@ def slip_from_speeds(omega, v, rolling_radius):
     return np.clip(sigma, SPINNING, LOCKED)
 
 
-def slip_from_sigma(sigma, definition, alpha=None):
+def slip_from_sigma(
+    sigma: np.ndarray, definition: str, alpha: np.ndarray | None = None
+) -> np.ndarray:
     """Inverse of :func:`slip_to_sigma` within its limits."""
     slip = SLIP_DEFINITIONS[definition][1](sigma)
     if definition != "sigma_x":
@@ -220,7 +223,9 @@ def slip_from_sigma(sigma, definition, alpha=None):
     return slip
 
 
-def sigma_derivative(sigma, definition, alpha=None):
+def sigma_derivative(
+    sigma: np.ndarray, definition: str, alpha: np.ndarray | None = None
+) -> np.ndarray:
     """d sigma_x / d slip at ``sigma`` (n,), to convert a standard deviation."""
     kappa_like = (1 + sigma) ** 2
     if definition == "sigma_x":

@@ -5,6 +5,7 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from tirefit.results import InputProblem
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
 
 
-def output_problems(path, ending: str = "") -> list[InputProblem]:
+def output_problems(path: str | os.PathLike[str], ending: str = "") -> list[InputProblem]:
     """The problems that prevent writing a file at ``path``, to check before the work.
 
     Args:
@@ -58,7 +59,7 @@ def csv_text(columns: Mapping[str, object], delimiter: str = ",") -> str:
     return text.getvalue()
 
 
-def _cells(values) -> list[str]:
+def _cells(values: Any) -> list[str]:
     plain = values.tolist() if hasattr(values, "tolist") else list(values)
     return [
         ("" if value != value else repr(value)) if isinstance(value, float) else str(value)
@@ -103,7 +104,7 @@ def to_convention(
     return out
 
 
-def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
+def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Predicted forces and the columns needed to plot them, in the terms of the file.
 
     Args:
@@ -119,7 +120,7 @@ def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
     return _with_units(data, table)
 
 
-def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
+def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """All columns of the data that were read, and the forces of a simulator, in the terms
     of the file, for ``tirefit diagnose --sim``.
 
@@ -134,7 +135,7 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
     return _with_units(data, table)
 
 
-def _with_units(data: TireData, table: dict) -> dict:
+def _with_units(data: TireData, table: dict[str, Any]) -> dict[str, Any]:
     """The same columns, with units added to headers if the file states them elsewhere, so
     that the written file is read back with the same units."""
     source, message = data.source, {}
@@ -145,7 +146,7 @@ def _with_units(data: TireData, table: dict) -> dict:
     return {message.get(header, header): values for header, values in table.items()}
 
 
-def _own_columns(data: TireData, names: Sequence[str]) -> dict:
+def _own_columns(data: TireData, names: Sequence[str]) -> dict[str, Any]:
     """Columns in the terms of the file, with the runs if there are several."""
     inputs = to_convention(data, {name: data[name] for name in names})
     # 12 digits: 0.1 converted to sigma_x and back is 0.1 again, as in the file.

@@ -68,7 +68,7 @@ def _statistics(solved: Solved) -> FitStatistics:
     )
 
 
-def _slip_structure(problem: FitProblem, residual) -> float:
+def _slip_structure(problem: FitProblem, residual: np.ndarray) -> float:
     """Correlation of the residuals of neighbours in slip: 0 for noise, 1 for a bias.
 
     It is the larger one of two orders: by slip, and by slip within run and load.
@@ -160,7 +160,7 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
         }
         one_std = channel.noise_estimated and np.ptp(scale) == 0
         if one_std and problem.loss == "squares" and not problem.rows.nodes:
-            force = settled.solved.at.mean[channel.name]
+            force = np.asarray(settled.solved.at.mean[channel.name])
             record[channel.name] |= noise_by_row(
                 problem.used(problem.rows.observed[channel.name]) - force,
                 problem.used(problem.rows.inputs.fz),
@@ -175,7 +175,7 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
     return record
 
 
-def _config(config: FitConfig | dict | None, **changes) -> FitConfig:
+def _config(config: FitConfig | dict[str, Any] | None, **changes: Any) -> FitConfig:
     if config is None:
         config = FitConfig()
     elif isinstance(config, dict):
@@ -191,7 +191,7 @@ def fit(
     data: DataLike,
     model: str | None = None,
     *,
-    config: FitConfig | dict | None = None,
+    config: FitConfig | dict[str, Any] | None = None,
     solver: Solver | None = None,
     seed: int | None = None,
 ) -> FitResult:
@@ -235,7 +235,7 @@ def fit(
     return _summarise(settled, data, config)
 
 
-def _summarise(settled: Settled, data: TireData, config) -> FitResult:
+def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult:
     task, solved = settled.task, settled.solved
     problem = solved.problem
     profiles = profile_all(problem, solved.z, solved.covariance, solved.level)
@@ -284,7 +284,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
     return judge(replace(result, peak_range=ranges, trials=trials))
 
 
-def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
+def with_fixed(estimates: dict[str, Estimate], problem: FitProblem) -> dict[str, Estimate]:
     """Estimates plus the fixed and tied parameters, in the model's order."""
     everything = dict(estimates)
     free = {p.name for p in problem.layout.free}
@@ -298,7 +298,9 @@ def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
     return everything
 
 
-def _tied(tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, ...]):
+def _tied(
+    tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, ...]
+) -> dict[str, Estimate]:
     """Estimates of a tied parameter by label; one per run if the other one is per run."""
     tied = {}
     for end in ("", *(f"[{run}]" for run in runs)):

@@ -3,11 +3,12 @@
 import os
 from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from tirefit.compiled import BRIEF
 from tirefit.data.accept import DataLike, as_data
@@ -16,7 +17,7 @@ from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.tir.tir import read_tir
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.fitting.mf.parts import SLIPS_OF
-from tirefit.fitting.mf.result import MagicFormulaFit, magic_formula_forces
+from tirefit.fitting.mf.result import MagicFormulaFit, TireLike, magic_formula_forces
 from tirefit.fitting.problem.build import find_model
 from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.problem.likelihood import row_forces
@@ -33,8 +34,15 @@ from tirefit.results import DataError, UsageError
 
 
 @partial(jax.jit, static_argnames=("layout",), compiler_options=BRIEF)
-def _linearised(model, layout, z, covariance, inputs, run):
-    def force(z):
+def _linearised(
+    model: AbstractTire,
+    layout: Layout,
+    z: Float[Values, " p"],
+    covariance: Float[Values, "p p"],
+    inputs: TireInputs,
+    run: Values,
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    def force(z: Values) -> dict[str, Array]:
         each = row_forces(model, layout, z, inputs, run)
         return {name: value for name, value in each.items() if value is not None}
 
@@ -87,7 +95,7 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
 
 
 def predict(
-    source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike,
+    source: FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike[str],
     data: DataLike,
     values: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
@@ -126,7 +134,7 @@ def predict(
         raise UsageError("values together with a fit, which has its own", "leave them out")
     if isinstance(given, MagicFormulaFit):
         given = given.stored
-    noise: Mapping[str, Mapping]
+    noise: Mapping[str, Mapping[str, Any]]
     if isinstance(given, FitResult):
         problem = given.problem
         tire, layout, name = problem.model, problem.layout, given.model
@@ -163,19 +171,20 @@ def predict(
 
 
 def _opened(
-    source,
+    source: TireLike,
 ) -> tuple[FitResult | MagicFormulaFit | StoredFit | AbstractTire, str, tuple[str, str] | None]:
     """The fit or the tire, its name, and the convention of data that declare none, with
     the name that a message gives it."""
-    text = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
-    kind = tire_kind(text) if text else ""
-    if kind == "tir":
-        return tire_of(read_tir(text)), text, (TIR_SIGNS, ".tir files")
-    if text and not kind:
-        return find_model(text), text, None
+    if isinstance(source, str | os.PathLike):
+        text = os.fspath(source)
+        kind = tire_kind(text)
+        if kind == "tir":
+            return tire_of(read_tir(text)), text, (TIR_SIGNS, ".tir files")
+        if not kind:
+            return find_model(text), text, None
+        source = load_fit(text)
     if isinstance(source, AbstractTire):
         return source, type(source).__name__, None
-    source = load_fit(text) if text else source
     content = source.content if isinstance(source, StoredFit) else vars(source)
     return source, source.model, (content["data"]["convention"], "the fit's data")
 
@@ -193,7 +202,13 @@ def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
     return messages
 
 
-def _noise_std(data: TireData, channel: str, record: Mapping, force, reference):
+def _noise_std(
+    data: TireData,
+    channel: str,
+    record: Mapping[str, Any],
+    force: np.ndarray,
+    reference: Mapping[str, float],
+) -> np.ndarray:
     """Noise of one measurement, from a column of the data or from the fit."""
     if f"{channel}_std" in data:
         return data[f"{channel}_std"]
@@ -201,7 +216,7 @@ def _noise_std(data: TireData, channel: str, record: Mapping, force, reference):
     return noise_std(record, data["fz"], force, names, reference["fz"])
 
 
-def _channels(data: TireData, force: Mapping) -> list[str]:
+def _channels(data: TireData, force: Mapping[str, Any]) -> list[str]:
     return [
         channel
         for channel, slips in SLIPS_OF.items()
@@ -209,7 +224,7 @@ def _channels(data: TireData, force: Mapping) -> list[str]:
     ]
 
 
-def _all_rows(data: TireData, out: Mapping) -> dict[str, np.ndarray]:
+def _all_rows(data: TireData, out: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Arrays over the used rows as arrays over all rows, NaN where masked."""
     full = {name: np.full(len(data), np.nan) for name in out}
     for name, values in out.items():
@@ -227,7 +242,9 @@ def tire_with(template: AbstractTire, name: str, values: Mapping[str, float]) ->
     return with_values(template, parameter_values(template) | dict(values))
 
 
-def _of_model(template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]):
+def _of_model(
+    template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
+) -> dict[str, np.ndarray]:
     tire = tire_with(template, name, values)
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,12 @@ from tirefit.fitting.solve.multistart import Solved
 from tirefit.models import AbstractTire
 from tirefit.params import parameter_values
 from tirefit.results import Outcome, UsageError
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
 
 SCHEMA = "tirefit.fit/1"
 TRAJECTORY = "tirefit.trajectory/1"  # of tires fitted to trajectories of a car
@@ -212,7 +218,7 @@ class FitResult(Record):
 
     internal: ClassVar[tuple[str, ...]] = ("asked", "problem", "solved", "walkers")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("parameters", "least_squares", "derived"):
             object.__setattr__(self, name, ByName(getattr(self, name)))
 
@@ -237,7 +243,7 @@ class FitResult(Record):
         return "least squares, profile likelihood"
 
     @property
-    def samples(self):
+    def samples(self) -> "xarray.DataTree":
         """The posterior samples as an xarray DataTree, as in ``posterior.nc``.
 
         ArviZ 1.x reads it: ``arviz.summary(fit.samples)``; earlier ones read its part
@@ -277,7 +283,7 @@ class FitResult(Record):
 
         return predict(self, data)
 
-    def to_frame(self):
+    def to_frame(self) -> "pandas.DataFrame":
         """The parameters, derived values and statistics as a pandas data frame: columns kind,
         name, value, std, low and high (95 % interval), unit, identified.
 
@@ -290,7 +296,7 @@ class FitResult(Record):
 
         return frame(record_of_fit(self.to_dict(), "").rows)
 
-    def plot(self, what: str = "fit", **how):
+    def plot(self, what: str = "fit", **how: Any) -> "Figure":
         """Return a figure of the measured points with the fitted curve, or another one.
 
         Args:
@@ -349,7 +355,7 @@ class FitResult(Record):
         return json_text(sealed(self.to_dict()))
 
 
-def layout_record(layout: Layout, model: AbstractTire) -> dict:
+def layout_record(layout: Layout, model: AbstractTire) -> dict[str, Any]:
     """The record of a layout in ``fit.json``, from which ``predict`` rebuilds it.
 
     Args:

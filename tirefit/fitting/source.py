@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class GivenTire:
     name: str
     tire: AbstractTire
     fit: tuple[Layout, np.ndarray, np.ndarray] | None = None
-    content: Mapping = field(default_factory=dict)
+    content: Mapping[str, Any] = field(default_factory=dict)
     tir: TirFile | None = None
 
     @property
@@ -61,7 +61,7 @@ class GivenTire:
 
 
 def given_tire(
-    source: "Fit | GivenTire | AbstractTire | str | os.PathLike",
+    source: "Fit | GivenTire | AbstractTire | str | os.PathLike[str]",
     values: Mapping[str, float] | None = None,
     signs: str | None = None,
 ) -> GivenTire:
@@ -99,15 +99,16 @@ def given_tire(
     if values:
         reason = "parameter values (--set) together with a fit, which has its own"
         raise UsageError(InputProblem(reason, "leave them out, or name a model"))
-    return _of_fit(source, text)
+    from tirefit.fitting.store import load_fit
+
+    return _of_fit(cast("Fit", load_fit(text) if text else source))  # nothing else is left
 
 
-def _of_fit(fit, path: str) -> GivenTire:
-    """The tire of a fit, or of its file if ``path`` is not empty."""
+def _of_fit(fit: "Fit") -> GivenTire:
+    """The tire of a fit."""
     from tirefit.fitting.mf.result import MagicFormulaFit
-    from tirefit.fitting.store import StoredFit, at_estimate, load_fit
+    from tirefit.fitting.store import StoredFit, at_estimate
 
-    fit = load_fit(path) if path else fit
     if isinstance(fit, MagicFormulaFit):
         stored = fit.stored
         known = stored.layout, stored.z, stored.covariance
@@ -120,7 +121,7 @@ def _of_fit(fit, path: str) -> GivenTire:
     return GivenTire(fit.model, tire, known, fit.to_dict())
 
 
-def axle_tire(source: "Fit | GivenTire | AbstractTire | str | os.PathLike") -> GivenTire:
+def axle_tire(source: "Fit | GivenTire | AbstractTire | str | os.PathLike[str]") -> GivenTire:
     """The tire of an axle, at the load of the axle.
 
     A Magic Formula describes one tire; the axle then has two, mirror images of each

@@ -4,9 +4,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -25,10 +26,13 @@ from tirefit.fitting.problem.build import find_model
 from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
-from tirefit.params import specs, with_values
+from tirefit.params import Values, specs, with_values
 from tirefit.results import DataError, UsageError
 from tirefit.settings import faults_in
 from tirefit.slip import CONVENTIONS, LOCKED
+
+if TYPE_CHECKING:
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,8 @@ class StoredFit:
     layout: Layout
     z: np.ndarray
     covariance: np.ndarray
-    noise: Mapping[str, Mapping]  # record of each fitted force
-    content: Mapping  # the whole file
+    noise: Mapping[str, Mapping[str, Any]]  # record of each fitted force
+    content: Mapping[str, Any]  # the whole file
 
     def at_estimate(self) -> AbstractTire:
         """The tire with its fitted values.
@@ -52,7 +56,7 @@ class StoredFit:
         return at_estimate(self.tire, self.layout, self.z)
 
 
-def at_estimate(template: AbstractTire, layout: Layout, z) -> AbstractTire:
+def at_estimate(template: AbstractTire, layout: Layout, z: Float[Values, " p"]) -> AbstractTire:
     """A tire with the values of an estimate ``z`` in the unconstrained space.
 
     Raises:
@@ -114,7 +118,7 @@ class _Prediction(_Part):
     layout: _Layout
 
     @model_validator(mode="after")
-    def _square(self):
+    def _square(self) -> "_Prediction":
         size = len(self.z)
         if [len(row) for row in self.covariance] != [size] * size:
             raise ValueError(f"the covariance is not {size} x {size}")
@@ -136,7 +140,7 @@ class _Data(_Part):
 
     @field_validator("range")
     @classmethod
-    def _physical(cls, given):
+    def _physical(cls, given: dict[str, list[float]]) -> dict[str, list[float]]:
         for name, (low, high) in given.items():
             least, most = _RANGES.get(name, (-np.inf, np.inf))
             if not least <= low <= high <= most:
@@ -179,7 +183,7 @@ class _Record(_Part):
     outcomes: list[str] = []
 
     @model_validator(mode="after")
-    def _estimated(self):
+    def _estimated(self) -> "_Record":
         if not (self.parameters or self.coefficients):
             raise ValueError("no parameters")
         if not self.forces:
@@ -187,7 +191,7 @@ class _Record(_Part):
         return self
 
 
-def load_fit(path: str | os.PathLike) -> StoredFit:
+def load_fit(path: str | os.PathLike[str]) -> StoredFit:
     """Read a ``fit.json``.
 
     Args:
@@ -251,7 +255,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     )
 
 
-def posterior_tree(result: FitResult):
+def posterior_tree(result: FitResult) -> "xarray.DataTree":
     """The posterior as an xarray DataTree in the InferenceData layout.
 
     Every walker is a chain, as tools take the draws of a chain for a sequence.
@@ -299,7 +303,7 @@ def posterior_content(result: FitResult) -> bytes:
     return bytes(posterior_tree(result).to_netcdf(None, engine="h5netcdf"))
 
 
-def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
+def save_fit(result: FitResult, directory: str | os.PathLike[str]) -> list[Path]:
     """Write ``fit.json`` and, if sampled, ``posterior.nc``, both or none."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
@@ -313,7 +317,7 @@ def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
 _STATISTICS = ("rmse", "r2", "chi2_dof", "n", "n_effective")
 
 
-def record_of_fit(content: Mapping, result: str) -> FileRecord:
+def record_of_fit(content: Mapping[str, Any], result: str) -> FileRecord:
     """The record of a fit for the table of all results.
 
     Args:

@@ -1,6 +1,7 @@
 """The tire of a ``.tir`` file, and remarks on rows to which it does not apply."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def own_tire(
 
 
 def tire_of(
-    tir: TirFile, *, side: str | None = None, signs: str | None = None, **how
+    tir: TirFile, *, side: str | None = None, signs: str | None = None, **how: Any
 ) -> AbstractTire:
     """The tire of a ``.tir`` file, in given signs and on a side of the vehicle.
 

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from tirefit.arrays import Scalar
+
 
 class TireInputs(NamedTuple):
     """One sample in the canonical convention of ``tirefit.slip``, or n of them.
@@ -68,12 +70,12 @@ class AbstractTire(eqx.Module):
         """Whether the force depends on earlier slips (``felt`` changes the inputs)."""
         return False
 
-    def static_friction(self, fz):
+    def static_friction(self, fz: Scalar) -> Scalar | None:
         """Static friction coefficient [-] at load fz [N]; None if the model has none."""
         del fz
         return getattr(self, "mu", None)
 
-    def felt(self, inputs: TireInputs, run) -> TireInputs:
+    def felt(self, inputs: TireInputs, run: Int[Array | np.ndarray, " n"]) -> TireInputs:
         """Inputs at the contact patch, after any lag; rows in time order, arrays (n,).
 
         They are those of the wheel for a steady-state model; for a transient one they
@@ -97,7 +99,7 @@ def modelled(model: AbstractTire) -> tuple[str, ...]:
 
 
 @jax.jit
-def _batched(model: AbstractTire, inputs: TireInputs, run) -> TireForces:
+def _batched(model: AbstractTire, inputs: TireInputs, run: Int[Array, " n"]) -> TireForces:
     felt = model.felt(inputs, run)
     return jax.vmap(lambda sample: model(sample))(felt)
 

@@ -14,9 +14,13 @@ for a rectangular patch, to :math:`\sqrt{F_z}` for an elliptic one. So :math:`c_
 proportional to :math:`F_z^2` or :math:`F_z`; measured tires have other powers.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.friction import Friction, Kinetic
 from tirefit.models.pressure import AbstractPressure, Parabolic, reference_load
@@ -24,18 +28,18 @@ from tirefit.params import par, parameter_values, with_values
 from tirefit.slip import kappa_from_sigma, lateral_slip
 
 
-def bristle_stiffness(relation: str = "C_x = 2 c_p a^2", source: str = "S(12)"):
+def bristle_stiffness(relation: str = "C_x = 2 c_p a^2", source: str = "S(12)") -> Any:
     """The field of c_p a^2, with its relation to the slip stiffness."""
     meaning = f"bristle stiffness c_p a^2; {relation}"
     return par(5e4, (1e-2, 1e9), "N", meaning, source, r"c_p a^2", scale="log")
 
 
-def friction_coefficient():
+def friction_coefficient() -> Any:
     """The field of mu."""
     return par(1.0, (0.01, 5.0), "-", "static friction coefficient mu_s", "S(12)", r"\mu")
 
 
-def half_contact_length():
+def half_contact_length() -> Any:
     """The field of the half-length a of the contact patch."""
     return par(
         0.1,
@@ -65,7 +69,9 @@ class Brush(AbstractTire):
     pressure: AbstractPressure = Parabolic()
     friction: Friction = Friction()
 
-    def pure(self, slip, fz, v_s, braking=1.0):
+    def pure(
+        self, slip: Scalar, fz: Scalar, v_s: Scalar, braking: Scalar = 1.0
+    ) -> tuple[Array, Array]:
         """Force [N] and moment over half-length [N] along the slip.
 
         Args:
@@ -84,9 +90,9 @@ class Brush(AbstractTire):
         pressure = self.pressure.under(rho, braking, load)
         u = pressure.breakaway(rho)
         sticking = 2 - u
-        force = mu_k * load * pressure.cdf(u) + demand * sticking**2 / 2
-        moment = mu_k * load * pressure.moment(u) + demand * (sticking**2 / 2 - sticking**3 / 3)
-        return loaded * force, loaded * moment
+        force = load * mu_k * pressure.cdf(u) + demand * sticking**2 / 2
+        moment = load * mu_k * pressure.moment(u) + demand * (sticking**2 / 2 - sticking**3 / 3)
+        return force * loaded, moment * loaded
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -102,7 +108,7 @@ class Brush(AbstractTire):
         return TireForces(along * force, across * force, self.half_length * across * moment)
 
     @property
-    def stiffness_ratio(self):
+    def stiffness_ratio(self) -> float:
         """Lateral over longitudinal bristle stiffness [-]: one, the isotropic brush."""
         return 1.0
 
@@ -133,40 +139,42 @@ class AnisotropicBrush(Brush):
     )
 
 
-def resultant(x, y):
+def resultant(x: Numbers, y: Numbers) -> Array:
     """Length of (x, y), kept above zero so that its gradient is finite at rest."""
     return polar(jnp.asarray(x), jnp.asarray(y))[0]
 
 
 @jax.custom_jvp
-def polar(x, y):
+def polar(x: Numbers, y: Numbers) -> tuple[Array, Array, Array]:
     """Length of (x, y) as in :func:`resultant`, and the shares of x and y in it.
 
     The rule of differentiation divides at most by the square of the length; with its
     third power, second derivatives at rest would not be finite in 32 bit.
     """
-    square = x**2 + y**2
+    square = jnp.asarray(x**2 + y**2)
     length = jnp.sqrt(square + (1e-60 if square.dtype == jnp.float64 else 1e-36))
-    return length, x / length, y / length
+    return length, jnp.asarray(x / length), jnp.asarray(y / length)
 
 
 @polar.defjvp
-def _turned(at, change):
+def _turned(
+    at: tuple[Scalar, Scalar], change: tuple[Scalar, Scalar]
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
     length, along, across = polar(*at)
-    longer = along * change[0] + across * change[1]
-    sideways = [
-        (step - share * longer) / length
-        for share, step in zip((along, across), change, strict=True)
-    ]
-    return (length, along, across), (longer, *sideways)
+    steps = jnp.asarray(change[0]), jnp.asarray(change[1])
+    longer = along * steps[0] + across * steps[1]
+    sideway_x, sideway_y = (
+        (step - share * longer) / length for share, step in zip((along, across), steps, strict=True)
+    )
+    return (length, along, across), (longer, sideway_x, sideway_y)
 
 
-def mu_from_peak(mu_peak, m):
+def mu_from_peak(mu_peak: float, m: float) -> float:
     """Static friction of a brush-m whose largest force is mu_peak F_z, from S(33)."""
     return mu_peak * (3 - 2 * m) ** 2 / (4 - 3 * m)
 
 
-def peak_from_mu(mu, m):
+def peak_from_mu(mu: float, m: float) -> float:
     """Peak force over load of a brush-m with static friction mu, S(33)."""
     return mu * (4 - 3 * m) / (3 - 2 * m) ** 2
 
@@ -215,7 +223,7 @@ class LoadDependent(AbstractTire):
     )
     fz0: float = reference_load()
 
-    def at(self, fz) -> AbstractTire:
+    def at(self, fz: Scalar) -> AbstractTire:
         """The tire with its parameters at load fz [N] > 0."""
         ratio = fz / self.fz0
         base = parameter_values(self.tire)
@@ -231,7 +239,7 @@ class LoadDependent(AbstractTire):
     def needs(self) -> tuple[str, ...]:
         return self.tire.needs
 
-    def static_friction(self, fz):
+    def static_friction(self, fz: Scalar) -> Scalar | None:
         return self.at(fz).static_friction(fz)
 
     def __call__(self, inputs: TireInputs) -> TireForces:

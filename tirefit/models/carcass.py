@@ -30,12 +30,14 @@ are below these values.
 
 import abc
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from tirefit.arrays import Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import bristle_stiffness, friction_coefficient, half_contact_length, polar
 from tirefit.models.pressure import AbstractPressure, Parabolic
@@ -51,7 +53,7 @@ class Patch(NamedTuple):
     moment: jax.Array  # about the centre in half-lengths [-]
 
 
-def _flexibility(default, largest, meaning, symbol):
+def _flexibility(default: float, largest: float, meaning: str, symbol: str) -> Any:
     return par(default, (0.0, largest), "-", meaning, "S(15)", symbol)
 
 
@@ -68,7 +70,7 @@ class AbstractCarcass(AbstractTire):
     pressure: AbstractPressure = Parabolic()
 
     @abc.abstractmethod
-    def patch(self, u, rho, pressure: AbstractPressure) -> Patch:
+    def patch(self, u: Array, rho: Array, pressure: AbstractPressure) -> Patch:
         """The patch that slides over [0, u] and sticks before it, at demand rho.
 
         Args:
@@ -77,12 +79,12 @@ class AbstractCarcass(AbstractTire):
             pressure: how the load is spread.
         """
 
-    def _ends(self, rho, pressure: AbstractPressure):
+    def _ends(self, rho: Array, pressure: AbstractPressure) -> tuple[Array, Array]:
         """u in [0, 2] on either side of the breakaway point, 3e-8 apart, without
         slopes: the bristle there needs just what the road gives."""
         tire, rho, pressure = jax.lax.stop_gradient((self, rho, pressure))
 
-        def halve(_, ends):
+        def halve(_: Array | int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
             low, high = ends
             middle = (low + high) / 2
             stress = tire.patch(middle, rho, pressure).stress
@@ -92,18 +94,18 @@ class AbstractCarcass(AbstractTire):
         rest = jnp.zeros_like(rho)
         return jax.lax.fori_loop(0, 26, halve, (rest, rest + 2))
 
-    def settled(self, rho, pressure: AbstractPressure) -> Patch:
+    def settled(self, rho: Array, pressure: AbstractPressure) -> Patch:
         """The patch that slides behind its breakaway point, at demand rho."""
         low, high = self._ends(rho, pressure)
         end = jnp.where(low > 0, 2.0, 0.0)
 
-        def excess_and_patch(u):
+        def excess_and_patch(u: Array) -> tuple[Array, Patch]:
             patch = self.patch(u, rho, pressure)
             return patch.stress - pressure.density(u), patch
 
-        def newton(_, state):
+        def newton(_: Array | int, state: tuple[Array, Patch]) -> tuple[Array, Patch]:
             # The slope is that of the implicit function.
-            u, _ = state
+            u = state[0]
             value, slope, patch = jax.jvp(excess_and_patch, (u,), (jnp.ones_like(u),), has_aux=True)
             slope = jax.lax.stop_gradient(slope)
             partly = (low > 0) & (high < 2) & (slope < 0)
@@ -123,7 +125,7 @@ class AbstractCarcass(AbstractTire):
         rho = self.cpa2 * slip / limit
         pressure = self.pressure.under(rho, 0.0, inputs.fz)
         patch = self.settled(rho, pressure)
-        scale = loaded * limit * across
+        scale = limit * loaded * across
         return TireForces(None, scale * patch.force, self.half_length * scale * patch.moment)
 
 
@@ -141,7 +143,7 @@ class _Solutions:
         largest: of x, to which the powers are scaled.
     """
 
-    def __init__(self, order, sign, count, terms, largest):
+    def __init__(self, order: int, sign: int, count: int, terms: int, largest: float) -> None:
         self.order, self.terms, self.largest = order, terms, largest
         self.coefficients = np.array(
             [
@@ -150,7 +152,7 @@ class _Solutions:
             ]
         )
 
-    def __call__(self, flexibility, s):
+    def __call__(self, flexibility: Scalar, s: Array) -> list[Array]:
         """[y_0, y_1, ...] at the distance s from the leading edge."""
         power = flexibility * s**self.order / self.largest
         values = jnp.polyval(jnp.asarray(self.coefficients, power.dtype), power, unroll=1)
@@ -173,14 +175,14 @@ class ThreadCarcass(AbstractCarcass):
         1.0, _LARGEST_THREAD, "bristle stiffness over thread tension, c_p a^2 / S", "c_p a^2 / S"
     )
 
-    def patch(self, u, rho, pressure: AbstractPressure) -> Patch:
+    def patch(self, u: Array, rho: Array, pressure: AbstractPressure) -> Patch:
         s, flexibility = 2 - u, self.flexibility
         y = _THREAD(flexibility, s)
         share, moment = pressure.cdf(u), pressure.moment(u)
         # q = slope y_1 from the leading edge; w = 0 at the trailing edge.
         slope = (2 * rho - flexibility * (share + moment)) / (y[1] + u * y[0])
         stuck, lever = slope * y[2], slope * (s * y[2] - y[3])
-        return Patch(slope * y[1], share + stuck, moment + stuck - lever)
+        return Patch(slope * y[1], stuck + share, stuck + moment - lever)
 
 
 # Gauss-Legendre nodes of v in [0, 1]; t = u v^2 (3 - 2v) also smooths the square roots
@@ -190,7 +192,7 @@ _V = (1 + _NODES) / 2
 _SHARE, _SPACING = _V**2 * (3 - 2 * _V), 3 * _V * (1 - _V) * _WEIGHTS
 
 
-def _third_moment(pressure: AbstractPressure, u):
+def _third_moment(pressure: AbstractPressure, u: Array) -> Array:
     """Integral of t^3 p(t) over [0, u]; exact for polynomials up to degree six."""
     t = u * jnp.asarray(_SHARE, u.dtype)
     return u * jnp.sum(jnp.asarray(_SPACING, u.dtype) * t**3 * pressure.density(t))
@@ -206,7 +208,7 @@ class BeamCarcass(AbstractCarcass):
         3.0, _LARGEST_BEAM, "bristle stiffness over beam stiffness, c_p a^4 / EI", "c_p a^4 / EI"
     )
 
-    def patch(self, u, rho, pressure: AbstractPressure) -> Patch:
+    def patch(self, u: Array, rho: Array, pressure: AbstractPressure) -> Patch:
         s, flexibility = 2 - u, self.flexibility
         y = _BEAM(flexibility, s)
         share, moment = pressure.cdf(u), pressure.moment(u)
@@ -219,12 +221,12 @@ class BeamCarcass(AbstractCarcass):
         load_1 = flexibility * (share + moment)
         load_3 = 2 * rho + flexibility / 6 * _third_moment(pressure, u)
         determinant = bend_1 * sink_3 - bend_3 * sink_1
-        first = (load_1 * sink_3 - bend_3 * load_3) / determinant
+        first = (sink_3 * load_1 - bend_3 * load_3) / determinant
         third = (bend_1 * load_3 - sink_1 * load_1) / determinant
         stuck = first * y[2] + third * y[4]
         lever = s * stuck - first * y[3] - third * y[5]
         stress = first * y[1] + third * y[3]
-        return Patch(stress, share + stuck, moment + stuck - lever)
+        return Patch(stress, stuck + share, stuck + moment - lever)
 
 
 class ParabolicCarcass(AbstractCarcass):
@@ -242,12 +244,12 @@ class ParabolicCarcass(AbstractCarcass):
         "c_p a / K_c",
     )
 
-    def patch(self, u, rho, pressure: AbstractPressure) -> Patch:
+    def patch(self, u: Array, rho: Array, pressure: AbstractPressure) -> Patch:
         s, share = 2 - u, pressure.cdf(u)
         lag = self.flexibility * s**2 * (1 - s / 3)
-        force = (share + rho * s**2 / 2) / (1 + lag)
+        force = (rho * s**2 / 2 + share) / (1 + lag)
         height = self.flexibility * force
         stuck = rho * s**2 / 2 - height * s**2 * (1 - s / 3)
         lever = rho * s**3 / 3 - height * s**3 * (2 / 3 - s / 4)
         stress = s * (rho - height * u)
-        return Patch(stress, force, pressure.moment(u) + stuck - lever)
+        return Patch(stress, force, stuck + pressure.moment(u) - lever)

@@ -8,10 +8,14 @@ The isotropic and the anisotropic brush are in ``tirefit.models.brush``. Here ar
 * the semi-empirical scaling of two pure-slip curves, S §2.3 "Combined slip".
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs, largest
 from tirefit.models.brush import Brush, bristle_stiffness, friction_coefficient, polar, resultant
 from tirefit.models.magic_formula import MagicFormula
@@ -19,7 +23,7 @@ from tirefit.params import par, specs
 from tirefit.slip import lateral_slip
 
 
-def mu_rate(slip, stiffness, mu_fz):
+def mu_rate(slip: Numbers, stiffness: Numbers, mu_fz: Numbers) -> Array:
     r"""Friction in use :math:`\gamma = F / (\mu F_z)` of O(12)-(20), from 0 to 1.
 
     Args:
@@ -33,13 +37,13 @@ def mu_rate(slip, stiffness, mu_fz):
     return sliding * (3 - sliding * (3 - sliding))
 
 
-def _sticking(rate):
+def _sticking(rate: Numbers) -> Array:
     """Share of the patch that sticks: Xi = (1 - gamma)^(1/3)."""
     partly = rate < 1
     return jnp.where(partly, jnp.cbrt(jnp.where(partly, 1 - rate, 1.0)), 0.0)
 
 
-def force_slope(rate, stiffness):
+def force_slope(rate: Numbers, stiffness: Numbers) -> Array:
     r""":math:`\partial F / \partial \kappa = K_s (1-\gamma)^{2/3}` [N], O(21).
 
     It depends only on stiffness and friction in use, not on the friction.
@@ -48,10 +52,10 @@ def force_slope(rate, stiffness):
         rate: friction in use :math:`\gamma` [-], 0 to 1.
         stiffness: :math:`K_s` [N].
     """
-    return stiffness * _sticking(rate) ** 2
+    return _sticking(rate) ** 2 * stiffness
 
 
-def braking_slope(rate, stiffness, direction):
+def braking_slope(rate: Numbers, stiffness: Numbers, direction: Numbers) -> Array:
     r""":math:`\partial F_x / \partial \kappa_x` at fixed :math:`\kappa_y` [N], O(22).
 
     .. math::
@@ -70,7 +74,7 @@ def braking_slope(rate, stiffness, direction):
     # gamma / (1 - Xi) = 1 + Xi + Xi^2, which is defined at gamma = 0.
     across = (1 + sticking + sticking**2) / 3
     cos, sin = jnp.cos(direction), jnp.sin(direction)
-    return stiffness * (sticking**2 * cos**2 + across * sin**2)
+    return (sticking**2 * cos**2 + across * sin**2) * stiffness
 
 
 class LiuPeng(AbstractTire):
@@ -113,7 +117,7 @@ standstill."""
 _GRID = np.geomspace(1e-4, 3.0, 400)
 
 
-def nominal_sliding_slip(tire: AbstractTire, channel: str, inputs: TireInputs):
+def nominal_sliding_slip(tire: AbstractTire, channel: str, inputs: TireInputs) -> Array:
     r"""Physical slip of full sliding of a pure-slip curve, :math:`3 F_{max} / C`.
 
     C is the slope at rest. Of a brush with parabolic pressure and constant friction it
@@ -125,13 +129,13 @@ def nominal_sliding_slip(tire: AbstractTire, channel: str, inputs: TireInputs):
         inputs: one sample; its slips are ignored.
     """
 
-    def force(slip):
+    def force(slip: Array) -> Array:
         return getattr(_pure(tire, channel, inputs, slip), channel)
 
     return 3 * largest(jax.vmap(force)(jnp.asarray(_GRID))) / jax.grad(force)(0.0)
 
 
-def _pure(tire: AbstractTire, channel: str, inputs: TireInputs, slip) -> TireForces:
+def _pure(tire: AbstractTire, channel: str, inputs: TireInputs, slip: Array) -> TireForces:
     """Forces of a pure physical slip of either sign."""
     zero = 0.0 * inputs.fz
     if channel == "fx":
@@ -140,7 +144,10 @@ def _pure(tire: AbstractTire, channel: str, inputs: TireInputs, slip) -> TireFor
 
 
 def scaled_to_combined(
-    along: AbstractTire, across: AbstractTire, inputs: TireInputs, sliding=None
+    along: AbstractTire,
+    across: AbstractTire,
+    inputs: TireInputs,
+    sliding: tuple[Scalar, Scalar] | None = None,
 ) -> TireForces:
     r"""Combined slip of any two pure-slip models (Gäfvert & Svendenius 2005).
 
@@ -180,21 +187,21 @@ def scaled_to_combined(
     limit_x, limit_y = sliding
     slip_x = inputs.sigma_x
     slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
-    psi, stuck_x, stuck_y = polar(slip_x / limit_x, slip_y / limit_y)
-    _, slid_x, slid_y = polar(slip_x, slip_y)
-    forward = limit_x * psi
+    psi, stuck_x, stuck_y = polar(jnp.asarray(slip_x / limit_x), jnp.asarray(slip_y / limit_y))
+    _, slid_x, slid_y = polar(jnp.asarray(slip_x), jnp.asarray(slip_y))
+    forward = psi * limit_x
     spin = jnp.minimum(forward, _FASTEST_SPIN)
     x_curve = _both_sides(along, "fx", inputs, forward, -spin)
-    y_curve = _both_sides(across, "fy", inputs, limit_y * psi, -limit_y * psi)
+    y_curve = _both_sides(across, "fy", inputs, psi * limit_y, -psi * limit_y)
     turn = turned(psi, stuck_y, slid_y)
     return TireForces(
-        turned(psi, stuck_x, slid_x) * blend(slid_x, x_curve.fx),
-        turn * blend(slid_y, y_curve.fy),
+        turned(psi, stuck_x, slid_x) * blend(slid_x, jnp.asarray(x_curve.fx)),
+        turn * blend(slid_y, jnp.asarray(y_curve.fy)),
         None if y_curve.mz is None else turn * blend(slid_y, y_curve.mz),
     )
 
 
-def turned(psi, stuck, slid):
+def turned(psi: Numbers, stuck: Numbers, slid: Numbers) -> Array:
     r"""Direction cosine of the force of a partly sliding patch.
 
     Args:
@@ -206,18 +213,20 @@ def turned(psi, stuck, slid):
     return sticks * stuck + (1 - sticks) * slid
 
 
-def _both_sides(tire, channel, inputs: TireInputs, positive, negative) -> TireForces:
+def _both_sides(
+    tire: AbstractTire, channel: str, inputs: TireInputs, positive: Array, negative: Array
+) -> TireForces:
     """Forces (2,) of two pure slips."""
     slips = jnp.stack([positive, negative])
     return jax.vmap(lambda slip: _pure(tire, channel, inputs, slip))(slips)
 
 
-def blend(cosine, force):
+def blend(cosine: Array, force: Array | tuple[Scalar, Scalar]) -> Array:
     """Magnitude of a force (2,) between those of the two sides."""
     return ((1 + cosine) * force[0] - (1 - cosine) * force[1]) / 2
 
 
-def _of_axis(name: str, axis: str, words: str):
+def _of_axis(name: str, axis: str, words: str) -> Any:
     """The parameter of the pure-slip Magic Formula, for one axis."""
     spec = specs(MagicFormula())[name]
     return par(
@@ -232,7 +241,7 @@ def _of_axis(name: str, axis: str, words: str):
     )
 
 
-def _sliding(axis: str, words: str):
+def _sliding(axis: str, words: str) -> Any:
     return par(
         1.0,
         (0.2, 5.0),

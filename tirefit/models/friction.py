@@ -7,10 +7,13 @@ that hardly changes the force (S §4.2) but removes the hook before full sliding
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.params import par
 
 
@@ -20,7 +23,7 @@ class AbstractFrictionLaw(eqx.Module):
     static_too: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @abc.abstractmethod
-    def apply(self, level, v_s):
+    def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
         """Coefficient [-] at sliding speed v_s [m/s] >= 0, from the level at rest."""
 
 
@@ -29,7 +32,7 @@ class Kinetic(AbstractFrictionLaw):
 
     m: float = par(0.9, (0.0, 1.0), "-", "kinetic over static friction, mu_k / mu_s", "S(31)", "m")
 
-    def apply(self, level, v_s):
+    def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
         return self.m * level
 
 
@@ -38,24 +41,24 @@ class LinearInSpeed(AbstractFrictionLaw):
 
     n: float = par(0.005, (-0.2, 0.2), "s/m", "loss of friction per sliding speed", "S(35)", "n")
 
-    def apply(self, level, v_s):
+    def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
         return level - self.n * v_s
 
 
-def _decay(v_s, v_st, exponent):
+def _decay(v_s: Numbers, v_st: Scalar, exponent: Scalar) -> Array:
     """exp(-(v_s / v_st)^exponent) with a finite (zero) slope at rest."""
     moving = v_s > 0
     ratio = jnp.where(moving, v_s, v_st) / v_st
     return jnp.where(moving, jnp.exp(-(ratio**exponent)), 1.0)
 
 
-def falling_speed(default: float = 30.0, free: bool = True, source: str = "S(36)-(37)"):
+def falling_speed(default: float = 30.0, free: bool = True, source: str = "S(36)-(37)") -> Any:
     """Field of the speed v_st of a fall of the friction."""
     meaning = "sliding speed over which friction falls"
     return par(default, (0.1, 1000.0), "m/s", meaning, source, "v_{st}", free=free, scale="log")
 
 
-def falling_exponent(free: bool = True, source: str = "S(36)-(37)"):
+def falling_exponent(free: bool = True, source: str = "S(36)-(37)") -> Any:
     """Field of the exponent of that fall."""
     meaning = "exponent of the friction's fall with sliding speed"
     return par(0.5, (0.1, 3.0), "-", meaning, source, r"\varepsilon", free=free)
@@ -70,7 +73,7 @@ class Exponential(AbstractFrictionLaw):
     v_st: float = falling_speed(free=False)
     exponent: float = falling_exponent(free=False)
 
-    def apply(self, level, v_s):
+    def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
         decay = _decay(v_s, self.v_st, self.exponent)
         return level * (self.h + (1 - self.h) * decay)
 
@@ -82,7 +85,7 @@ class Stribeck(AbstractFrictionLaw):
     v_st: float = falling_speed()
     exponent: float = falling_exponent()
 
-    def apply(self, level, v_s):
+    def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
         decay = _decay(v_s, self.v_st, self.exponent)
         return self.mu_c + (level - self.mu_c) * decay
 
@@ -92,13 +95,13 @@ class Friction(eqx.Module):
 
     laws: tuple[AbstractFrictionLaw, ...] = ()
 
-    def kinetic(self, mu, v_s):
+    def kinetic(self, mu: Numbers, v_s: Numbers) -> Numbers:
         """Coefficient of the sliding bristles [-] at sliding speed v_s [m/s]."""
         for law in self.laws:
             mu = law.apply(mu, v_s)
         return mu
 
-    def static(self, mu, v_s):
+    def static(self, mu: Numbers, v_s: Numbers) -> Numbers:
         """Static friction coefficient [-], up to which a bristle sticks."""
         for law in self.laws:
             if law.static_too:

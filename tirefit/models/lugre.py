@@ -21,7 +21,9 @@ import math
 from dataclasses import replace
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import polar, resultant
 from tirefit.models.friction import Stribeck, falling_exponent, falling_speed
@@ -32,7 +34,7 @@ from tirefit.slip import lateral_slip
 _SERIES = [(-1.0) ** k / math.factorial(k + 2) for k in reversed(range(18))]
 
 
-def patch_means(x):
+def patch_means(x: Numbers) -> tuple[Array, Array]:
     r"""The functions :math:`\varphi_1, \varphi_2` of -x that average over the patch.
 
     Args:
@@ -70,17 +72,17 @@ class AbstractLuGre(AbstractTire):
     def needs(self) -> tuple[str, ...]:
         return ("v",)
 
-    def level(self, v_s):
+    def level(self, v_s: Numbers) -> Numbers:
         """g [-] at sliding speed v_s [m/s] >= 0, S(17c)."""
         law = Stribeck(self.mu_c, self.v_st, self.exponent)
         return law.apply(self.mu_s, v_s)
 
-    def scaled(self, theta):
+    def scaled(self, theta: float) -> "AbstractLuGre":
         """The tire with theta g in the place of g, S section 3.4; theta [-]."""
         return replace(self, mu_s=theta * self.mu_s, mu_c=theta * self.mu_c)
 
 
-def _motion(inputs: TireInputs):
+def _motion(inputs: TireInputs) -> tuple[Scalar, Scalar, Array, Scalar]:
     """Physical slips [-], their length, the speed |Omega R_e| of the tread [m/s]."""
     slip_x = inputs.sigma_x
     slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
@@ -97,9 +99,9 @@ class LuGreLumped(AbstractLuGre):
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         slip_x, slip_y, _, v_r = _motion(inputs)
-        slip, along, across = polar(slip_x, slip_y)
+        slip, along, across = polar(jnp.asarray(slip_x), jnp.asarray(slip_y))
         v_s = slip * v_r
-        force = (inputs.fz > 0) * inputs.fz * (self.level(v_s) + self.sigma2 * v_s)
+        force = inputs.fz * (inputs.fz > 0) * (self.level(v_s) + self.sigma2 * v_s)
         sliding = (slip_x != 0) | (slip_y != 0)
         along = jnp.where(sliding, along, 0.0)
         across = jnp.where(sliding, across, 0.0)
@@ -134,8 +136,8 @@ class LuGre(AbstractLuGre):
         stiffness = self.sigma0 * self.length
         first, second = patch_means(stiffness * slip / self.level(slip * v_r))
         damping = (self.sigma1 * first + self.sigma2) * v_r
-        per_slip = (inputs.fz > 0) * inputs.fz * (stiffness * second + damping)
-        return TireForces(slip_x * per_slip, slip_y * per_slip, None)
+        per_slip = (stiffness * second + damping) * (inputs.fz * (inputs.fz > 0))
+        return TireForces(per_slip * slip_x, per_slip * slip_y, None)
 
     @property
     def lumped(self) -> LuGreLumped:

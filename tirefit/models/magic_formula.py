@@ -1,13 +1,15 @@
 r"""The four-coefficient Magic Formula, S(16)."""
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.params import par
 from tirefit.slip import kappa_from_sigma
 
 
-def bent(x, curvature):
+def bent(x: Numbers, curvature: Numbers) -> Array:
     r""":math:`\arctan\{x - E (x - \arctan x)\}`, the argument over C of all formulas.
 
     Args:
@@ -29,9 +31,9 @@ class MagicFormula(AbstractTire):
     D: float = par(1.0, (0.01, 5.0), "-", "peak force over load", "S(16)", "D")
     E: float = par(0.0, (-20.0, 1.0), "-", "curvature factor", "S(16)", "E")
 
-    def pure(self, x, fz):
+    def pure(self, x: Scalar, fz: Scalar) -> Array:
         """Force [N] at slip x (kappa [-] or alpha [rad]) and load fz [N]."""
-        return self.D * fz * jnp.sin(self.C * bent(self.B * x, self.E))
+        return jnp.sin(self.C * bent(self.B * x, self.E)) * (self.D * fz)
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         fx = self.pure(kappa_from_sigma(inputs.sigma_x), inputs.fz)

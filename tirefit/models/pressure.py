@@ -10,11 +10,14 @@ For demand ratio :math:`\rho = c_p a^2 \sigma / (\mu_s F_z)` a bristle sticks wh
 """
 
 import abc
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.params import par
 
 
@@ -22,22 +25,22 @@ class AbstractPressure(eqx.Module):
     """Density, its integrals from the trailing edge, and the breakaway point."""
 
     @abc.abstractmethod
-    def density(self, u):
+    def density(self, u: Numbers) -> Numbers:
         """p at u [-], any shape."""
 
     @abc.abstractmethod
-    def cdf(self, u):
+    def cdf(self, u: Numbers) -> Numbers:
         r"""Share of the load behind u: :math:`P = \int_{0}^{u} p`."""
 
     @abc.abstractmethod
-    def moment(self, u):
+    def moment(self, u: Numbers) -> Numbers:
         r"""First moment behind u: :math:`Q = \int_{0}^{u} (u' - 1)\,p\,du'`."""
 
     @abc.abstractmethod
-    def breakaway(self, rho):
+    def breakaway(self, rho: Numbers) -> Array:
         """u of the breakaway point for demand ratio rho >= 0; 0 sticking, 2 sliding."""
 
-    def under(self, rho, braking, fz) -> "AbstractPressure":
+    def under(self, rho: Numbers, braking: Scalar, fz: Scalar) -> "AbstractPressure":
         """The law at demand ratio rho, share of braking in the slip, and load [N].
 
         Only some subclasses depend on these.
@@ -48,38 +51,38 @@ class AbstractPressure(eqx.Module):
 class Parabolic(AbstractPressure):
     r""":math:`p = \tfrac34 (1 - \xi^2)`, S(10), S(23); full sliding above rho = 3/2."""
 
-    def density(self, u):
+    def density(self, u: Numbers) -> Numbers:
         return 0.75 * u * (2 - u)
 
-    def cdf(self, u):
+    def cdf(self, u: Numbers) -> Numbers:
         return u**2 * (3 - u) / 4
 
-    def moment(self, u):
+    def moment(self, u: Numbers) -> Numbers:
         return -3 / 16 * u**2 * (2 - u) ** 2
 
-    def breakaway(self, rho):
+    def breakaway(self, rho: Numbers) -> Array:
         return jnp.minimum(4 / 3 * rho, 2.0)
 
 
 class Uniform(AbstractPressure):
     r""":math:`p = \tfrac12`; sticks everywhere to rho = 1/4, never slides entirely."""
 
-    def density(self, u):
+    def density(self, u: Numbers) -> Numbers:
         return 0.5 * jnp.ones_like(u)
 
-    def cdf(self, u):
+    def cdf(self, u: Numbers) -> Numbers:
         return u / 2
 
-    def moment(self, u):
+    def moment(self, u: Numbers) -> Numbers:
         return u * (u - 2) / 4
 
-    def breakaway(self, rho):
+    def breakaway(self, rho: Numbers) -> Array:
         sliding = rho > 0.25
         return jnp.where(sliding, 2 - 0.5 / jnp.where(sliding, rho, 1.0), 0.0)
 
 
 @jax.custom_jvp
-def _elliptic_cdf(u):
+def _elliptic_cdf(u: Numbers) -> Array:
     # With xi = -cos(phi), P = (2 phi - sin 2 phi) / (2 pi).
     x = 4 * jnp.arctan2(jnp.sqrt(u), jnp.sqrt(2 - u))
     square = x**2
@@ -90,20 +93,20 @@ def _elliptic_cdf(u):
 
 
 @_elliptic_cdf.defjvp
-def _elliptic_cdf_slope(primals, tangents):
+def _elliptic_cdf_slope(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     # By the angle, the slope at both ends would be zero times infinity.
     (u,), (du,) = primals, tangents
     return _elliptic_cdf(u), _elliptic_density(u) * du
 
 
-def _half_chord(u):
+def _half_chord(u: Numbers) -> Array:
     """sqrt(1 - xi^2), with slope zero instead of infinity at both ends."""
     square = jnp.asarray(u * (2 - u))
     inside = square > 0
     return jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
 
 
-def _elliptic_density(u):
+def _elliptic_density(u: Numbers) -> Array:
     return 2 / jnp.pi * _half_chord(u)
 
 
@@ -113,16 +116,16 @@ class Elliptic(AbstractPressure):
     Some bristles slide at any slip, and the last one never slides.
     """
 
-    def density(self, u):
+    def density(self, u: Numbers) -> Array:
         return _elliptic_density(u)
 
-    def cdf(self, u):
+    def cdf(self, u: Numbers) -> Array:
         return _elliptic_cdf(u)
 
-    def moment(self, u):
+    def moment(self, u: Numbers) -> Array:
         return -2 / (3 * jnp.pi) * _half_chord(u) * u * (2 - u)
 
-    def breakaway(self, rho):
+    def breakaway(self, rho: Numbers) -> Array:
         # u = 2 rho^2 / (rho^2 + k^2): p^2 = (k^2 u (2 - u)) at rho (2 - u).
         # The smaller of the two over the larger: neither square overflows.
         k = 2 / jnp.pi
@@ -147,19 +150,19 @@ class Asymmetric(AbstractPressure):
         "d",
     )
 
-    def density(self, u):
+    def density(self, u: Numbers) -> Numbers:
         return 0.75 * u * (2 - u) * (1 + self.d * (u - 1))
 
-    def cdf(self, u):
+    def cdf(self, u: Numbers) -> Numbers:
         symmetric = u**2 * (1 - u / 3)
         skew = u**3 * (2 / 3 - u / 4)
         return 0.75 * ((1 - self.d) * symmetric + self.d * skew)
 
-    def moment(self, u):
+    def moment(self, u: Numbers) -> Numbers:
         skew = u**2 * (3 / 4 + u * (-5 / 4 + u * (3 / 4 - 3 / 20 * u)))
         return -3 / 16 * u**2 * (2 - u) ** 2 + self.d * skew
 
-    def breakaway(self, rho):
+    def breakaway(self, rho: Numbers) -> Array:
         full = 1.5 * (1 + self.d)
         sliding = rho >= full
         # Limit rho first: for d < 0 the root below turns negative beyond full sliding.
@@ -174,17 +177,17 @@ class Asymmetric(AbstractPressure):
 class Quartic(AbstractPressure):
     r""":math:`p = \tfrac58 (1 - \xi^4)`, S(25); full sliding above rho = 5/2."""
 
-    def density(self, u):
+    def density(self, u: Numbers) -> Numbers:
         return 0.625 * u * (2 - u) * (u**2 - 2 * u + 2)
 
-    def cdf(self, u):
+    def cdf(self, u: Numbers) -> Numbers:
         return 0.625 * u**2 * (2 + u * (-2 + u * (1 - u / 5)))
 
-    def moment(self, u):
+    def moment(self, u: Numbers) -> Numbers:
         polynomial = -2 + u * (10 / 3 + u * (-5 / 2 + u * (1 - u / 6)))
         return 0.625 * u**2 * polynomial
 
-    def breakaway(self, rho):
+    def breakaway(self, rho: Numbers) -> Array:
         sliding = rho >= 2.5
         demand = 1.6 * jnp.where(sliding, 0.0, rho)
         # u^3 - 2u^2 + 2u = demand has one real root (hyperbolic form); one Newton step
@@ -197,7 +200,7 @@ class Quartic(AbstractPressure):
         return jnp.where(sliding, 2.0, u)
 
 
-def reference_load():
+def reference_load() -> Any:
     """The field of the load at which load-dependent parameters have their value."""
     return par(
         4000.0,
@@ -211,9 +214,9 @@ def reference_load():
     )
 
 
-def _within(d):
+def _within(d: Scalar) -> float:
     """d limited to the range in which one breakaway point describes the patch."""
-    return jnp.clip(d, -1 / 3, 1.0)
+    return cast(float, jnp.clip(d, -1 / 3, 1.0))
 
 
 class ForceAsymmetric(Asymmetric):
@@ -234,10 +237,10 @@ class ForceAsymmetric(Asymmetric):
         "d_F",
     )
 
-    def under(self, rho, braking, fz) -> Asymmetric:
+    def under(self, rho: Scalar, braking: Scalar, fz: Scalar) -> Asymmetric:
         share = self.d_force * braking
 
-        def newton(_, d):
+        def newton(_: Array | int, d: float) -> float:
             law = Asymmetric(d)
             u = law.breakaway(rho)
             force = law.cdf(u) + rho * (2 - u) ** 2 / 2
@@ -261,5 +264,5 @@ class LoadAsymmetric(Asymmetric):
     )
     fz0: float = reference_load()
 
-    def under(self, rho, braking, fz) -> Asymmetric:
+    def under(self, rho: Scalar, braking: Scalar, fz: Scalar) -> Asymmetric:
         return Asymmetric(_within(self.d + self.d_load * (fz / self.fz0 - 1)))

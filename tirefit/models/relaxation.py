@@ -10,21 +10,23 @@ for both the longitudinal slip :math:`\sigma_x` and the lateral one :math:`\tan\
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import Brush
 from tirefit.params import par
 
 
-def _recursion(keep, add):
+def _recursion(keep: Float[Array, " n"], add: Float[Array, " n"]) -> Float[Array, " n"]:
     """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,), by combining steps in pairs.
 
     It replaces ``jax.lax.associative_scan``, whose unrolled stages compile for minutes.
     """
     rows = jnp.arange(len(keep))
 
-    def join(k, joined):
+    def join(k: Array | int, joined: tuple[Array, Array]) -> tuple[Array, Array]:
         keep, add = joined
         before = rows - 2**k
         known, before = before >= 0, jnp.maximum(before, 0)
@@ -37,7 +39,9 @@ def _recursion(keep, add):
     return jax.lax.fori_loop(0, stages, join, (keep, add))[1]
 
 
-def lag(slip: Float[Array, " n"], travel, length, starts) -> Float[Array, " n"]:
+def lag(
+    slip: Float[Array, " n"], travel: Float[Array, " n"], length: Scalar, starts: Bool[Array, " n"]
+) -> Float[Array, " n"]:
     """Lagged slip minus slip of the wheel, row by row.
 
     Exact for a slip that is linear in the distance travelled between two rows.
@@ -86,10 +90,10 @@ class Relaxed(AbstractTire):
     def transient(self) -> bool:
         return True
 
-    def static_friction(self, fz):
+    def static_friction(self, fz: Scalar) -> Scalar | None:
         return self.tire.static_friction(fz)
 
-    def felt(self, inputs: TireInputs, run) -> TireInputs:
+    def felt(self, inputs: TireInputs, run: Int[Array | np.ndarray, " n"]) -> TireInputs:
         time = jnp.asarray(inputs.time)
         step = jnp.diff(time, prepend=time[:1])
         # The first row has no time step.
@@ -98,7 +102,8 @@ class Relaxed(AbstractTire):
         before = jnp.concatenate([speed[:1], speed[:-1]])
         travel = jnp.where(starts, 0.0, (before + speed) / 2 * step)
 
-        def follow(slip):
+        def follow(slip: Numbers) -> Float[Array, " n"]:
+            slip = jnp.asarray(slip)
             return slip + lag(slip, travel, self.relaxation_length, starts)
 
         return inputs._replace(

@@ -10,7 +10,9 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
+from tirefit.arrays import Numbers
 from tirefit.models.pressure import AbstractPressure
 from tirefit.results import InputProblem, UsageError
 
@@ -76,7 +78,7 @@ class Tabulated(AbstractPressure):
         return cls.from_table(xi, value)
 
     @classmethod
-    def from_table(cls, xi, density, file: str = "") -> "Tabulated":
+    def from_table(cls, xi: ArrayLike, density: ArrayLike, file: str = "") -> "Tabulated":
         """The law of a density that is linear between points, (n,) each.
 
         Args:
@@ -154,7 +156,7 @@ class Tabulated(AbstractPressure):
             raise UsageError(reason, remedy, str(path)) from None
         return cls.from_table(*columns, file=str(path))
 
-    def _behind(self, known: Points, x):
+    def _behind(self, known: Points, x: Numbers) -> tuple[list[Array], Array]:
         """``at``, ``value`` and ``slope`` of the last point that is not beyond x, and its index.
 
         Args:
@@ -164,22 +166,22 @@ class Tabulated(AbstractPressure):
         k = jnp.clip(k, 0, len(known) - 2)
         return [jnp.asarray(part)[k] for part in (self.at, self.value, self.slope)], k
 
-    def density(self, u):
+    def density(self, u: Numbers) -> Array:
         (at, value, slope), _ = self._behind(self.at, u)
         return value + slope * (u - at)
 
-    def cdf(self, u):
+    def cdf(self, u: Numbers) -> Array:
         (at, value, slope), k = self._behind(self.at, u)
         t = u - at
         return jnp.asarray(self.load)[k] + t * (value + t * slope / 2)
 
-    def moment(self, u):
+    def moment(self, u: Numbers) -> Array:
         (at, value, slope), k = self._behind(self.at, u)
         t = u - at
         of_value = t * ((at - 1) + t / 2) * value
         return jnp.asarray(self.lever)[k] + of_value + t**2 * ((at - 1) / 2 + t / 3) * slope
 
-    def breakaway(self, rho):
+    def breakaway(self, rho: Numbers) -> Array:
         ratios = jnp.asarray(self.ratios)
         sliding, partly = rho >= ratios[-1], (rho > ratios[0]) & (rho < ratios[-1])
         (at, value, slope), _ = self._behind(ratios, rho)

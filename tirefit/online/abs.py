@@ -140,7 +140,7 @@ class ConventionalABS(AbstractController):
             reference=reference, wheel=wheel, acceleration=acceleration, fast=fast
         )
 
-    def _next_phase(self, seen: _State, slip):
+    def _next_phase(self, seen: _State, slip: Float[Array, " w"]) -> Int[Array, " w"]:
         """Phases (w,) by the table of the module."""
         slows = seen.acceleration < -self.slowing
         slips, deep = slip > self.slip, slip > self.most_slip
@@ -158,7 +158,7 @@ class ConventionalABS(AbstractController):
         after = jnp.select([seen.phase == k for k in range(len(PHASES))], choices)
         return jnp.where(seen.reference < self.off, BUILD, after)
 
-    def _valve(self, state: _State, measurement: Measurement):
+    def _valve(self, state: _State, measurement: Measurement) -> Float[Array, " w"]:
         near = measurement.pressure >= self.quick * state.lock
         steps = jnp.clip(self.step_share + self.step_growth * state.since, 0.0, 1.0)
         step = jnp.where(near, steps, INCREASE)

@@ -15,8 +15,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from tirefit.arrays import Scalar, Tree
 from tirefit.params import par
 
 Sample = Mapping[str, Float[Array, ""]]
@@ -145,7 +146,9 @@ class AbstractEstimator(eqx.Module):
         """The state and the estimate after a usable sample."""
         raise NotImplementedError
 
-    def hold(self, state: Any, dt, steps) -> tuple[Any, Estimate]:
+    def hold(
+        self, state: Any, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[Any, Estimate]:
         """The state ``dt`` [s] after the previous row; ``steps`` samples were lost.
 
         It is called at every row, before a step if there is one.
@@ -180,54 +183,56 @@ class AbstractSingleSample(AbstractEstimator):
         after: Single = choose(usable, made, state)
         return after, Estimate(*after, flag, jnp.full((), jnp.nan))
 
-    def hold(self, state: Single, dt, steps) -> tuple[Single, Estimate]:
+    def hold(
+        self, state: Single, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[Single, Estimate]:
         return state, Estimate(*state, jnp.zeros((), int), jnp.full((), jnp.nan))
 
 
-def choose(condition, yes, no):
+def choose(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
     """Either of two pytrees of equal structure, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
-def floats(*values) -> Float[Array, " n"]:
+def floats(*values: Scalar) -> Float[Array, " n"]:
     """Numbers, settings or scalar arrays as one array."""
     return jnp.stack([jnp.asarray(value, float) for value in values])
 
 
-def widest(covariance, prior) -> Float[Array, "n n"]:
+def widest(covariance: Float[Array, "n n"], prior: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """The larger of the variances (n,) in a covariance and a prior, without correlation."""
     return jnp.diag(jnp.maximum(jnp.diag(covariance), jnp.diag(prior)))
 
 
-def nominal_stiffness():
+def nominal_stiffness() -> Any:
     """Field of the expected stiffness; by default from the load."""
     meaning = "expected c_p a^2; 9.26 times the load if not given"
     return par(2.5e5, (1e-2, 1e9), "N", meaning, "S(47)", r"c_{p0} a^2", scale="log")
 
 
-def nominal_friction():
+def nominal_friction() -> Any:
     """Field of the expected friction."""
     return par(0.98, (0.01, 5.0), "-", "expected friction", "S(48)", r"\mu_0")
 
 
-def force_noise(default: float = 0.0447, source: str = "S §5.1"):
+def force_noise(default: float = 0.0447, source: str = "S §5.1") -> Any:
     """Field of the standard deviation of the force over the load."""
     meaning = "std of the force over the load"
     return par(default, (1e-5, 1.0), "-", meaning, source, r"\sigma_F", scale="log")
 
 
-def slip_noise():
+def slip_noise() -> Any:
     """Field of the standard deviation of the slip, S section 5.1."""
     return par(0.00447, (0.0, 1.0), "-", "std of the slip", "S §5.1", r"\sigma_\lambda")
 
 
-def excitation(source: str = "S §5.3"):
+def excitation(source: str = "S §5.3") -> Any:
     """Field of the smallest excitation with which a sample is used."""
     meaning = "smallest expected force over load of a sample that is used"
     return par(0.1, (0.0, 1.0), "-", meaning, source, "u_{min}")
 
 
-def brake_gain():
+def brake_gain() -> Any:
     """Field of the brake force over the brake pressure."""
     meaning = "brake force over brake pressure"
     return par(0.04, (1e-7, 10.0), "N/Pa", meaning, "S §3.1", "g_b", scale="log")

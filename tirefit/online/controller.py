@@ -92,5 +92,5 @@ class NoController(AbstractController):
     def init(self, first: Measurement) -> tuple[()]:
         return ()
 
-    def step(self, state, measurement):
+    def step(self, state: Any, measurement: Measurement) -> tuple[Any, Command, dict[str, Array]]:
         return state, Command(jnp.full_like(measurement.pressure, INCREASE)), {}

@@ -14,6 +14,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
 
 from tirefit.online.base import (
     AbstractSingleSample,
@@ -33,7 +34,9 @@ from tirefit.params import par
 _LEAST_SLIDING = 1e-3
 
 
-def friction_by_cubic(fx, sigma, cpa2, fz):
+def friction_by_cubic(
+    fx: Float[Array, ""], sigma: Float[Array, ""], cpa2: Float[Array, ""], fz: Float[Array, ""]
+) -> Float[Array, ""]:
     """Friction [-] of a brush with parabolic pressure from one sample, S(19)-(20).
 
     Args:
@@ -75,7 +78,7 @@ class Cubic(AbstractSingleSample):
     slip_noise: float = slip_noise()
     least_use: float = excitation()
 
-    def from_sample(self, sample: Sample):
+    def from_sample(self, sample: Sample) -> tuple[Single, Bool[Array, ""], Int[Array, ""]]:
         sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
         fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
         cpa2 = jnp.asarray(self.cpa2, float)

@@ -11,8 +11,9 @@ from typing import ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from tirefit.arrays import Scalar
 from tirefit.models import Asymmetric, Brush
 from tirefit.online.base import (
     AbstractEstimator,
@@ -77,7 +78,9 @@ class Ekf(AbstractEstimator):
     def init(self) -> EkfState:
         return EkfState(jnp.log(floats(self.cpa2, self.mu)), self._prior(), jnp.ones(()))
 
-    def force(self, x, sigma, fz):
+    def force(
+        self, x: Float[Array, "2"], sigma: Float[Array, ""], fz: Float[Array, ""]
+    ) -> Float[Array, ""]:
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
         cpa2, mu = cast(tuple[float, float], (jnp.exp(x[0]), jnp.exp(x[1])))
         tire = Brush(cpa2, mu, pressure=Asymmetric(self.d))
@@ -105,7 +108,9 @@ class Ekf(AbstractEstimator):
         after = choose(idle, before, updated)
         return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
 
-    def hold(self, state: EkfState, dt, steps) -> tuple[EkfState, Estimate]:
+    def hold(
+        self, state: EkfState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[EkfState, Estimate]:
         grown = jnp.diag(floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
         held = state._replace(covariance=state.covariance + grown)
         return held, self._estimate(held, False, jnp.nan)
@@ -114,12 +119,14 @@ class Ekf(AbstractEstimator):
         """The initial uncertainty of both is restored, without their correlation."""
         return state._replace(covariance=widest(state.covariance, self._prior()))
 
-    def _prior(self):
+    def _prior(self) -> Float[Array, "2 2"]:
         return jnp.diag(floats(self.prior_cpa2, self.prior_mu) ** 2)
 
-    def _estimate(self, state: EkfState, idle, surprise) -> Estimate:
+    def _estimate(
+        self, state: EkfState, idle: Bool[Array, ""] | bool, surprise: Scalar
+    ) -> Estimate:
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))
         relative = (widened * jnp.sqrt(jnp.diag(state.covariance)))[::-1]
         value = jnp.exp(state.x)[::-1]
         flag = flag_of((idle, Flag.LITTLE_EXCITATION))
-        return Estimate(value, value * relative, flag, surprise)
+        return Estimate(value, value * relative, flag, jnp.asarray(surprise))

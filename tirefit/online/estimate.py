@@ -97,7 +97,7 @@ def estimate(
     return _estimates(data, columns, done, seed)
 
 
-def _rate(name: str, data: TireData, chosen) -> dict[str, float]:
+def _rate(name: str, data: TireData, chosen: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """Samples per second of the log, for methods with a fixed rate."""
     if "rate" in chosen[name] or "rate" not in specs(METHODS[name]()):
         return {}
@@ -116,7 +116,12 @@ def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
     return float(there[0])
 
 
-def _estimates(data, columns, done, seed) -> Estimates:
+def _estimates(
+    data: TireData,
+    columns: Mapping[str, np.ndarray],
+    done: Mapping[str, MethodEstimates],
+    seed: int,
+) -> Estimates:
     source = data.source
     about = {
         "name": data.name,

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tirefit.arrays import Scalar
 from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Method, Sample, choose, floats
 from tirefit.online.vehicle import (
@@ -105,7 +106,9 @@ class ForceFilter(AbstractVehicleMethod):
             jnp.ones(()),
         )
 
-    def hold(self, state: ForceState, dt, steps):
+    def hold(
+        self, state: ForceState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[ForceState, Estimate]:
         keep = jnp.exp(-dt / self.memory)
         mixed = keep * jnp.exp(state.log_weight) + (1 - keep) / len(HYPOTHESES)
         held = state._replace(waited=state.waited + dt, log_weight=jnp.log(mixed))
@@ -114,7 +117,7 @@ class ForceFilter(AbstractVehicleMethod):
     def open(self, state: ForceState) -> ForceState:
         return state._replace(log_weight=self.init().log_weight)
 
-    def step(self, state: ForceState, sample: Sample):
+    def step(self, state: ForceState, sample: Sample) -> tuple[ForceState, Estimate]:
         dt, anew = jnp.minimum(state.waited, _LONGEST), state.waited > _LONGEST
         inputs = jnp.stack([*(sample[name] for name in _TORQUES), sample["steering"]])
         seen = jnp.stack([sample[name] for name in _SEEN])
@@ -142,13 +145,13 @@ class ForceFilter(AbstractVehicleMethod):
         after = choose(anew, state, weighed)
         return after, self._estimate(after, jnp.where(due, reported, jnp.nan))
 
-    def _first(self):
+    def _first(self) -> Float[Array, "14 14"]:
         load = self.mass * GRAVITY
         stds = [0.1, 0.02, 0.05, 0.1, *[0.5] * 4]
         forces = [0.1 * load] * 4 + [0.3 * load] * 2
         return jnp.diag(floats(*stds, *forces) ** 2)
 
-    def _from(self, sample: Sample):
+    def _from(self, sample: Sample) -> Float[Array, "14"]:
         zero = jnp.zeros(())
         motion = [sample["v"], zero, sample["yaw_rate"], sample["roll_rate"]]
         wheels = [sample[name] for name in _OMEGAS]
@@ -156,7 +159,9 @@ class ForceFilter(AbstractVehicleMethod):
         forces = [sample[name] / self.radius for name in _TORQUES]
         return jnp.stack([*motion, *wheels, *forces, side * self.l_r, side * self.l_f])
 
-    def pushed(self, x, steering):
+    def pushed(
+        self, x: Float[Array, "14"], steering: Float[Array, ""]
+    ) -> tuple[Array, Array, Array]:
         """Accelerations a_x, a_y [m/s2] and yaw acceleration [rad/s2] of the forces."""
         along, front, rear = x[8:12], x[12], x[13]
         cos, sin = jnp.cos(steering), jnp.sin(steering)
@@ -167,26 +172,26 @@ class ForceFilter(AbstractVehicleMethod):
         turned = self.l_f * left - self.l_r * rear + self.track / 2 * twist
         return ahead / self.mass, (left + rear) / self.mass, turned / self.yaw_inertia
 
-    def rates(self, x, inputs):
+    def rates(self, x: Float[Array, "14"], inputs: Float[Array, "5"]) -> Float[Array, "14"]:
         """Time derivative (14,) of the states; forces and roll rate are random walks."""
         a_x, a_y, turned = self.pushed(x, inputs[4])
         spun = (self.radius * x[8:12] - inputs[:4]) / self.wheel_inertia
         motion = [a_x + x[1] * x[2], a_y - x[0] * x[2], turned, jnp.zeros(())]
         return jnp.concatenate([jnp.stack(motion), spun, jnp.zeros(_FORCES)])
 
-    def seen(self, x, inputs):
+    def seen(self, x: Float[Array, "14"], inputs: Float[Array, "5"]) -> Float[Array, "9"]:
         """The measurements (9,) of a state: y of S, and the speed."""
         a_x, a_y, _ = self.pushed(x, inputs[4])
         return jnp.stack([x[2], *x[4:8], a_x, a_y, x[3], x[0]])
 
-    def _noise(self):
+    def _noise(self) -> Float[Array, "9"]:
         """Variances (9,) of the measurements."""
         stds = [self.gyro_std, *[self.omega_std] * 4, *[self.acceleration_std] * 2]
         stds += [self.gyro_std, self.v_std]
         return floats(*stds) ** 2
 
-    def _predicted(self, state: ForceState, dt) -> ForceState:
-        def ahead(x):
+    def _predicted(self, state: ForceState, dt: Float[Array, ""]) -> ForceState:
+        def ahead(x: Float[Array, "14"]) -> Float[Array, "14"]:
             half = x + dt / 2 * self.rates(x, state.inputs)
             return x + dt * self.rates(half, state.inputs)
 
@@ -198,7 +203,9 @@ class ForceFilter(AbstractVehicleMethod):
         covariance = slope @ state.covariance @ slope.T + dt * grown
         return state._replace(x=ahead(state.x), covariance=covariance)
 
-    def corrected(self, state: ForceState, seen):
+    def corrected(
+        self, state: ForceState, seen: Float[Array, "9"]
+    ) -> tuple[ForceState, Float[Array, "9"]]:
         """The state corrected by measurements (9,), and their difference from prediction."""
         slope = jax.jacfwd(self.seen)(state.x, state.inputs)
         error = seen - self.seen(state.x, state.inputs)
@@ -206,7 +213,9 @@ class ForceFilter(AbstractVehicleMethod):
         x, covariance = kalman_update(state.x, state.covariance, slope, error, noise)
         return state._replace(x=x, covariance=covariance), error
 
-    def modelled(self, x, inputs, mu):
+    def modelled(
+        self, x: Float[Array, "14"], inputs: Float[Array, "5"], mu: Scalar
+    ) -> Float[Array, "6"]:
         """Forces (6,) [N] of the brush at the slips of a state, for one friction."""
         v_x = jnp.maximum(x[0], 0.5)
         front, rear = axle_angles(v_x, x[1], x[2], inputs[4], self.l_f, self.l_r)
@@ -225,22 +234,24 @@ class ForceFilter(AbstractVehicleMethod):
         y = load * share.y
         return jnp.concatenate([load * share.x, jnp.stack([y[0] + y[1], y[2] + y[3]])])
 
-    def _weighed(self, state: ForceState, dt):
+    def _weighed(
+        self, state: ForceState, dt: Float[Array, ""]
+    ) -> tuple[Float[Array, " j"], Float[Array, ""]]:
         """ln of the weights after one sample, and the surprise of the expected mu."""
         load = self.mass * GRAVITY
         model = self.tire_error * load * jnp.array([0.25] * 4 + [0.5] * 2)
 
-        def missed(x, mu):
+        def missed(x: Float[Array, "14"], mu: Scalar) -> Float[Array, "6"]:
             return x[_STATES:] - self.modelled(x, state.inputs, mu)
 
-        def whitened(mu):
+        def whitened(mu: Scalar) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
             """Force errors of mu, whitened, and the root of their covariance."""
             error, slope = missed(state.x, mu), jax.jacfwd(missed)(state.x, mu)
             spread = slope @ state.covariance @ slope.T + jnp.diag(model**2)
             root = jnp.linalg.cholesky(spread)
             return jax.scipy.linalg.solve_triangular(root, error, lower=True), root
 
-        def log_likelihood(mu):
+        def log_likelihood(mu: Scalar) -> Float[Array, ""]:
             z, root = whitened(mu)
             return -0.5 * z @ z - jnp.sum(jnp.log(jnp.diag(root)))
 
@@ -256,7 +267,7 @@ class ForceFilter(AbstractVehicleMethod):
         surprise = way @ z / jnp.maximum(jnp.sqrt(way @ way), 1.0)
         return total - jax.scipy.special.logsumexp(total), surprise
 
-    def _estimate(self, state: ForceState, surprise) -> Estimate:
+    def _estimate(self, state: ForceState, surprise: Scalar) -> Estimate:
         grid, weight = jnp.array(HYPOTHESES), jnp.exp(state.log_weight)
         mu = weight @ grid
         # Add the variance of a uniform distribution within a step of the grid.
@@ -267,4 +278,4 @@ class ForceFilter(AbstractVehicleMethod):
         stds = jnp.sqrt(jnp.diag(rows @ state.covariance @ rows.T))
         value = jnp.concatenate([mu[None], rows @ state.x])
         std = jnp.concatenate([mu_std[None], stds])
-        return Estimate(value, std, jnp.zeros((), int), surprise)
+        return Estimate(value, std, jnp.zeros((), int), jnp.asarray(surprise))

@@ -42,8 +42,9 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from tirefit.arrays import Scalar
 from tirefit.models import LuGre, TireInputs
 from tirefit.models.lugre import patch_means
 from tirefit.online.base import (
@@ -72,7 +73,7 @@ _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Slips at which the peak of the steady force is searched: in steps of 9 %."""
 
 
-def peak_share(tire: LuGre, theta, v):
+def peak_share(tire: LuGre, theta: float, v: Scalar) -> Float[Array, ""]:
     """Largest steady force over the load [-] of S(18) with theta g, at a speed [m/s].
 
     Args:
@@ -148,7 +149,9 @@ class LuGreObserver(AbstractEstimator):
         peak = self._peak(self.theta, 20.0)
         return ObserverState(x, self._first(), long, long, none, none, peak)
 
-    def hold(self, state: ObserverState, dt, steps):
+    def hold(
+        self, state: ObserverState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[ObserverState, Estimate]:
         # The variance of p grows with time; a usable sample continues with its step.
         walked = (self.drift_theta * state.x[2]) ** 2 * dt
         held = state._replace(
@@ -162,7 +165,7 @@ class LuGreObserver(AbstractEstimator):
         kept = state.covariance.at[2, :].set(0.0).at[:, 2].set(0.0)
         return state._replace(covariance=kept.at[2, 2].set(p))
 
-    def step(self, state: ObserverState, sample: Sample):
+    def step(self, state: ObserverState, sample: Sample) -> tuple[ObserverState, Estimate]:
         u = jnp.stack([sample[name] for name in self.method.inputs])
         # The time of a jump of the torque and the speed in between are not known; the
         # torque at a locked wheel only holds it.
@@ -188,7 +191,7 @@ class LuGreObserver(AbstractEstimator):
         after = after._replace(peak=peak)
         return after, self._estimate(after, jnp.where(anew, jnp.nan, reported))
 
-    def course(self, u, p) -> Course:
+    def course(self, u: Float[Array, "4"], p: Float[Array, ""]) -> Course:
         """Coefficients at inputs (4,) omega, v, fz, torque, and p for the patch."""
         omega, v, fz, _ = u
         v_s = v - omega * self.radius
@@ -199,12 +202,14 @@ class LuGreObserver(AbstractEstimator):
         c = jnp.where(self.kappa > 0, self.kappa, first / second) * through
         return Course(v_s, a, c, self.radius * fz / self.inertia)
 
-    def share(self, z, p, now: Course):
+    def share(self, z: Float[Array, ""], p: Float[Array, ""], now: Course) -> Float[Array, ""]:
         """Force over load [-] of a mean deflection z [m]."""
         tire, give = self.tire, now.v_s - p * now.a * z
         return tire.sigma0 * z + tire.sigma1 * give + tire.sigma2 * now.v_s
 
-    def moved(self, x, u, dt):
+    def moved(
+        self, x: Float[Array, "7"], u: Float[Array, "4"], dt: Float[Array, ""]
+    ) -> tuple[Float[Array, "7"], Float[Array, ""]]:
         """One interval of dt [s], at whose end the inputs are u (4,).
 
         Returns:
@@ -232,41 +237,43 @@ class LuGreObserver(AbstractEstimator):
             p = jnp.clip(p - h * gamma * phi * off, 1 / _MOST, 1 / _LEAST)
         return jnp.concatenate([jnp.stack([z, omega, p]), u]), missed
 
-    def _slopes(self, x, u, dt):
+    def _slopes(
+        self, x: Float[Array, "7"], u: Float[Array, "4"], dt: Float[Array, ""]
+    ) -> tuple[Array, Array, Array, Array]:
         """``moved``, and the slopes of (x, missed) over x (8, 7) and over u (8, 4)."""
 
-        def flat(x, u):
+        def flat(x: Float[Array, "7"], u: Float[Array, "4"]) -> Float[Array, "8"]:
             return jnp.append(*self.moved(x, u, dt))
 
         after = flat(x, u)
         into, noise_into = jax.jacfwd(flat, argnums=(0, 1))(x, u)
         return after[:7], after[7], into, noise_into
 
-    def _peak(self, theta, v):
+    def _peak(self, theta: Scalar, v: Scalar) -> Float[Array, "2"]:
         """mu at a speed [m/s], and its slope by theta."""
         at, one = (jnp.asarray(theta, float),), (jnp.ones(()),)
         return jnp.stack(jax.jvp(lambda t: peak_share(self.tire, t, v), at, one))
 
-    def _locked(self, u):
+    def _locked(self, u: Float[Array, "4"]) -> Bool[Array, ""]:
         return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]
 
-    def _noise(self, u):
+    def _noise(self, u: Float[Array, "4"]) -> Float[Array, "4"]:
         """Variances (4,) of the inputs."""
         fz = jnp.maximum(u[2], 0.0)
         stds = (self.omega_std, self.v_std, self.load_std * fz)
         return floats(*stds, self.torque_std * fz * self.radius) ** 2
 
-    def _first(self):
+    def _first(self) -> Float[Array, "7 7"]:
         stds = [0.001, self.omega_std, self.prior_theta / self.theta] + [0.0] * 4
         return jnp.diag(floats(*stds) ** 2)
 
-    def _at_rest(self, u, p):
+    def _at_rest(self, u: Float[Array, "4"], p: Float[Array, ""]) -> Float[Array, "7"]:
         """x (7,) with the bristles in their steady state at the inputs."""
         now = self.course(u, p)
         z = now.v_s / jnp.maximum(p * now.a + now.c, 1e-3)
         return jnp.concatenate([jnp.stack([z, u[0], p]), u])
 
-    def _estimate(self, state: ObserverState, surprise) -> Estimate:
+    def _estimate(self, state: ObserverState, surprise: Scalar) -> Estimate:
         x, p = state.x, state.x[2]
         theta = 1 / p
         theta_std = theta * theta * jnp.sqrt(state.covariance[2, 2])
@@ -278,10 +285,12 @@ class LuGreObserver(AbstractEstimator):
             (self._locked(x[3:]), Flag.LOCKED),
         )
         value, std = jnp.stack([mu, theta]), jnp.stack([mu_std, theta_std])
-        return Estimate(value, std, flag, surprise)
+        return Estimate(value, std, flag, jnp.asarray(surprise))
 
 
-def _summed(state: ObserverState, surprise):
+def _summed(
+    state: ObserverState, surprise: Float[Array, ""]
+) -> tuple[ObserverState, Float[Array, ""]]:
     """The state with one more surprise; the standardised sum of ten, else NaN.
 
     Noise of an input enters the intervals before and after it, so their errors are

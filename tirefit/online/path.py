@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tirefit.arrays import Scalar
 from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
 from tirefit.online.vehicle import (
@@ -37,7 +38,9 @@ from tirefit.online.vehicle import (
 from tirefit.params import par
 
 
-def bicycle(c_f, c_r, mass, yaw_inertia, l_f, l_r, u):
+def bicycle(
+    c_f: Array, c_r: Array, mass: float, yaw_inertia: float, l_f: float, l_r: float, u: Array
+) -> tuple[Float[Array, "4 4"], Float[Array, "4"], Float[Array, "4"]]:
     """S(22), corrected: matrices of (y, dy/dt, heading off the road, its rate).
 
     Args:
@@ -63,7 +66,14 @@ def bicycle(c_f, c_r, mass, yaw_inertia, l_f, l_r, u):
     return a, steered, jnp.stack([zero, -u, -one, zero])
 
 
-def lane_crossing(state, a, drive, edge, horizon, steps=40):
+def lane_crossing(
+    state: Float[Array, "4"],
+    a: Float[Array, "4 4"],
+    drive: Float[Array, "4"],
+    edge: float,
+    horizon: float,
+    steps: int = 40,
+) -> Float[Array, ""]:
     """Time [s] at which ``|y|`` reaches ``edge`` [m] on the predicted path.
 
     Args:
@@ -75,10 +85,10 @@ def lane_crossing(state, a, drive, edge, horizon, steps=40):
     """
     h = horizon / steps
 
-    def rate(x):
+    def rate(x: Float[Array, "4"]) -> Float[Array, "4"]:
         return a @ x + drive
 
-    def step(x, _):
+    def step(x: Float[Array, "4"], _: None) -> tuple[Float[Array, "4"], Float[Array, ""]]:
         # Classical Runge-Kutta; h is a tenth of a second.
         k1 = rate(x)
         k2 = rate(x + h / 2 * k1)
@@ -104,7 +114,15 @@ class Observer(NamedTuple):
     force: Any
 
 
-def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
+def observer_step(
+    state: Observer,
+    omega: Array,
+    torque: Array,
+    dt: Array,
+    radius: float,
+    inertia: float,
+    pole: float,
+) -> Observer:
     """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed.
 
     With these gains both errors of the discrete loop shrink by exp(-pole dt) per sample, at any dt.
@@ -121,7 +139,9 @@ def observer_step(state: Observer, omega, torque, dt, radius, inertia, pole):
     return Observer(ahead + (1 - keep * keep) * error, state.force + gain * error)
 
 
-def observer_std(omega_std, torque_std, dt, radius, inertia, pole):
+def observer_std(
+    omega_std: float, torque_std: float, dt: Scalar, radius: float, inertia: float, pole: float
+) -> Float[Array, ""]:
     """Standard deviation [N] of the force of the observer, due to white noise.
 
     ``omega_std`` [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1.
@@ -138,7 +158,16 @@ class WheelRls(NamedTuple):
     spread: Any
 
 
-def wheel_rls_step(state: WheelRls, omega, torque, dt, radius, inertia, memory, omega_std):
+def wheel_rls_step(
+    state: WheelRls,
+    omega: Array,
+    torque: Array,
+    dt: Array,
+    radius: float,
+    inertia: float,
+    memory: float,
+    omega_std: float,
+) -> WheelRls:
     """Least squares with forgetting after one more sample.
 
     Args:
@@ -236,7 +265,9 @@ class Path(AbstractVehicleMethod):
             jnp.full((), 2 * _LONGEST),
         )
 
-    def hold(self, state: PathState, dt, steps):
+    def hold(
+        self, state: PathState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[PathState, Estimate]:
         variance = jnp.minimum(state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2)
         held = state._replace(waited=state.waited + dt, mu_variance=variance)
         # Between samples there is no time to lane crossing.
@@ -245,7 +276,7 @@ class Path(AbstractVehicleMethod):
     def open(self, state: PathState) -> PathState:
         return state._replace(mu_variance=jnp.full_like(state.mu_variance, self.prior_mu**2))
 
-    def step(self, state: PathState, sample: Sample):
+    def step(self, state: PathState, sample: Sample) -> tuple[PathState, Estimate]:
         dt = jnp.minimum(state.waited, _LONGEST)
         anew = state.waited > _LONGEST
         omega = (sample["omega_fl"] + sample["omega_fr"]) / 2
@@ -269,13 +300,15 @@ class Path(AbstractVehicleMethod):
         state = state._replace(inputs=kept, waited=jnp.zeros(()))
         return state, self._estimate(state, tlc, jnp.where(anew, jnp.nan, surprise))
 
-    def _first(self):
+    def _first(self) -> Float[Array, "6 6"]:
         return jnp.diag(floats(*_FIRST, *[self.prior_stiffness] * 2) ** 2)
 
-    def _widest(self):
+    def _widest(self) -> Float[Array, ""]:
         return jnp.asarray(self.mass * GRAVITY, float) ** 2
 
-    def _begun(self, state: PathState, sample: Sample, omega, torque) -> PathState:
+    def _begun(
+        self, state: PathState, sample: Sample, omega: Float[Array, ""], torque: Float[Array, ""]
+    ) -> PathState:
         """The motion initialised from one sample; the knowledge of the tires is kept."""
         aside = wrapped(sample["heading"] - sample["road_heading"])
         motion = [sample["offset"], sample["v"] * aside, aside, sample["yaw_rate"]]
@@ -289,22 +322,30 @@ class Path(AbstractVehicleMethod):
             rls=WheelRls(omega, force, self._widest()),
         )
 
-    def stiffness(self, z):
+    def stiffness(self, z: Float[Array, "6"]) -> Float[Array, "2"]:
         """C_f and C_r [N/rad] of the axles, of a state's z (6,)."""
         loads = self.loads
         expected = jnp.stack([self.stiffness_f * loads[0], self.stiffness_r * loads[1]])
         return expected * jnp.exp(z[4:])
 
-    def _lane_rates(self, z, steering, v, bend):
+    def _lane_rates(
+        self,
+        z: Float[Array, "6"],
+        steering: Float[Array, ""],
+        v: Float[Array, ""],
+        bend: Float[Array, ""],
+    ) -> tuple[Float[Array, "4 4"], Float[Array, "4"]]:
         """A (4, 4) and the terms of the inputs (4,) of the bicycle with stiffness of z."""
         c_f, c_r = self.stiffness(z)
         a, steered, bent = bicycle(c_f, c_r, self.mass, self.yaw_inertia, self.l_f, self.l_r, v)
         return a, steered * steering + bent * bend
 
-    def _predicted(self, state: PathState, dt, bend) -> PathState:
+    def _predicted(
+        self, state: PathState, dt: Float[Array, ""], bend: Float[Array, ""]
+    ) -> PathState:
         steering, v = state.inputs["steering"], jnp.maximum(state.inputs["v"], 0.5)
 
-        def ahead(z):
+        def ahead(z: Float[Array, "6"]) -> Float[Array, "6"]:
             a, drive = self._lane_rates(z, steering, v, bend)
             half = z[:4] + dt / 2 * (a @ z[:4] + drive)
             return z.at[:4].add(dt * (a @ half + drive))
@@ -327,7 +368,9 @@ class Path(AbstractVehicleMethod):
         )
         return state._replace(z=z, covariance=covariance)
 
-    def _with_friction(self, state: PathState, sample: Sample, omega):
+    def _with_friction(
+        self, state: PathState, sample: Sample, omega: Float[Array, ""]
+    ) -> tuple[PathState, Float[Array, ""]]:
         """ln mu after one sample of the forces of the front axle, S(21)."""
         v, force = sample["v"], 2 * state.observer.force
         load = self.loads[0] - self.height / self.base * self.mass * sample["a_x"]
@@ -336,7 +379,7 @@ class Path(AbstractVehicleMethod):
         v_y = state.z[1] - v * state.z[2]
         angle, _ = axle_angles(v, v_y, state.z[3], sample["steering"], self.l_f, self.l_r)
 
-        def shares(log_mu):
+        def shares(log_mu: Float[Array, ""]) -> Float[Array, "2"]:
             return jnp.stack(brush_share(sigma, angle, self.stiffness_f, jnp.exp(log_mu)))
 
         error = jnp.stack([force, across]) / load - shares(state.log_mu)
@@ -354,17 +397,19 @@ class Path(AbstractVehicleMethod):
         along = slope @ error / jnp.sqrt(size * (noise + held * size) + 1e-20)
         return after, along
 
-    def _crossing(self, state: PathState, sample: Sample, bend):
+    def _crossing(
+        self, state: PathState, sample: Sample, bend: Float[Array, ""]
+    ) -> Float[Array, "2"]:
         """Time to lane crossing [s] and its standard deviation."""
 
-        def time(z):
+        def time(z: Float[Array, "6"]) -> Float[Array, ""]:
             a, drive = self._lane_rates(z, sample["steering"], sample["v"], bend)
             return lane_crossing(z[:4], a, drive, self.lane, self.horizon)
 
         value, slope = jax.value_and_grad(time)(state.z)
         return jnp.stack([value, jnp.sqrt(slope @ state.covariance @ slope)])
 
-    def _estimate(self, state: PathState, tlc, surprise) -> Estimate:
+    def _estimate(self, state: PathState, tlc: Float[Array, "2"], surprise: Scalar) -> Estimate:
         mu, mu_std = jnp.exp(state.log_mu), jnp.sqrt(state.mu_variance)
         stiffness = self.stiffness(state.z)
         spread = jnp.sqrt(jnp.diag(state.covariance))[4:]
@@ -383,4 +428,4 @@ class Path(AbstractVehicleMethod):
             [mu * mu_std, *(stiffness * spread), observed, fitted, state.used * mu_std, tlc[1]]
         )
         flag = flag_of((state.used > self.warn, Flag.NEAR_LIMIT))
-        return Estimate(value, std, flag, surprise)
+        return Estimate(value, std, flag, jnp.asarray(surprise))

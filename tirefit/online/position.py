@@ -27,8 +27,9 @@ from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from tirefit.arrays import Scalar
 from tirefit.online.base import (
     Estimate,
     Flag,
@@ -66,27 +67,31 @@ class Filtered(NamedTuple):
     once: Float[Array, " k"]
     twice: Float[Array, " k"]
 
-    def value(self, a):
+    def value(self, a: float) -> Float[Array, " k"]:
         """a^2/(s+a)^2 of the signals."""
         return a * a * self.twice
 
-    def rate(self, a):
+    def rate(self, a: float) -> Float[Array, " k"]:
         """The filtered first derivatives."""
         return a * a * (self.once - a * self.twice)
 
-    def acceleration(self, a):
+    def acceleration(self, a: float) -> Float[Array, " k"]:
         """The filtered second derivatives."""
         return a * a * (self.u - 2 * a * self.once + a * a * self.twice)
 
 
-def filtered_step(state: Filtered, u, dt, a) -> Filtered:
+def filtered_step(
+    state: Filtered, u: Float[Array, " k"], dt: Float[Array, ""], a: float
+) -> Filtered:
     """The filter after ``dt`` [s], by the trapezoidal (Tustin) rule; a in 1/s."""
     keep, take = (2 - a * dt) / (2 + a * dt), dt / (2 + a * dt)
     once = keep * state.once + take * (u + state.u)
     return Filtered(u, once, keep * state.twice + take * (once + state.once))
 
 
-def _moved(before: Filtered, u, dt, a, anew) -> Filtered:
+def _moved(
+    before: Filtered, u: Float[Array, " k"], dt: Float[Array, ""], a: float, anew: Bool[Array, ""]
+) -> Filtered:
     """The filter after one step, or initialised as settled on the signals."""
     settled = Filtered(u, u / a, u / (a * a))
     return choose(anew, settled, filtered_step(before, u, dt, a))
@@ -101,7 +106,7 @@ class LawState(NamedTuple):
     weight: Float[Array, ""]
 
 
-def coefficients(x):
+def coefficients(x: Float[Array, "2"]) -> Float[Array, "3"]:
     """theta (3,) of a :class:`LawState`'s x (2,); the third follows from the others."""
     theta0 = jnp.exp(x[0])
     return theta0 * jnp.stack([jnp.ones_like(x[1]), theta0 * x[1], (theta0 * x[1]) ** 2])
@@ -160,7 +165,7 @@ class Position(AbstractVehicleMethod):
         law = LawState(jnp.array(_EXPECTED), jnp.zeros((4, 4)), zero)
         return PositionState(of_signals, of_regression, waited, zero, zero, law)
 
-    def step(self, state: PositionState, sample: Sample):
+    def step(self, state: PositionState, sample: Sample) -> tuple[PositionState, Estimate]:
         a, dt = self.bandwidth, state.waited
         anew = a * dt > _LONGEST
         signals = self._signals(state, sample, anew)
@@ -177,7 +182,9 @@ class Position(AbstractVehicleMethod):
         after = PositionState(signals, regression, jnp.zeros(()), age, peak, law)
         return after, self._estimate(after, flag, surprise)
 
-    def hold(self, state: PositionState, dt, steps):
+    def hold(
+        self, state: PositionState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[PositionState, Estimate]:
         law = self._forgotten(state.law, self.forgetting**steps)
         held = state._replace(waited=state.waited + dt, law=law)
         return held, self._estimate(held, 0, jnp.nan)
@@ -186,7 +193,9 @@ class Position(AbstractVehicleMethod):
         law = self._forgotten(state.law, _KEPT)
         return state._replace(law=law, peak=jnp.zeros_like(state.peak))
 
-    def force_and_slip(self, filtered: Filtered, v):
+    def force_and_slip(
+        self, filtered: Filtered, v: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Force [N] of the front axle and tangent [-] of its slip angle, from the signals
         in the order ``offset``, heading - that of the road, ``road_heading``,
         ``yaw_rate``, ``steering``."""
@@ -199,15 +208,15 @@ class Position(AbstractVehicleMethod):
         angle = value[steering] - jnp.arctan(across / v)
         return force / self.base, jnp.tan(angle)
 
-    def _terms(self, force, slip) -> Regressors:
+    def _terms(self, force: Float[Array, ""], slip: Float[Array, ""]) -> Regressors:
         """The terms of S(49) [-] with the sign of the slip."""
         load, _ = self.loads
-        sample = {"sigma_x": slip, "fx": force, "fz": load}
+        sample = {"sigma_x": slip, "fx": force, "fz": jnp.asarray(load)}
         folded = regressors(sample, self.stiffness_f * load / 2, self.mu, 0.0)
         side = jnp.where(slip < 0, -1.0, 1.0)
         return Regressors(*(side * term for term in folded))
 
-    def _signals(self, state: PositionState, sample: Sample, anew) -> Filtered:
+    def _signals(self, state: PositionState, sample: Sample, anew: Bool[Array, ""]) -> Filtered:
         """The filter of the signals with this sample."""
         before = state.signals
         road = before.u[2] + wrapped(sample["road_heading"] - before.u[2])
@@ -216,12 +225,14 @@ class Position(AbstractVehicleMethod):
         u = jnp.stack([sample["offset"], aside, road, *rest])
         return _moved(before, u, state.waited, self.signal_bandwidth, anew)
 
-    def _forgotten(self, law: LawState, share) -> LawState:
+    def _forgotten(self, law: LawState, share: Scalar) -> LawState:
         """The state with the weight of the past multiplied by this share."""
-        products, weight = share * law.products, share * law.weight
+        products, weight = law.products * share, law.weight * share
         return law._replace(products=products, weight=weight)
 
-    def _adapted(self, law: LawState, terms: Regressors):
+    def _adapted(
+        self, law: LawState, terms: Regressors
+    ) -> tuple[LawState, Int[Array, ""], Float[Array, ""]]:
         """The law with one more sample, the flag of the reason to skip it, surprise."""
         side = jnp.where(terms.u0 < 0, -1.0, 1.0)
         y, *u = (side * term for term in terms)
@@ -241,25 +252,27 @@ class Position(AbstractVehicleMethod):
         )
         return moved, flag, surprise
 
-    def _noise(self, law: LawState):
+    def _noise(self, law: LawState) -> Float[Array, ""]:
         """Std [-] of the force over the load, from stated noise and observed errors."""
         theta = jnp.append(-coefficients(law.x), 1.0)
         seen = jnp.maximum(theta @ law.products @ theta, 0.0)
         stated = _SAMPLES_OF_NOISE * self.force_noise**2
         return jnp.sqrt((stated + seen) / (_SAMPLES_OF_NOISE + law.weight))
 
-    def _information(self, law: LawState, noise):
+    def _information(
+        self, law: LawState, noise: Float[Array, ""]
+    ) -> tuple[Float[Array, "2 2"], Float[Array, "3 2"], Float[Array, "2"]]:
         slope = jax.jacfwd(coefficients)(law.x)
         prior = floats(self.prior_stiffness, self.prior_mu)
         gathered = slope.T @ law.products[:3, :3] @ slope / noise**2
         return gathered + jnp.diag(1 / prior**2), slope, prior
 
-    def uncertainty(self, law: LawState):
+    def uncertainty(self, law: LawState) -> tuple[Float[Array, "2 2"], Float[Array, ""]]:
         """Covariance (2, 2) of x, and the noise [-]."""
         noise = self._noise(law)
         return jnp.linalg.inv(self._information(law, noise)[0]), noise
 
-    def _closer(self, law: LawState):
+    def _closer(self, law: LawState) -> Float[Array, "2"]:
         """x after one step of Gauss and Newton on all samples and the prior."""
         noise = self._noise(law)
         information, slope, prior = self._information(law, noise)
@@ -269,7 +282,9 @@ class Position(AbstractVehicleMethod):
         x = law.x + jnp.clip(change, -_FARTHEST, _FARTHEST)
         return x.at[1].set(jnp.maximum(x[1], _LEAST_INVERSE))
 
-    def _estimate(self, state: PositionState, flag, surprise) -> Estimate:
+    def _estimate(
+        self, state: PositionState, flag: Int[Array, ""] | int, surprise: Scalar
+    ) -> Estimate:
         """mu and C_f.
 
         A constant error of the force bends the curve as a wrong friction does: u_0 is
@@ -287,4 +302,4 @@ class Position(AbstractVehicleMethod):
         lasting = jnp.stack([bent, jnp.hypot(self.model_error, drawn)])
         relative = jnp.hypot(of_noise, lasting)
         value = jnp.stack([mu, stiffness])
-        return Estimate(value, value * relative, flag, surprise)
+        return Estimate(value, value * relative, jnp.asarray(flag), jnp.asarray(surprise))

@@ -15,8 +15,9 @@ section 5.3 for those must be multiplied by F_z^2.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from tirefit.arrays import Scalar
 from tirefit.online.base import (
     AbstractEstimator,
     Estimate,
@@ -51,7 +52,7 @@ class Regressors(NamedTuple):
         return jnp.stack([self.u0, self.u1])
 
 
-def regressors(sample: Sample, cpa2, mu, d, third=1.0) -> Regressors:
+def regressors(sample: Sample, cpa2: float, mu: float, d: float, third: float = 1.0) -> Regressors:
     """S(43)-(46), corrected, for a sample; slip and force are odd, so both become positive.
 
     Args:
@@ -69,12 +70,14 @@ def regressors(sample: Sample, cpa2, mu, d, third=1.0) -> Regressors:
     return Regressors(side * sample["fx"] / sample["fz"], u0, u1, u2)
 
 
-def limited(theta) -> Float[Array, "2"]:
+def limited(theta: Float[Array, "2"]) -> Float[Array, "2"]:
     """theta (2,) with theta_0, by which S(50) divides, at least a thousandth of the expected."""
     return theta.at[0].max(_LEAST_THETA)
 
 
-def corrected(p, gain, slope, noise) -> Float[Array, "2 2"]:
+def corrected(
+    p: Float[Array, "2 2"], gain: Float[Array, "2"], slope: Float[Array, "2"], noise: Scalar
+) -> Float[Array, "2 2"]:
     """(I - gain slope^T) P (I - gain slope^T)^T + noise gain gain^T.
 
     Sums of products, not matrix products, which take longer for so few elements.
@@ -108,7 +111,9 @@ class AbstractRegression(AbstractEstimator):
     def regressors(self, sample: Sample) -> Regressors:
         return regressors(sample, self.cpa2, self.mu, self.d, self.third)
 
-    def beyond(self, x: Regressors, theta0, count):
+    def beyond(
+        self, x: Regressors, theta0: Float[Array, ""], count: Float[Array, ""]
+    ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
         """Whether a sample is too close to zero slip, and whether the tire slides.
 
         Full sliding begins where the force is a third of that of a tire without sliding,
@@ -119,7 +124,14 @@ class AbstractRegression(AbstractEstimator):
         slides = x.y < SLIDING * theta0 * x.u0 - noise
         return x.u0 < self.least_use, slides
 
-    def estimate(self, theta, covariance, idle, slides, surprise) -> Estimate:
+    def estimate(
+        self,
+        theta: Float[Array, "2"],
+        covariance: Float[Array, "2 2"],
+        idle: Bool[Array, ""] | bool,
+        slides: Bool[Array, ""] | bool,
+        surprise: Scalar,
+    ) -> Estimate:
         """mu and c_p a^2 by S(47)-(48), their stds by the delta method.
 
         Args:
@@ -136,4 +148,4 @@ class AbstractRegression(AbstractEstimator):
         flag = flag_of((slides, Flag.OUT_OF_RANGE), (idle, Flag.LITTLE_EXCITATION))
         value = jnp.stack([mu, self.cpa2 * theta[0]])
         std = jnp.stack([mu_std, self.cpa2 * jnp.sqrt(covariance[0, 0])])
-        return Estimate(value, std, flag, surprise)
+        return Estimate(value, std, flag, jnp.asarray(surprise))

@@ -16,8 +16,9 @@ from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from tirefit.arrays import Scalar
 from tirefit.online.base import Estimate, Method, Sample, choose, floats, widest
 from tirefit.online.regression import AbstractRegression, corrected, limited
 from tirefit.params import par
@@ -93,7 +94,9 @@ class Rls(AbstractRegression):
         surprise = jnp.where(unused, jnp.nan, surprise)
         return after, self._estimate(after, idle, slides, surprise)
 
-    def hold(self, state: RlsState, dt, steps) -> tuple[RlsState, Estimate]:
+    def hold(
+        self, state: RlsState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[RlsState, Estimate]:
         # A branch, as nearly every row comes without lost samples.
         p = jax.lax.cond(
             steps > 0,
@@ -111,12 +114,18 @@ class Rls(AbstractRegression):
         """P of the first theta."""
         return self.prior() / self.force_noise**2
 
-    def _forgotten(self, p, growth) -> Float[Array, "2 2"]:
+    def _forgotten(self, p: Float[Array, "2 2"], growth: Scalar) -> Float[Array, "2 2"]:
         """P increased, at most to its initial value, to prevent wind-up."""
         room = jnp.min(jnp.diag(self._first()) / jnp.diag(p))
         return p * jnp.clip(room, 1.0, growth)
 
-    def _estimate(self, s: RlsState, idle, slides, surprise) -> Estimate:
+    def _estimate(
+        self,
+        s: RlsState,
+        idle: Bool[Array, ""] | bool,
+        slides: Bool[Array, ""] | bool,
+        surprise: Scalar,
+    ) -> Estimate:
         ratio = s.theta[1] / s.theta[0]
         slope = jnp.stack([-(ratio**2), 2 * ratio])  # of theta_2 over theta
         # M^-1 = I - gain slope^T, by Sherman and Morrison.
@@ -175,7 +184,9 @@ class Mit(AbstractRegression):
         surprise = jnp.where(idle | slides, jnp.nan, error / jnp.sqrt(spread))
         return after, self.estimate(*after, idle, slides, surprise)
 
-    def hold(self, state: MitState, dt, steps) -> tuple[MitState, Estimate]:
+    def hold(
+        self, state: MitState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[MitState, Estimate]:
         """The state is not changed, as the rule has no model of change over time."""
         return state, self.estimate(*state, False, False, jnp.nan)
 

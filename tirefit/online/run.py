@@ -15,9 +15,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
+from tirefit.arrays import Tree
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, Sample, code, flag_of
 from tirefit.online.scatter import Scatter, reported
 from tirefit.padding import padded_size
 
@@ -70,7 +71,7 @@ def start(estimator: AbstractEstimator) -> Guarded:
     return _strong(Guarded(*began))
 
 
-def _strong(tree):
+def _strong(tree: Tree) -> Tree:
     """The same arrays with strong types, as weak types would be compiled again."""
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), tree)
 
@@ -127,32 +128,36 @@ def guarded_step(
     return _strong(after), estimate._replace(flag=flag)
 
 
-def _stepped(estimator, state: Guarded, began: Guarded):
+def _stepped(
+    estimator: AbstractEstimator, state: Guarded, began: Guarded
+) -> tuple[Guarded, Estimate, Bool[Array, ""], Bool[Array, ""]]:
     """The state and the estimate after a step on the mean of the gathered samples,
     whether a change was detected, and whether the state was initialised again."""
     count = jnp.maximum(state.gathered, 1.0)
     mean = {name: total / count for name, total in state.sums.items()}
     moved, estimate = estimator.step(state.inner, {**mean, "count": count})
-    rise, fall, alarm = _cusum(state, estimate.surprise)
+    rise, fall, alarm = _cusum(state, jnp.asarray(estimate.surprise))
     moved = _either(alarm, estimator.open(moved), moved)
     finite = _all_finite(moved, began.inner)
     after = state._replace(
         inner=_either(finite, moved, began.inner),
         sums=began.sums,
         gathered=began.gathered,
-        flag=estimate.flag,
+        flag=jnp.asarray(estimate.flag),
         rise=rise,
         fall=fall,
     )
     return _strong((after, estimate, alarm, ~finite))
 
 
-def _either(condition, yes, no):
+def _either(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
     """``choose`` by a branch, so that only one alternative is computed."""
     return jax.lax.cond(condition, lambda: _strong(yes), lambda: _strong(no))
 
 
-def _gathered(state: Guarded, sample, usable, gap):
+def _gathered(
+    state: Guarded, sample: Sample, usable: Bool[Array, ""], gap: Bool[Array, ""]
+) -> tuple[dict[str, Float[Array, ""]], Float[Array, ""]]:
     """Sums and count with this sample; after a gap or a jump, of this sample only."""
     jump = gap
     if "sigma_x" in state.sums:
@@ -166,7 +171,9 @@ def _gathered(state: Guarded, sample, usable, gap):
     return sums, kept * state.gathered + jnp.where(usable, 1.0, 0.0)
 
 
-def _unusable(estimator, sample, back) -> Int[Array, ""]:
+def _unusable(
+    estimator: AbstractEstimator, sample: Sample, back: Bool[Array, ""]
+) -> Int[Array, ""]:
     """Code of the reason why a sample does not reach the method; 0 if it does."""
     inputs = [sample[name] for name in estimator.method.inputs]
     missing = ~jnp.isfinite(sum(inputs)) | jnp.isnan(sample["time"])
@@ -187,7 +194,9 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
     return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), reason)
 
 
-def _cusum(state: Guarded, surprise):
+def _cusum(
+    state: Guarded, surprise: Float[Array, ""]
+) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
     """Page's two-sided test on the surprises; both sums are reset at an alarm."""
     there = jnp.isfinite(surprise)
     z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
@@ -198,33 +207,37 @@ def _cusum(state: Guarded, surprise):
     return jnp.where(alarm, 0.0, rise), jnp.where(alarm, 0.0, fall), alarm
 
 
-def _usual_interval(usual, dt, steps):
+def _usual_interval(
+    usual: Float[Array, ""], dt: Float[Array, ""], steps: Float[Array, ""]
+) -> Float[Array, ""]:
     """The mean interval between samples, without lost samples."""
     regular = (dt > 0) & (steps <= _GAP)
     learned = jnp.where(jnp.isnan(usual), dt, usual + _USUAL * (dt - usual))
     return jnp.where(regular, learned, usual)
 
 
-def _all_finite(inner, began):
+def _all_finite(inner: Any, began: Any) -> Bool[Array, ""]:
     """Whether a state is finite, except where its initial state is not."""
     leaves = zip(jax.tree.leaves(inner), jax.tree.leaves(began), strict=True)
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(a) | jnp.isnan(b)) for a, b in leaves]))
 
 
 @jax.jit
-def _scan(estimator, state, log):
+def _scan(
+    estimator: AbstractEstimator, state: Guarded, log: Mapping[str, Array]
+) -> tuple[list[Array], list[Array]]:
     """Scan columns (m, _CHUNK); returns leaves of the state and arrays (m _CHUNK, ...).
 
     A scan over chunks, each of which is a scan, with the same steps as a single scan.
     """
 
-    def step(state, sample):
+    def step(state: Guarded, sample: Sample) -> tuple[Guarded, Estimate]:
         return guarded_step(estimator, state, sample)
 
     state, estimates = jax.lax.scan(
         lambda state, chunk: jax.lax.scan(step, state, chunk), state, log
     )
-    flat = [part.reshape(-1, *part.shape[2:]) for part in estimates]
+    flat = [part.reshape(-1, *part.shape[2:]) for part in jax.tree.leaves(estimates)]
     return jax.tree.leaves(state), flat
 
 

@@ -16,7 +16,7 @@ serve the f1tenth logs as well.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tirefit.online.base import RESOLVED, AbstractEstimator, Estimate, Flag, code
 
@@ -39,7 +39,7 @@ class Scatter(NamedTuple):
         """Weighted mean square deviation [-] of the recent estimates; 0 before the first."""
         return self.square / jnp.where(self.weight > 0, self.weight, 1.0)
 
-    def after(self, mu, std, dt) -> "Scatter":
+    def after(self, mu: Array, std: Array, dt: Array) -> "Scatter":
         """The scatter with an estimate that holds for ``dt`` [s], and its own std."""
         new = dt / (1 + (std / (RESOLVED * mu)) ** 2)
         new = jnp.where(jnp.isfinite(new) & jnp.isfinite(mu), new, 0.0)
@@ -52,7 +52,11 @@ class Scatter(NamedTuple):
 
 
 def reported(
-    estimator: AbstractEstimator, scatter: Scatter, estimate: Estimate, dt, changed
+    estimator: AbstractEstimator,
+    scatter: Scatter,
+    estimate: Estimate,
+    dt: Float[Array, ""],
+    changed: Bool[Array, ""],
 ) -> tuple[Scatter, Estimate]:
     """The scatter after a row, and the estimate with the reported standard deviation of mu.
 

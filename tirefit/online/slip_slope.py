@@ -11,12 +11,13 @@ Variations of the rolling radius appear as slip noise, to first order
 that of slip and force noise. :func:`road_of` gives the road.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax.scipy.stats import norm
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from tirefit.arrays import Scalar
 from tirefit.online.base import (
     RESOLVED,
     AbstractEstimator,
@@ -43,7 +44,7 @@ _MEMORY = 0.98  # weight of the previous mean square error: a memory of about 50
 _STEPS = 1 / (1 - _MEMORY)
 
 
-def road_of(relative, rough) -> Float[Array, ""]:
+def road_of(relative: Float[Array, ""], rough: Bool[Array, ""]) -> Float[Array, ""]:
     """Number of the road in :data:`ROADS`, from 1.
 
     Args:
@@ -58,7 +59,7 @@ def road_of(relative, rough) -> Float[Array, ""]:
     return jnp.where(rough, jnp.where(relative >= SOFT, 2.0, 3.0), smooth)
 
 
-def _most_use(default: float):
+def _most_use(default: float) -> Any:
     meaning = "largest force over load of a sample that is used"
     return par(default, (0.01, 2.0), "-", meaning, "S §3.1", "u_{max}")
 
@@ -110,14 +111,14 @@ class SlipSlope(AbstractEstimator):
         inverse = jnp.asarray(1 / self.slope, float)
         return SlipSlopeState(floats(inverse, 0.0), self._first(), self._noise(inverse))
 
-    def _first(self):
+    def _first(self) -> Float[Array, "2 2"]:
         return jnp.diag(floats(self.prior_slope / self.slope, self.prior_offset) ** 2)
 
-    def use(self, sample: Sample):
+    def use(self, sample: Sample) -> Float[Array, ""]:
         """Force over load [-] of a sample."""
         return sample["fx"] / sample["fz"]
 
-    def applies(self, use):
+    def applies(self, use: Float[Array, ""]) -> Bool[Array, ""]:
         """Whether a sample with this force over load is in the linear range."""
         return jnp.abs(use) <= self.most_use
 
@@ -142,7 +143,9 @@ class SlipSlope(AbstractEstimator):
         surprise = jnp.where(unused, jnp.nan, error / jnp.sqrt(spread))
         return after, self._estimate(after, unused, surprise)
 
-    def hold(self, state: SlipSlopeState, dt, steps) -> tuple[SlipSlopeState, Estimate]:
+    def hold(
+        self, state: SlipSlopeState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[SlipSlopeState, Estimate]:
         walk = floats(self.drift_slope / self.slope, self.drift_offset) ** 2
         held = state._replace(covariance=state.covariance + dt * jnp.diag(walk))
         return held, self._estimate(held, False, jnp.nan)
@@ -152,11 +155,13 @@ class SlipSlope(AbstractEstimator):
         first = self._first().at[1, 1].set(0.0)
         return state._replace(covariance=widest(state.covariance, first))
 
-    def _noise(self, inverse):
+    def _noise(self, inverse: Float[Array, ""]) -> Float[Array, ""]:
         """Variance of the error of one sample on a smooth road."""
         return self.slip_noise**2 + (self.force_noise * inverse) ** 2
 
-    def _estimate(self, s: SlipSlopeState, unused, surprise) -> Estimate:
+    def _estimate(
+        self, s: SlipSlopeState, unused: Bool[Array, ""] | bool, surprise: Scalar
+    ) -> Estimate:
         sane = s.x[0] > 0
         inverse = jnp.where(sane, s.x[0], 1.0)
         inverse_std, offset_std = jnp.sqrt(jnp.diag(s.covariance))
@@ -175,10 +180,12 @@ class SlipSlope(AbstractEstimator):
             jnp.stack([slope, s.x[1], radius, road + nothing]),
             jnp.stack([slope * relative, offset_std, radius_std, road_std]),
             flag,
-            surprise,
+            jnp.asarray(surprise),
         )
 
-    def _road(self, slope, slope_std, variance, variance_std):
+    def _road(
+        self, slope: Array, slope_std: Array, variance: Array, variance_std: Array
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """The number of the road and its standard deviation."""
         number = road_of(slope / self.slope, variance > self.rough**2)
         above = [norm.sf((limit * self.slope - slope) / slope_std) for limit in (STIFF, SOFT)]
@@ -220,10 +227,10 @@ class SlipSlopeBraking(SlipSlope):
         0.05, (0.0, 1.0), "-", "least force over load that counts as braking", "S §3.1", "u_{min}"
     )
 
-    def use(self, sample: Sample):
+    def use(self, sample: Sample) -> Float[Array, ""]:
         return self.gain * sample["brake_pressure"] / sample["fz"]
 
-    def applies(self, use):
+    def applies(self, use: Float[Array, ""]) -> Bool[Array, ""]:
         return (use >= self.least_use) & (use <= self.most_use)
 
     def gain_std(self) -> float:

@@ -12,6 +12,7 @@ that noise cannot have moved from this range are flagged.
 """
 
 import json
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import ClassVar
@@ -19,7 +20,9 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
+from tirefit.arrays import Numbers
 from tirefit.online.base import (
     AbstractSingleSample,
     Flag,
@@ -30,7 +33,7 @@ from tirefit.online.base import (
     force_noise,
     nominal_stiffness,
 )
-from tirefit.params import par
+from tirefit.params import Values, par
 
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
 LEAST_FRICTION, MOST_FRICTION, LEAST_FORCE = 0.1, 1.2, 0.03
@@ -39,7 +42,7 @@ SCALE = (1.2, 0.13)  # largest force and moment of the training, the scales of t
 _STDS = 3.0  # an input is flagged if it is this many standard deviations out of range
 
 
-def gough(sliding, mu):
+def gough(sliding: Numbers, mu: Numbers) -> tuple[Numbers, Numbers]:
     """Force over load y and moment -M_z/(a F_z) m of a brush, S section 3.6.
 
     Args:
@@ -50,14 +53,14 @@ def gough(sliding, mu):
     return mu * (1 - stuck**3), mu * sliding * stuck**3
 
 
-def network(weights, y, m):
+def network(weights: Sequence[tuple[Values, Values]], y: Array, m: Array) -> tuple[Array, Array]:
     """theta [-] and used friction [-] of one point of the Gough plot.
 
     Args:
         weights: (matrix, offsets) of each layer.
         y, m: force and moment as in :func:`gough`, both >= 0.
     """
-    x = jnp.stack([y / SCALE[0], m / SCALE[1]])
+    x: Values = jnp.stack([y / SCALE[0], m / SCALE[1]])
     for matrix, offset in weights[:-1]:
         x = jnp.tanh(matrix @ x + offset)
     matrix, offset = weights[-1]
@@ -73,7 +76,7 @@ def trained() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     return tuple((np.array(k["matrix"]), np.array(k["offset"])) for k in layers)
 
 
-def seen(y, m, y_std=0.0, m_std=0.0):
+def seen(y: Numbers, m: Numbers, y_std: Numbers = 0.0, m_std: Numbers = 0.0) -> Bool[Array, "..."]:
     """Whether a point of the Gough plot may be within the range of the training.
 
     Args:
@@ -82,7 +85,7 @@ def seen(y, m, y_std=0.0, m_std=0.0):
     """
     y_room, m_room = _STDS * y_std, _STDS * m_std
 
-    def moment(force, mu):
+    def moment(force: Numbers, mu: float) -> Numbers:
         inside = jnp.clip(force / mu, 0.0, 1.0)
         return gough(1 - jnp.cbrt(1 - inside), mu)[1]
 
@@ -94,7 +97,7 @@ def seen(y, m, y_std=0.0, m_std=0.0):
     least = moment(jnp.maximum(y - y_room, 0.0), LEAST_FRICTION)
     least = jnp.minimum(least, moment(y + y_room, LEAST_FRICTION)) - m_room
     force_fits = (y + y_room >= LEAST_FORCE) & (y - y_room <= MOST_FRICTION)
-    return force_fits & (m <= most) & (m >= least)
+    return (most >= m) & (least <= m) & force_fits
 
 
 class TireSensor(AbstractSingleSample):
@@ -119,7 +122,7 @@ class TireSensor(AbstractSingleSample):
         0.01, (0.0, 1.0), "-", "std of the network in mu_u and theta / y", "S §3.6", r"\sigma_n"
     )
 
-    def from_sample(self, sample: Sample):
+    def from_sample(self, sample: Sample) -> tuple[Single, Bool[Array, ""], Int[Array, ""]]:
         side = jnp.where(sample["fy"] < 0, -1.0, 1.0)
         y = side * sample["fy"] / sample["fz"]
         m = -side * sample["mz"] / (sample["fz"] * self.half_length)
@@ -137,7 +140,7 @@ class TireSensor(AbstractSingleSample):
         # Far out of the range there is no estimate; near the edge it is flagged.
         return Single(value, std), inside, flag_of((~inside, Flag.OUT_OF_RANGE))
 
-    def _outputs(self, x, stiffness):
+    def _outputs(self, x: Float[Array, "2"], stiffness: Float[Array, ""]) -> Float[Array, "3"]:
         """mu, slip angle [rad] and used friction of one point (2,)."""
         theta, used = network(trained(), x[0], x[1])
         return jnp.stack([x[0] / used, jnp.arctan(theta / stiffness), used])

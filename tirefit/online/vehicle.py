@@ -8,7 +8,9 @@ positive, and to the left for a positive slip angle,
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
+from tirefit.arrays import Scalar
 from tirefit.models.combined import mu_rate
 from tirefit.online.base import AbstractEstimator
 from tirefit.params import par
@@ -37,18 +39,20 @@ class AbstractVehicleMethod(AbstractEstimator):
     )
 
     @property
-    def base(self):
+    def base(self) -> float:
         """Wheelbase [m]."""
         return self.l_f + self.l_r
 
     @property
-    def loads(self):
+    def loads(self) -> tuple[float, float]:
         """Loads [N] of the front and the rear axle at rest."""
         weight = self.mass * GRAVITY / self.base
         return weight * self.l_r, weight * self.l_f
 
 
-def axle_angles(v_x, v_y, yaw_rate, steering, l_f, l_r):
+def axle_angles(
+    v_x: Array, v_y: Array, yaw_rate: Array, steering: Array, l_f: Scalar, l_r: Scalar
+) -> tuple[Array, Array]:
     """Slip angles [rad] of the front and the rear axle, positive for a force left.
 
     Args:
@@ -67,7 +71,7 @@ class Shares(NamedTuple):
     y: Any
 
 
-def brush_share(sigma_x, alpha, stiffness, mu) -> Shares:
+def brush_share(sigma_x: Array, alpha: Array, stiffness: Scalar, mu: Scalar) -> Shares:
     """Forces over the load of an isotropic brush, S(12) on the resultant slip.
 
     If the stiffness is proportional to the load, tires of an axle with equal slips act as
@@ -84,7 +88,7 @@ def brush_share(sigma_x, alpha, stiffness, mu) -> Shares:
     return Shares(force * sigma_x / slip, force * sigma_y / slip)
 
 
-def clipped(omega, v, radius, slowest=0.01):
+def clipped(omega: Array, v: Array, radius: Scalar, slowest: float = 0.01) -> Array:
     """Physical slip [-] of a wheel, limited to 99 when it nearly locks.
 
     Args:
@@ -94,7 +98,13 @@ def clipped(omega, v, radius, slowest=0.01):
     return 1 / turning - 1
 
 
-def kalman_update(x, covariance, slope, error, noise):
+def kalman_update(
+    x: Float[Array, " n"],
+    covariance: Float[Array, "n n"],
+    slope: Float[Array, "m n"],
+    error: Float[Array, " m"],
+    noise: Float[Array, "m m"],
+) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
     """A state (n,) and its covariance after a measurement (m,), in Joseph's form.
 
     Args:
@@ -107,6 +117,6 @@ def kalman_update(x, covariance, slope, error, noise):
     return x + gain @ error, kept @ covariance @ kept.T + gain @ noise @ gain.T
 
 
-def wrapped(angle):
+def wrapped(angle: Array) -> Array:
     """The same angle [rad] in [-pi, pi)."""
     return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi

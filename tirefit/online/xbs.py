@@ -32,6 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tirefit.arrays import Scalar
 from tirefit.online.base import (
     AbstractEstimator,
     Estimate,
@@ -64,7 +65,7 @@ class Section(NamedTuple):
     a1: Float[Array, ""] | float
     a2: Float[Array, ""] | float
 
-    def step(self, state, x):
+    def step(self, state: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], Array]:
         """(state (s1, s2), output) after the input x: direct form II transposed."""
         s1, s2 = state
         y = self.b0 * x + s1
@@ -79,7 +80,7 @@ def butterworth(kind: str, corner: float, rate: float) -> Section:
     return Section(*top, *bottom[1:])
 
 
-def speed_spectrum(angle, pole, corner, period):
+def speed_spectrum(angle: np.ndarray, pole: float, corner: float, period: float) -> np.ndarray:
     r"""Power of the sampled increments of wheel speed, by frequency; any common scale.
 
     The speed has poles at p and at the corner c of the road's disturbance d, whose
@@ -96,7 +97,7 @@ def speed_spectrum(angle, pole, corner, period):
     """
     step = 2 - 2 * np.cos(angle)  # |1 - 1/z|^2
 
-    def first_order(rate):
+    def first_order(rate: float) -> np.ndarray:
         if rate == 0:
             return 2 * period + 0 * angle
         rho = np.exp(-rate * period)
@@ -166,7 +167,7 @@ def relation(
     return Relation(square, printed, variance, mixed, alone, *noises)
 
 
-def rate_in_use(slope, stiffness, direction=0.0):
+def rate_in_use(slope: Array, stiffness: float, direction: Scalar = 0.0) -> Array:
     r"""Friction in use gamma [-] from the slope of the force: the inverse of O(22).
 
     Args:
@@ -194,10 +195,10 @@ class Sums(NamedTuple):
     weight: Float[Array, ""]
     weight2: Float[Array, ""]
 
-    def forgotten(self, share) -> "Sums":
+    def forgotten(self, share: Scalar) -> "Sums":
         """The sums with all weights multiplied by this share."""
         return Sums(
-            share * self.square, share * self.product, share * self.weight, share**2 * self.weight2
+            self.square * share, self.product * share, self.weight * share, self.weight2 * share**2
         )
 
 
@@ -276,7 +277,7 @@ class Xbs(AbstractEstimator):
     sections: Any = None
     relation: Any = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         low, high, rate = float(self.low), float(self.high), float(self.rate)
         if not low < high < rate / 2:
             raise ValueError(
@@ -316,7 +317,9 @@ class Xbs(AbstractEstimator):
         )  # fmt: skip
         return after, self._estimate(after)
 
-    def hold(self, state: XbsState, dt, steps) -> tuple[XbsState, Estimate]:
+    def hold(
+        self, state: XbsState, dt: Float[Array, ""], steps: Float[Array, ""]
+    ) -> tuple[XbsState, Estimate]:
         """After lost samples, the filter starts again and the past has less weight."""
         begun = state.age > 0
         off = begun & (jnp.abs(dt * self.rate - 1) > _INTERVAL_OFF)
@@ -332,14 +335,14 @@ class Xbs(AbstractEstimator):
         kept = choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
         return kept, self._estimate(kept)
 
-    def _settling(self):
+    def _settling(self) -> float:
         return _SETTLING * self.rate / self.low
 
-    def _force(self, sample: Sample):
+    def _force(self, sample: Sample) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Braking force and load [N] of the sample, if known."""
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan)
 
-    def pole(self, state: XbsState):
+    def pole(self, state: XbsState) -> tuple[Array, Array, Array, Array]:
         """(p, std of it, printed estimate [1/s], flag), NaN before the first sums."""
         table, age = self.relation, state.age
         square, product, weight, weight2 = state.sums
@@ -373,7 +376,7 @@ class Xbs(AbstractEstimator):
         )
         return pole + none, std + none, printed + none, flag
 
-    def _steepness(self, square):
+    def _steepness(self, square: Float[Array, ""]) -> Float[Array, ""]:
         """Slope of p^2 by the printed estimate at a p^2."""
         table = self.relation
         slopes = jnp.diff(table.square) / jnp.diff(table.printed)
@@ -393,7 +396,9 @@ class Xbs(AbstractEstimator):
             value, std = [*value, mu], [*std, mu * used_std / safe]
         return Estimate(jnp.stack(value), jnp.stack(std), flag, jnp.full((), jnp.nan))
 
-    def _used(self, s: XbsState, slope, slope_std):
+    def _used(
+        self, s: XbsState, slope: Float[Array, ""], slope_std: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Friction in use and its standard deviation."""
         used = rate_in_use(s.speed * slope, self.stiffness)
         share = jnp.clip(s.speed * slope / self.stiffness, 0.0, 1.0)
@@ -422,5 +427,5 @@ class XbsBraking(Xbs):
 
     gain: float = brake_gain()
 
-    def _force(self, sample: Sample):
+    def _force(self, sample: Sample) -> tuple[Float[Array, ""], Float[Array, ""]]:
         return self.gain * sample["brake_pressure"], sample["fz"]

@@ -30,7 +30,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tirefit.models.combined import braking_slope
 from tirefit.online.base import Flag, code
@@ -49,7 +49,7 @@ _LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
 
 
-def loop_matrix(gain, pole, rate: float, delay: int, lag: float) -> np.ndarray:
+def loop_matrix(gain: float, pole: float, rate: float, delay: int, lag: float) -> np.ndarray:
     r"""One sample of the linearised loop of wheel, deceleration servo and valves.
 
     The wheel is :math:`\dot x = -p x - q`, with deviations x of its speed [m/s] and q of
@@ -80,7 +80,16 @@ def loop_matrix(gain, pole, rate: float, delay: int, lag: float) -> np.ndarray:
     return matrix
 
 
-def refuse_unstable(gain, least_slope, most_slope, radius, inertia, rate, delay, lag) -> None:
+def refuse_unstable(
+    gain: float,
+    least_slope: float,
+    most_slope: float,
+    radius: float,
+    inertia: float,
+    rate: float,
+    delay: int,
+    lag: float,
+) -> None:
     """Check O(11), and the stability of the loop with sampling, delay and lag.
 
     Args:
@@ -205,7 +214,7 @@ class XbsServo(AbstractController):
     xbs: Any = None
     """The estimator, computed from the settings above; its wheel has J / r^2 = 1."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         refuse_unstable(
             float(self.servo_gain),
             float(self.least_slope),
@@ -277,14 +286,16 @@ class XbsServo(AbstractController):
         }
         return after, Command(valve), info
 
-    def _slope(self, s: XbsServoState, speed, use):
+    def _slope(
+        self, s: XbsServoState, speed: Wheels, use: Bool[Array, " w"]
+    ) -> tuple[XbsState, Wheels, Wheels, Int[Array, " w"]]:
         """States of the estimators, k [N s/m] with its std, and flags, (w,) each."""
         sample = {"omega": speed, "use": use.astype(float)}
         xbs, made = jax.vmap(self.xbs.step)(s.xbs, sample)
         scale = jnp.asarray(self.inertia) / jnp.asarray(self.radius) ** 2
         return xbs, scale * made.value[:, 0], scale * made.std[:, 0], made.flag
 
-    def _wanted(self, m: Measurement, vehicle) -> Wheels:
+    def _wanted(self, m: Measurement, vehicle: Float[Array, ""]) -> Wheels:
         """k_0 (w,) [N s/m] of O(22), with the direction of the force from steering and yaw
         rate, assuming no sideslip of the vehicle."""
         turning = jnp.maximum(m.wheel_speed, _SLOWEST)
@@ -296,12 +307,12 @@ class XbsServo(AbstractController):
         slope = braking_slope(self.share, jnp.asarray(self.stiffness), jnp.arctan2(across, along))
         return slope / turning
 
-    def _by_speed(self):
+    def _by_speed(self) -> Wheels:
         """Pressure per wheel speed above the reference [Pa s/m], J a / (r g)."""
         inertia, radius = jnp.asarray(self.inertia), jnp.asarray(self.radius)
         return inertia * self.servo_gain / (radius * jnp.asarray(self.brake_gain))
 
-    def _valves(self, error, ready, demand):
+    def _valves(self, error: Wheels, ready: Wheels, demand: Wheels) -> tuple[Wheels, Wheels]:
         """Commands (w,), and the changes of pressure [Pa] that they cause."""
         up = jnp.clip((demand - ready) / self.lag, _LEAST_FLOW, self.rise)
         down = jnp.clip(ready / self.lag, _LEAST_FLOW, self.fall)

@@ -40,7 +40,7 @@ _PIXELS = 100  # of the page per inch of a panel that scrolls
 class Picture(Figure):
     """A figure that notebooks display with any matplotlib backend."""
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         settings: dict[str, Any] = {"dpi": DPI, "facecolor": "white"} | kwargs
         super().__init__(*args, **settings)
         FigureCanvasAgg(self)
@@ -50,7 +50,7 @@ class Picture(Figure):
         self.write(buffer, "png", dpi=self.dpi)
         return buffer.getvalue()
 
-    def write(self, target, kind: str, **how) -> None:
+    def write(self, target: Any, kind: str, **how: Any) -> None:
         """Save to a path or buffer, without warnings on letters that the font lacks."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Glyph .* missing from font")
@@ -125,7 +125,7 @@ def axes_panel(
     return Panel(on_figure, title, (WIDE, 3.0))
 
 
-def images_of(panels: Iterable[Panel]) -> list[dict]:
+def images_of(panels: Iterable[Panel]) -> list[dict[str, Any]]:
     """The panels for the templates of pages."""
     return [
         image_of(alone(one), one.alternative, round(_PIXELS * one.size[0]) if one.scrolls else 0)
@@ -201,7 +201,7 @@ def boxed(axes: Any, x: float, y: float, text: str, size: float, **how: Any) -> 
     axes.text(x, y, plain_text(text), fontsize=size, color=DARK, bbox=box, **how)
 
 
-def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
+def tidy(axes: Any, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
     """Open frame, small ticks, labels."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -212,7 +212,7 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
     axes.set_ylabel(y_label, fontsize=size, color=DARK)
 
 
-def panel_title(axes, text: str, note: str = "") -> None:
+def panel_title(axes: Any, text: str, note: str = "") -> None:
     """Title of a panel, with a note in small print."""
     lines = textwrap.wrap(note, _NOTE)
     style: dict[str, Any] = {"loc": "left", "fontsize": 9.5, "fontweight": "bold", "color": DARK}

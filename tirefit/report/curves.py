@@ -94,7 +94,7 @@ def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
     )
 
 
-def even(members: Sequence[Any]) -> list:
+def even(members: Sequence[Any]) -> list[Any]:
     """At most as many members as a panel shows, including the first and the last."""
     count = min(len(members), _MOST_GROUPS)
     return [members[i] for i in np.linspace(0, len(members) - 1, count).astype(int)]
@@ -163,7 +163,7 @@ def _members(result: FitResult, keys: Mapping[str, np.ndarray]) -> list[tuple[st
     return groups
 
 
-def _conditions(result: FitResult, rows: np.ndarray, slip: str, is_grouped: bool) -> dict:
+def _conditions(result: FitResult, rows: np.ndarray, slip: str, is_grouped: bool) -> dict[str, Any]:
     """The inputs of a curve: medians of its rows; the other slip is zero if the rows include
     zero and are not grouped by it."""
     problem, other = result.problem, _OTHER[slip]
@@ -175,7 +175,12 @@ def _conditions(result: FitResult, rows: np.ndarray, slip: str, is_grouped: bool
     return at
 
 
-def _carried(result: FitResult, channel: str, members, conditions) -> tuple[np.ndarray, bool]:
+def _carried(
+    result: FitResult,
+    channel: str,
+    members: Sequence[tuple[str, np.ndarray]],
+    conditions: Sequence[Mapping[str, float]],
+) -> tuple[np.ndarray, bool]:
     """Measured forces (n,), moved to the load and the other slip of their curve, and whether.
 
     Rows of a group have other loads and other slips than their curve, so they would lie off
@@ -206,7 +211,7 @@ def _curve(
     label: str,
     ends: Sequence[float],
     axis: SlipAxis,
-    at: Mapping,
+    at: Mapping[str, Any],
     run: int,
 ) -> Curve:
     """The fitted curve at the conditions, between two slips as drawn."""

@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.closure import PARAMETERS
-from tirefit.diagnosis.summary.result import Change, Diagnosis, Status
+from tirefit.diagnosis.summary.result import Change, Diagnosis
 from tirefit.report.diagnosis_readings import readings_text
 from tirefit.report.diagnosis_words import amount_text, listing, name_of, share_text, words_on
 from tirefit.report.numbers import format_estimate, format_number

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.effects.measurement import RELATIVE
-from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
+from tirefit.diagnosis.extended import SCHEMA
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.report.diagnosis_sections import gap_line, is_described, missing_lines, of_effects

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from tirefit.diagnosis.summary.result import Diagnosis, Status
+from tirefit.diagnosis.engine.decide import Status
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_answer import answer
 from tirefit.report.diagnosis_details import details
 from tirefit.report.diagnosis_sections import first_screen, foot_line, head_lines, subject

@@ -5,17 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.engine.decide import Each, Status
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, SizeByGroup, Step
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.result import (
-    UNITS,
-    Diagnosis,
-    Each,
-    NextMeasurement,
-    Part,
-    Shrinkage,
-    Status,
-)
+from tirefit.diagnosis.summary.result import UNITS, Diagnosis, NextMeasurement, Part, Shrinkage
 from tirefit.report.diagnosis_answer import worse_steps
 from tirefit.report.diagnosis_readings import readings_section
 from tirefit.report.diagnosis_words import (

@@ -254,21 +254,27 @@ def amount_text(value: float, std: float | None, unit: str, digits: int = 4) -> 
     return f"{format_estimate(factor * value, factor * std)} {tail}".rstrip()
 
 
-def share_text(share: float | None, ends=None) -> str:
+def share_text(share: float | None, ends: tuple[float | None, float | None] | None = None) -> str:
     """``95 % [80 %, 96 %]``; ``-`` for an unknown share."""
     if share is None:
         return "-"
-    tail = "" if ends is None or ends[0] is None else "{:.0%}, {:.0%}".format(*ends)
+    tail = ""
+    if ends is not None and ends[0] is not None:
+        tail = "{:.0%}, {:.0%}".format(*ends)
     return f"{100 * share:.0f} %" + f" [{tail.replace('%', ' %')}]" * bool(tail)
 
 
-def closed_text(closed: float | None, ends=None, energy: float | None = None) -> str:
+def closed_text(
+    closed: float | None,
+    ends: tuple[float | None, float | None] | None = None,
+    energy: float | None = None,
+) -> str:
     """The closed share of a gap with its interval, and that of its energy; ``-100 % or
     worse`` if the effects double the gap or more."""
     if closed is None:
         return "-"
     message, worse = _closed(closed), " or worse" if closed <= WORST else ""
-    if ends is not None and ends[0] is not None:
+    if ends is not None and ends[0] is not None and ends[1] is not None:
         message += f" [{_closed(ends[0])}, {_closed(ends[1])}]"
     if energy is not None:
         message += f", {100 * energy:.0f} %{worse} of its energy"

@@ -1,8 +1,9 @@
 """The page on which a reader moves sliders and sees the forces of tires."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
-import jinja2
+from markupsafe import Markup
 
 from tirefit import __version__
 from tirefit.data.readers.extras import extra
@@ -11,11 +12,15 @@ from tirefit.report.page import template
 from tirefit.results import UsageError
 from tirefit.slip import CONVENTIONS
 
+if TYPE_CHECKING:
+    from tirefit.targets.explore import Explored
+
+
 PAGE = "explore.html"
 """Name of the page in a folder."""
 
 
-def _facts(found) -> list[str]:
+def _facts(found: "Explored") -> list[str]:
     """What a reader has to know of the numbers: signs, loads, errors, version."""
     facts = [f"Signs {found.convention}: {CONVENTIONS[found.convention].description}"]
     for one in found.tires:
@@ -26,18 +31,18 @@ def _facts(found) -> list[str]:
     return [*facts, f"tirefit {__version__}"]
 
 
-def explore_text(found) -> str:
+def explore_text(found: "Explored") -> str:
     """The tires, the signs and the rows of a :class:`tirefit.targets.explore.Explored`."""
     lines = [f"{one.label}: {'; '.join(one.origin)}" for one in found.tires]
     return "\n".join([*lines, *_facts(found), f"measured rows: {found.data or 'none (--data)'}"])
 
 
-def explore_figure(found):
+def explore_figure(found: "Explored") -> NoReturn:
     """Raise UsageError: the curves depend on the sliders."""
     raise UsageError("these tires have no figure", "write the page: .save('tire.html')")
 
 
-def explore_page(found) -> str:
+def explore_page(found: "Explored") -> str:
     """One HTML document with its scripts; it fetches nothing.
 
     Raises:
@@ -49,15 +54,15 @@ def explore_page(found) -> str:
     return template("explore.html").render(
         content=content,
         # Made of numbers and names of operations only.
-        programs=jinja2.utils.markupsafe.Markup(",\n".join(programs)),
-        plotly=jinja2.utils.markupsafe.Markup(offline.get_plotlyjs()),
+        programs=Markup(",\n".join(programs)),
+        plotly=Markup(offline.get_plotlyjs()),
         title=" against ".join(one.label for one in found.tires),
         facts=_facts(found),
         bands=any(one.steps for one in found.tires),
     )
 
 
-def save_page(found, folder: Path, name: str = "") -> list[Path]:
+def save_page(found: "Explored", folder: Path, name: str = "") -> list[Path]:
     """Write the page into a folder."""
     path = folder / (f"{name}.html" if name else PAGE)
     write_texts({path: explore_page(found)})

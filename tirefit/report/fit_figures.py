@@ -1,7 +1,7 @@
 """The figures of a fit: for its folder, its page, notebooks and given axes."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +76,7 @@ def draw_fit(axes: Any, curve: FitCurve) -> list[Line2D | Patch]:
     return _handles(curve, colors)
 
 
-def _handles(curve: FitCurve, colors) -> list[Line2D | Patch]:
+def _handles(curve: FitCurve, colors: Sequence[Any]) -> list[Line2D | Patch]:
     """The legend of groups, line and bands."""
     named = [
         Line2D([], [], ls="none", marker="o", ms=4, color=color, label=clipped(group.label, 40))
@@ -164,7 +164,7 @@ def missing_of(result: FitResult) -> dict[str, str]:
     return missing
 
 
-def page_pictures(result: FitResult) -> dict[str, list[dict]]:
+def page_pictures(result: FitResult) -> dict[str, list[dict[str, Any]]]:
     """Name of a figure -> its pictures for a page, as far as the fit has the content."""
     missing = missing_of(result)
     return {n: images_of(panels(result)) for n, panels in PANELS.items() if n not in missing}
@@ -209,7 +209,9 @@ def plot_fit(result: FitResult, what: str = "fit", ax: Any = None, **how: Any) -
     return ax.figure
 
 
-def save_figures(result: FitResult, directory: str | os.PathLike, svg: bool = False) -> list[Path]:
+def save_figures(
+    result: FitResult, directory: str | os.PathLike[str], svg: bool = False
+) -> list[Path]:
     """Write fit.png and residuals.png; runs.png if runs have separate parameters;
     profile.png, corner.png, trace.png if available.
 

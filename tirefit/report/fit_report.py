@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.fit_tables import (
@@ -33,6 +34,9 @@ from tirefit.report.page import (
     wrapped,
 )
 
+Named = list[tuple[str, str]]
+"""Pairs of a name and a text."""
+
 _FAR_ROWS = 8  # outliers that the full report lists one by one
 _MASKED = 5  # masked rows that are listed one by one
 _PAIRS = 10  # correlations that are listed
@@ -58,7 +62,7 @@ def _more(result: FitResult) -> Sequence[str]:
     return result.warnings[bool(result.outcomes) :]
 
 
-def assumption_lines(notes: Sequence[str], also: Sequence[str] = ()) -> tuple[list, list]:
+def assumption_lines(notes: Sequence[str], also: Sequence[str] = ()) -> tuple[Named, Named]:
     """A line for all columns that were read, and lines for the other assumptions."""
     found = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
     columns = [
@@ -183,7 +187,7 @@ def fit_page(result: FitResult) -> str:
     return page(title, sections, _verdict(result), subtitle, result.to_json())
 
 
-def _verdict(result: FitResult) -> dict:
+def _verdict(result: FitResult) -> dict[str, Any]:
     sentence = f"Verdict: {verdict_line(result)}"
     return verdict_of(sentence, _more(result), not result.outcomes)
 

@@ -3,7 +3,7 @@
 ``fit.json`` keeps the whole names; reports use the shortest names that are distinct.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def _noise_model(result: FitResult) -> str:
     )
 
 
-def _differs(record: dict) -> str:
+def _differs(record: dict[str, Any]) -> str:
     """How the noise of a force varies between rows; empty if it is constant."""
     text = ""
     if "share_of_force" in record:

@@ -205,7 +205,7 @@ def points_of(files: Files, one: Quantity) -> Points:
     )
 
 
-def _pictures(files: Files) -> list[dict]:
+def _pictures(files: Files) -> list[dict[str, Any]]:
     note = "± standard deviation; grey: scatter of files {}"
     return images_of(
         points_panel(
@@ -248,7 +248,7 @@ def _settings(files: Files, notes: Sequence[str]) -> Iterator[str]:
 
 
 def files_page(
-    files: Files, title: str, curves: Sequence[dict] = (), notes: Sequence[str] = ()
+    files: Files, title: str, curves: Sequence[dict[str, Any]] = (), notes: Sequence[str] = ()
 ) -> str:
     """Results of several files as one HTML document, without script or external resource.
 
@@ -306,7 +306,9 @@ def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = 
 
 
 def write_fits_page(
-    fits: Mapping[str, FitResult], path: str | os.PathLike, failed: Mapping[str, str] | None = None
+    fits: Mapping[str, FitResult],
+    path: str | os.PathLike[str],
+    failed: Mapping[str, str] | None = None,
 ) -> None:
     """Write the page of several fits, completely or not at all.
 

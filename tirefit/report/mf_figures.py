@@ -38,7 +38,9 @@ _AXIS = {
 }
 
 
-def _fitted(fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]):
+def _fitted(
+    fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Predicted force (n,) at the inputs, and the standard deviation (n,) of a measurement."""
     joined = TireInputs(*map(np.concatenate, zip(*inputs, strict=True)))
     columns = {
@@ -109,7 +111,7 @@ def force_curves(fit: MagicFormulaFit, force: str) -> list[FitCurve]:
     panels, (what, unit, _) = [], FORCE_LABEL[force]
     for name in _BY:
         swept = "sigma_x" if name == "held" else SLIPS_OF[force][-1]
-        alike: dict[tuple, list[SlipBins]] = {}
+        alike: dict[tuple[Any, ...], list[SlipBins]] = {}
         for bins in fit.binned[force]:
             setting = bins.setting
             pure = name == "held" or abs(setting.held) <= NEARLY_PURE
@@ -153,7 +155,7 @@ def ellipse_curves(fit: MagicFormulaFit) -> list[FitCurve]:
     """F_y / F_z over F_x / F_z in combined slip, at the load, camber and pressure with
     most slip angles, then the largest load; empty without combined slip."""
     lateral = {bins.setting: bins for bins in fit.binned.get("fy", ())}
-    alike: dict[tuple, list[tuple[SlipBins, SlipBins]]] = {}
+    alike: dict[tuple[Any, ...], list[tuple[SlipBins, SlipBins]]] = {}
     for bins in fit.binned.get("fx", ()):
         if bins.setting.swept == "sigma_x" and bins.setting in lateral:
             pair = bins, lateral[bins.setting]
@@ -194,7 +196,7 @@ def stacked(curves: Sequence[FitCurve], title: str = "") -> Picture:
     return together([curve_panel(curve, curve.title) for curve in curves], title, "", "")
 
 
-def plot_magic_formula(fit: MagicFormulaFit, ax=None):
+def plot_magic_formula(fit: MagicFormulaFit, ax: Any = None) -> Picture:
     """Draw every force over its slip by load, measured and fitted; returns the Figure.
 
     Args:
@@ -213,7 +215,7 @@ def _first(fit: MagicFormulaFit, curves: Mapping[str, Sequence[FitCurve]]) -> li
     return [curves[force][0] for force in fit.binned if force in curves]
 
 
-def page_pictures(fit: MagicFormulaFit) -> list[dict]:
+def page_pictures(fit: MagicFormulaFit) -> list[dict[str, Any]]:
     """All curves for a page."""
     every = (curve for curves in curves_of(fit).values() for curve in curves)
     return images_of(curve_panel(curve, curve.title) for curve in every)

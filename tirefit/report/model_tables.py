@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from tirefit.models import AbstractTire
 from tirefit.online.base import PARAMETERS, AbstractEstimator
@@ -83,7 +84,7 @@ _MEANING = {
 }
 
 
-def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict]:
+def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict[str, Any]]:
     """The same content, JSON-able: model name -> description and parameters."""
     return {
         name: {
@@ -97,7 +98,7 @@ def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict]:
 def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
     """Every method with inputs, estimates, valid range of used friction, source, settings."""
     lines = ["METHODS of `tirefit estimate`"]
-    known: dict[str, dict[tuple, list[tuple[str, Spec]]]] = {}
+    known: dict[str, dict[tuple[Any, ...], list[tuple[str, Spec]]]] = {}
     for name, kind in methods.items():
         method = kind.method
         estimates = (f"{p} [{PARAMETERS[p].unit}]" for p in method.parameters)
@@ -124,7 +125,7 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
     return "\n".join([*lines, "", "SETTINGS (--set METHOD.NAME=VALUE)", *table(rows)])
 
 
-def methods_dict(methods: Mapping[str, type[AbstractEstimator]]) -> dict[str, dict]:
+def methods_dict(methods: Mapping[str, type[AbstractEstimator]]) -> dict[str, dict[str, Any]]:
     """The same content for JSON: method name -> its properties."""
     return {
         name: {

@@ -1,6 +1,7 @@
 """Format numbers with as many digits as their uncertainty allows."""
 
 import math
+from collections.abc import Sequence
 from typing import TypeGuard
 
 _MOST_DIGITS = 7  # no measurement has more, and the rest would be rounding
@@ -56,7 +57,7 @@ def format_estimate(value: float, std: float | None) -> str:
     return f"{_rounded(value, places)} ± {_rounded(std, places)}"
 
 
-def format_interval(ends, std: float | None = None) -> str:
+def format_interval(ends: Sequence[float | None], std: float | None = None) -> str:
     """``[low, high]`` with the digits of the std; an end that is None is ``..``."""
     low, high = ends
     if low is None and high is None:

@@ -40,7 +40,7 @@ class Section(NamedTuple):
     title: str
     lines: Sequence[str | tuple[str, str]] = ()
     table: Rows = ()
-    pictures: Sequence = ()
+    pictures: Sequence[Any] = ()
     note: str = ""
     text: str = ""
     folded: bool = False
@@ -203,7 +203,7 @@ def verdict_of(sentence: str, lines: Sequence[str], is_good: bool) -> dict[str, 
     return {"sentence": sentence, "points": items, "color": GOOD if is_good else OPEN}
 
 
-def image_of(picture, alternative: str, least: int = 0) -> dict:
+def image_of(picture: Any, alternative: str, least: int = 0) -> dict[str, Any]:
     """A picture for the templates, with its description and smallest width [px]."""
     png = base64.b64encode(picture._repr_png_()).decode("ascii")
     return {"png": png, "alternative": alternative, "least": least}

@@ -155,7 +155,7 @@ def _strength(strip: Strip) -> float:
     return 0.45 if strip.is_kept else 0.22
 
 
-def _draw(axes, panel: Panel, strips: list[Strip]) -> None:
+def _draw(axes: Any, panel: Panel, strips: list[Strip]) -> None:
     whole = {"transform": axes.get_xaxis_transform(), "linewidth": 0, "zorder": 0}
     for strip in strips:
         color = {"facecolor": _COLOR[strip.kind], "alpha": _strength(strip)}

@@ -8,7 +8,7 @@ from scipy.special import ndtri
 
 from tirefit.data.run_names import clipped, run_names
 from tirefit.data.table import TireData
-from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.verdict.residuals import (
     means_by,
@@ -47,7 +47,7 @@ class Scatter(NamedTuple):
     ticks: tuple[str, ...] = ()  # values of a categorical input
 
 
-def _fitted_rows(problem, data: TireData | None) -> np.ndarray | None:
+def _fitted_rows(problem: FitProblem, data: TireData | None) -> np.ndarray | None:
     """The rows (len(data),) bool of the table that the fit used, None if unknown.
 
     A fit may be limited to an interval of slip, found from its smallest and largest slip.
@@ -83,7 +83,7 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     }
 
 
-def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
+def _runs(result: FitResult, residual: np.ndarray, inflation: float) -> list[Scatter]:
     problem = result.problem
     codes, position = np.unique(problem.used(problem.rows.run), return_inverse=True)
     if not 1 < len(codes) <= _MOST_RUNS:

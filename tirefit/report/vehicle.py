@@ -57,7 +57,7 @@ def answer(result: Replay) -> str:
     place = place_of(result)
     rms = {name: errors.rms() for name, errors in result.models.items()}
 
-    def size(model, quantity="lateral"):
+    def size(model: str, quantity: str = "lateral") -> str:
         value = rms[model][quantity][place]
         return f"{format_number(value, 2)} {QUANTITIES[quantity]}"
 
@@ -181,7 +181,9 @@ def _series_panels(result: Replay) -> list[Panel]:
     ]
 
 
-def _draw_stretch(axes: Any, fans: Fans, series: Callable[[Mapping, int], tuple]) -> None:
+def _draw_stretch(
+    axes: Any, fans: Fans, series: Callable[[Mapping[str, Any], int], tuple[Any, ...]]
+) -> None:
     """Draw the first second of every window of a stretch, measured and predicted.
 
     Args:

@@ -17,7 +17,7 @@ A controller is a record with ``rate``, ``init`` and ``step``
 (:mod:`tirefit.online.controller`). A stop is one scan; many are run by ``vmap`` over it.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -26,7 +26,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.online.controller import Measurement, Truth
+from tirefit.arrays import Numbers
+from tirefit.online.controller import AbstractController, Measurement, Truth
 from tirefit.sim.brake_vehicle import Hydraulics, Road, RoadTire, Slips, Vehicle, wheel_slips
 
 Wheels = Float[Array, " w"]
@@ -90,7 +91,7 @@ def rolling(plant: Plant, speed: Number) -> Motion:
     return Motion(**still | {"v_x": speed} | wheels)
 
 
-def _steer(plant: Plant):
+def _steer(plant: Plant) -> tuple[Array, Array]:
     angle = jnp.asarray(plant.vehicle.steered) * plant.steering
     return jnp.cos(angle), jnp.sin(angle)
 
@@ -109,7 +110,7 @@ def contacts(plant: Plant, s: Motion) -> Contacts:
     return Contacts(slips, along, mu, fz, jnp.where(fz > 0, fx, 0.0), fy * (fz > 0))
 
 
-def _pushed(plant: Plant, fx, fy):
+def _pushed(plant: Plant, fx: Array, fy: Array) -> tuple[Array, Array, Array]:
     """Force [N] on the car forward and to the left, and the yaw moment [N m]."""
     car = plant.vehicle
     cos, sin = _steer(plant)
@@ -118,7 +119,7 @@ def _pushed(plant: Plant, fx, fy):
     return jnp.sum(ahead), jnp.sum(left), moment
 
 
-def accelerations(plant: Plant, fx, fy):
+def accelerations(plant: Plant, fx: Array, fy: Array) -> tuple[Array, Array, Array]:
     """Deceleration, acceleration to the left [m/s2], yaw acceleration [rad/s2], under
     forces (w,) [N] along and across the wheels."""
     car = plant.vehicle
@@ -126,7 +127,7 @@ def accelerations(plant: Plant, fx, fy):
     return -forward / car.mass, left / car.mass, moment / car.yaw_inertia
 
 
-def _rate(since, s: Motion, args) -> Motion:
+def _rate(since: Numbers, s: Motion, args: tuple[Plant, Drive, Array, Array]) -> Motion:
     plant, drive, start, period = args
     car = plant.vehicle
     now = contacts(plant, s)
@@ -159,7 +160,7 @@ _SCALES = {"heading": 0.1, "yaw_rate": 0.1, "pressure": 1e6}
 """Scales of the errors of states; 1 in SI units for the others."""
 
 
-def _error(scaled: Motion):
+def _error(scaled: Motion) -> Array:
     """Largest error over its scale; each wheel must meet the tolerance."""
     parts = scaled._asdict().items()
     sizes = [jnp.max(jnp.abs(e)) / _SCALES.get(name, 1.0) for name, e in parts]
@@ -217,14 +218,14 @@ class Noise(NamedTuple):
     road: Float[Array, "m w"]
 
 
-def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) -> Noise:
+def draw_noise(key: Array, sensors: Sensors, samples: int, wheels: int, rate: float) -> Noise:
     """The noise of one stop; controllers with the same key have the same noise."""
     keys = jax.random.split(key, 4)
     shape = (samples, wheels)
     kept = jnp.exp(-2 * np.pi * sensors.road_corner / rate)
     pushes = jax.random.normal(keys[3], (samples + 1, wheels))
 
-    def move(d, push):
+    def move(d: Array, push: Array) -> tuple[Array, Array]:
         d = kept * d + jnp.sqrt(1 - kept**2) * push
         return d, d
 
@@ -239,7 +240,7 @@ def draw_noise(key, sensors: Sensors, samples: int, wheels: int, rate: float) ->
     )
 
 
-def wheel_speeds(sensors: Sensors, turning, noise):
+def wheel_speeds(sensors: Sensors, turning: Array, noise: Array) -> Array:
     """Measured circumferential speeds (w,) [m/s]: with noise, then rounded to steps; zero
     for a standing wheel, which gives no pulses."""
     step = sensors.speed_step
@@ -274,7 +275,7 @@ class Log(NamedTuple):
 def xbs_true(plant: Plant, s: Motion) -> Float[Array, " w"]:
     """Slope k [N s/m] of each braking force over its slip velocity, O(1)-(2)."""
 
-    def braked(omega):
+    def braked(omega: Array) -> Array:
         return contacts(plant, s._replace(omega=omega)).fx
 
     # A force depends only on the speed of its own wheel; slip velocity is v - R omega.
@@ -282,7 +283,9 @@ def xbs_true(plant: Plant, s: Motion) -> Float[Array, " w"]:
     return -slope / jnp.asarray(plant.vehicle.radius, float)
 
 
-def _read(plant: Plant, sensors: Sensors, s, now: Contacts, t, noise: Noise, d):
+def _read(
+    plant: Plant, sensors: Sensors, s: Motion, now: Contacts, t: Array, noise: Noise, d: Array
+) -> Measurement:
     """The sensor values in a state, with forces d (w,) [N] of the uneven road."""
     peak, at = plant.tire.peaks(now.mu, now.slips.speed, now.fz)
     slowing, _, _ = accelerations(plant, now.fx + d, now.fy)
@@ -299,26 +302,34 @@ def _read(plant: Plant, sensors: Sensors, s, now: Contacts, t, noise: Noise, d):
     )
 
 
-def _moves(s: Motion, start: Motion):
+def _moves(s: Motion, start: Motion) -> Array:
     """1 while the car has neither stopped nor spun."""
     spun = jnp.abs(s.heading - start.heading) > SPUN
     return ((s.v_x > STANDS) & ~spun).astype(float)
 
 
-def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period):
+def _loop(
+    plant: Plant,
+    controller: AbstractController,
+    sensors: Sensors,
+    start: Motion,
+    noise: Noise,
+    queue: int,
+    period: float,
+) -> Log:
     """The scan: the log of a stop that begins in a state; leaves (n, ...)."""
     static = jnp.asarray(plant.vehicle.fz, float)
     forces = noise.road * static[None]
     wheels = static.shape
 
-    def read(s, t, at, d):
+    def read(s: Motion, t: Array, at: Noise, d: Array) -> Measurement:
         return _read(plant, sensors, s, contacts(plant, s), t, at, d)
 
     at_samples = noise._replace(road=noise.road[:-1])
     first = jax.tree.map(lambda part: part[0], at_samples)
     memory = controller.init(read(start, jnp.zeros(()), first, forces[0]))
 
-    def sample(carry, given):
+    def sample(carry: Any, given: Any) -> tuple[Any, Log]:
         s, memory, waiting = carry
         k, at, begin, end = given
         t = k * period
@@ -341,7 +352,7 @@ def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period
     return log
 
 
-def _started(plant: Plant, speed) -> Motion:
+def _started(plant: Plant, speed: Number) -> Motion:
     """The state in which braking begins: straight ahead, or in a steady turn if steered."""
     straight = rolling(plant, speed)
     if plant.vehicle.steered.shape == (1,):
@@ -355,7 +366,13 @@ def _started(plant: Plant, speed) -> Motion:
 
 @eqx.filter_jit
 def simulate_stop(
-    plant: Plant, controller, sensors: Sensors, speed, key, samples: int, queue: int
+    plant: Plant,
+    controller: AbstractController,
+    sensors: Sensors,
+    speed: Number,
+    key: Array,
+    samples: int,
+    queue: int,
 ) -> Log:
     """Simulate one stop.
 

@@ -8,13 +8,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from tirefit.arrays import Tree
 from tirefit.models import AbstractTire, TireInputs, modelled
+from tirefit.online.vehicle import GRAVITY
 from tirefit.params import check_names, parameter_values
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.brake import Plant, Sensors
 from tirefit.sim.brake_vehicle import (
-    GRAVITY,
     Hydraulics,
     Vehicle,
     four_wheels,
@@ -74,7 +76,7 @@ class Request:
         }
 
 
-def arrays(tree):
+def arrays(tree: Tree) -> Tree:
     """The same record with arrays of floats as leaves."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
 
@@ -122,8 +124,8 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
     car = VEHICLES[request.vehicle]()
     tire, speed = request.tire, request.speed
 
-    def force(sigma, fz):
-        return tire(TireInputs(sigma, 0.0, fz, speed)).fx
+    def force(sigma: Array, fz: Array) -> Array:
+        return jnp.asarray(tire(TireInputs(sigma, 0.0, fz, speed)).fx)
 
     slope = jax.vmap(jax.grad(force), (None, 0))(1e-6, jnp.asarray(car.fz))
     wheels = ("radius", "inertia", "brake_gain", "fz", "steered")
@@ -234,7 +236,7 @@ def tire_curve(
     curves = {}
     for mu in np.unique(np.r_[plant.road.before, plant.road.after]):
 
-        def one(k, mu=mu):
+        def one(k: Array, mu: float = mu) -> Array:
             slips = wheel_slips(speed[None], jnp.zeros(1), speed * (1 - k)[None])
             fx, _ = plant.tire.forces(jnp.full(1, mu), slips, fz[None])
             return fx[0] / fz

@@ -71,7 +71,7 @@ UNITS = {name: unit for name, (unit, _) in _NUMBERS.items()}
 MEANINGS = {name: meaning for name, (_, meaning) in _NUMBERS.items()}
 
 
-def _fluctuation(values, counted, samples: int):
+def _fluctuation(values: Array, counted: Array, samples: int) -> Array:
     """Rms of columns (n, w) about their running means over ``samples`` rows, in the rows
     that ``counted`` (n,) marks."""
     smooth = jax.vmap(partial(jnp.convolve, v=jnp.ones(samples), mode="same"), 1, 1)
@@ -81,7 +81,7 @@ def _fluctuation(values, counted, samples: int):
     return jnp.sqrt(total / jnp.maximum(values.shape[1] * jnp.sum(counted), 1.0))
 
 
-def _recovery(plant: Plant, log: Log, used, period: float):
+def _recovery(plant: Plant, log: Log, used: Array, period: float) -> Array:
     """Time [s] from the jump of the friction until the new friction is used."""
     car = plant.vehicle
     behind = jnp.max(jnp.asarray(car.x)) - jnp.min(jnp.asarray(car.x))

@@ -14,6 +14,7 @@ changes only :math:`\mu`, for LuGre only g. The sliding speed is not scaled.
 """
 
 import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tirefit.arrays import Scalar
 from tirefit.data.table import WHEELS
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.online.vehicle import GRAVITY
@@ -119,11 +121,11 @@ class Hydraulics(NamedTuple):
     lag: float = 0.02
     delay: float = 0.01
 
-    def master(self, t):
+    def master(self, t: Scalar) -> Array:
         """Pressure [Pa] of the master cylinder ``t`` [s] after the braking begins."""
         return jnp.minimum(self.demand, self.ramp * jnp.maximum(t, 0.0))
 
-    def flow(self, t, pressure, valve):
+    def flow(self, t: Scalar, pressure: Array, valve: Array) -> Array:
         """Rate of the wheels' pressure (w,) [Pa/s] under commands (w,) in [-1, 1]."""
         up = jnp.clip((self.master(t) - pressure) / self.lag, 0.0, self.rise)
         down = jnp.clip(pressure / self.lag, 0.0, self.fall)
@@ -223,7 +225,7 @@ class Slips(NamedTuple):
     speed: Float[Array, " w"]  # [m/s] by which the sliding speed was divided
 
 
-def wheel_slips(v_x, v_y, turning) -> Slips:
+def wheel_slips(v_x: Array, v_y: Array, turning: Array) -> Slips:
     """Slips of wheels (w,) from the speeds of their centres along and across them, and
     their circumferential speed R omega; all [m/s]."""
     speed = jnp.maximum(v_x, LOW_SPEED)
@@ -253,13 +255,15 @@ class RoadTire(eqx.Module):
         """Forces [N] (w,) along and across wheels on a road of friction mu (w,)."""
         return jax.vmap(self._force)(mu, *slips, jnp.maximum(fz, _LEAST_LOAD))
 
-    def _force(self, mu, kappa, alpha, speed, fz):
+    def _force(
+        self, mu: Array, kappa: Array, alpha: Array, speed: Array, fz: Array
+    ) -> tuple[Array, Array]:
         inputs = _similar(mu / self.usual, kappa, alpha, speed, fz)
         made = self.tire(inputs)
         across = jnp.zeros(()) if made.fy is None else made.fy
-        return mu / self.usual * made.fx, mu / self.usual * across
+        return mu / self.usual * jnp.asarray(made.fx), mu / self.usual * across
 
-    def peaks(self, mu, speed, fz):
+    def peaks(self, mu: Array, speed: Array, fz: Array) -> tuple[Array, Array]:
         """Largest braking force over load (w,) on roads mu (w,), at speeds [m/s] and
         loads [N] (w,); and its kappa (w,)."""
         place = [
@@ -273,7 +277,7 @@ class RoadTire(eqx.Module):
         return peak, at
 
 
-def _similar(factor, kappa, alpha, speed, fz) -> TireInputs:
+def _similar(factor: Array, kappa: Array, alpha: Scalar, speed: Array, fz: Array) -> TireInputs:
     """The inputs of the given tire that are similar to inputs on a road."""
     sigma = sigma_from_kappa(kappa)
     scaled = sigma / factor
@@ -283,7 +287,7 @@ def _similar(factor, kappa, alpha, speed, fz) -> TireInputs:
     return TireInputs(scaled, angle, fz, speed * factor / narrower)
 
 
-def on_road(tire: AbstractTire, speed, fz, roads) -> RoadTire:
+def on_road(tire: AbstractTire, speed: Scalar, fz: Scalar, roads: Float[Array, " m"]) -> RoadTire:
     """A tire with its peaks, for braking from ``speed`` [m/s] at load ``fz`` [N] on
     ``roads`` (m,), given by their friction."""
     # Decided here from the values of a .tir file, which a traced program does not know.
@@ -291,21 +295,23 @@ def on_road(tire: AbstractTire, speed, fz, roads) -> RoadTire:
 
 
 @eqx.filter_jit
-def _peaked(tire: AbstractTire, speed, fz, roads, one_speed: bool) -> RoadTire:
+def _peaked(
+    tire: AbstractTire, speed: Scalar, fz: Scalar, roads: Float[Array, " m"], one_speed: bool
+) -> RoadTire:
     shares = jnp.geomspace(0.01, 1.0, _SPEEDS)[-1 if one_speed else 0 :]
     speeds = jnp.asarray(speed) * shares
     loads = jnp.asarray(fz) * jnp.linspace(0.2, 2.4, _LOADS)
     roads = jnp.sort(jnp.asarray(roads, float))
 
-    def own(k):
-        return tire(TireInputs(sigma_from_kappa(k), 0.0, fz, speed)).fx / fz
+    def own(k: Array) -> Array:
+        return jnp.asarray(tire(TireInputs(sigma_from_kappa(k), 0.0, fz, speed)).fx) / fz
 
     usual, _ = _highest(own)
 
-    def highest(mu, v, load):
-        def curve(k):
+    def highest(mu: Array, v: Array, load: Array) -> tuple[Array, Array]:
+        def curve(k: Array) -> Array:
             inputs = _similar(mu / usual, k, 0.0, v, load)
-            return mu / usual * tire(inputs).fx / load
+            return mu / usual * jnp.asarray(tire(inputs).fx) / load
 
         return _highest(curve)
 
@@ -315,7 +321,7 @@ def _peaked(tire: AbstractTire, speed, fz, roads, one_speed: bool) -> RoadTire:
     return RoadTire(tire, usual, roads, speeds, loads, peak, at)
 
 
-def _highest(curve):
+def _highest(curve: Callable[[Array], Array]) -> tuple[Array, Array]:
     """Largest value of a curve over kappa, and its kappa; the first of a plateau."""
     grid = jnp.concatenate(
         [jnp.geomspace(1e-4, 0.1, _SLIPS), jnp.linspace(0.1, _LOCKED, _SLIPS)[1:]]
@@ -323,7 +329,7 @@ def _highest(curve):
     best = jnp.argmax(jax.vmap(curve)(grid))
     shorter = (np.sqrt(5) - 1) / 2
 
-    def narrow(_, ends):
+    def narrow(_: Array | int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
         left, right = high - shorter * (high - low), low + shorter * (high - low)
         keep = curve(left) >= curve(right)

@@ -23,13 +23,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy.optimize import brentq
 
+from tirefit.arrays import Numbers
 from tirefit.data.write import csv_text
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import LuGre, MagicFormula
 from tirefit.online.lugre_observer import peak_share
+from tirefit.params import with_values
 from tirefit.results import UsageError
 from tirefit.sim.lugre import Bristles, Contact, bristle_forces, bristle_rate, distributed
 from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, Braking
@@ -96,7 +99,7 @@ def lugre_tire(peak: float, v: float) -> LuGre:
     """
     tire = LuGre()
     theta = brentq(lambda theta: float(peak_share(tire, theta, v)) - peak, 0.005, 4.0, xtol=1e-15)
-    return tire.scaled(theta)
+    return with_values(tire, {"mu_s": theta * tire.mu_s, "mu_c": theta * tire.mu_c})
 
 
 class WheelNumbers(NamedTuple):
@@ -115,7 +118,12 @@ class WheelNumbers(NamedTuple):
 
 
 def braked_wheel(
-    numbers: WheelNumbers, tires: tuple, bristles: Bristles, time, teeth: int, max_steps=2**22
+    numbers: WheelNumbers,
+    tires: tuple[Any, Any],
+    bristles: Bristles,
+    time: np.ndarray,
+    teeth: int,
+    max_steps: int = 2**22,
 ) -> tuple[np.ndarray, ...]:
     """Wheel speed [rad/s], force [N] and mean deflection [m] at the times (n,).
 
@@ -139,21 +147,23 @@ def braked_wheel(
 
 
 @eqx.filter_jit
-def _integrate(traced, bristles, time, teeth: int, max_steps: int):
+def _integrate(
+    traced: Any, bristles: Bristles, time: Array, teeth: int, max_steps: int
+) -> tuple[Array, Array, Array, Array]:
     numbers, tires = traced
     _, period, radius, inertia, v, fz, change, interval = numbers
 
-    def parts(t, y):
+    def parts(t: Numbers, y: Any) -> tuple[Array, Array, Array]:
         """Wheel speed over that of free rolling, force, rate of the bristles."""
         turning, z = jnp.clip(y[0], SLOWEST), y[1]
         tire = jax.tree.map(lambda a, b: jnp.where(t < change, a, b), *tires)
         if not len(bristles.place):
             return turning, tire.pure(1 - turning, fz), z
         now = Contact(jnp.stack([v - v * turning, 0.0]), v * turning, fz)
-        force = bristle_forces(tire, bristles, z, now).fx
+        force = jnp.asarray(bristle_forces(tire, bristles, z, now).fx)
         return turning, force, bristle_rate(tire, bristles, z, now)
 
-    def rate(t, y, args):
+    def rate(t: Numbers, y: Any, args: Any) -> tuple[Array, Array]:
         del args
         turning, force, bent = parts(t, y)
         torque = numbers.full * (t % period) / period
@@ -182,7 +192,7 @@ def _integrate(traced, bristles, time, teeth: int, max_steps: int):
         throw=False,
     )
 
-    def seen(t, y):
+    def seen(t: Array, y: Any) -> tuple[Array, Array, Array]:
         turning, force, _ = parts(t, y)
         return turning * v / radius, force, jnp.asarray(bristles.weight) @ y[1][:, 0]
 
@@ -211,13 +221,13 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     )
     ends, extra = (mu[0], mu[-1]), {}
     if how.tire == "lugre":
-        soft = tuple(lugre_tire(peak, how.speed) for peak in ends)
+        soft = lugre_tire(ends[0], how.speed), lugre_tire(ends[1], how.speed)
         omega, fx, bent = braked_wheel(numbers, soft, PATCH, time, how.teeth)
         tire, extra = soft[0], {"deflection": bent}
         # Slope of the force at zero slip over the load [-]; it depends on the speed.
         slope = tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * how.speed
     else:
-        stiff = tuple(map(source_tire, ends))
+        stiff = source_tire(ends[0]), source_tire(ends[1])
         omega, fx, _ = braked_wheel(numbers, stiff, STEADY, time, how.teeth)
         slope = STIFFNESS / LOAD
     torque = full * (time % how.period) / how.period

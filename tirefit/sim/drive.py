@@ -21,7 +21,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from tirefit.arrays import Numbers
 from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
 from tirefit.results import UsageError
@@ -83,18 +85,18 @@ class _Numbers(NamedTuple):
     change: jax.Array
 
 
-def _mu(numbers: _Numbers, t):
+def _mu(numbers: _Numbers, t: Numbers) -> Array:
     return jnp.where(t < numbers.change, *numbers.mu)
 
 
-def _road_rate(numbers: _Numbers, t, v_x):
+def _road_rate(numbers: _Numbers, t: Numbers, v_x: Array) -> Array:
     """Yaw rate [rad/s] that follows the road: its curvature times the speed."""
     how, grip = numbers.how, numbers.mu[0] * GRAVITY
     curvature = how["bend"] * grip / how["speed"] ** 2
     return v_x * curvature * jnp.sin(2 * jnp.pi * t / how["bend_period"])
 
 
-def _steering(numbers: _Numbers, t, s: _State):
+def _steering(numbers: _Numbers, t: Numbers, s: _State) -> Array:
     """Road wheel angle [rad] of a driver who looks ahead along the lane."""
     car = numbers.car
     base = car["l_f"] + car["l_r"]
@@ -106,7 +108,7 @@ def _steering(numbers: _Numbers, t, s: _State):
     return base * curvature + understeer - 2 * base / _PREVIEW**2 * aside
 
 
-def _torques(numbers: _Numbers, t, s: _State):
+def _torques(numbers: _Numbers, t: Numbers, s: _State) -> Array:
     """Brake minus drive torque (4,) [N m]: saw-teeth; the rear wheels drive in between."""
     car, how = numbers.car, numbers.how
     phase = (t % how["brake_period"]) / how["brake_period"]
@@ -121,7 +123,7 @@ def _torques(numbers: _Numbers, t, s: _State):
     return full * jnp.where(braking, asked * share, driven)
 
 
-def _loads(car, s: _State):
+def _loads(car: dict[str, Array], s: _State) -> Array:
     """Loads (4,) [N] of the wheels, with the transfer by roll and deceleration."""
     base = car["l_f"] + car["l_r"]
     weight = car["mass"] * GRAVITY / base
@@ -134,7 +136,9 @@ def _loads(car, s: _State):
     return jnp.maximum(loads, _LEAST_LOAD)
 
 
-def _tires(numbers: _Numbers, t, s: _State):
+def _tires(
+    numbers: _Numbers, t: Numbers, s: _State
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Steering, slips (4,), angles (2,), loads (4,), forces along and across (4,)."""
     car = numbers.car
     steering = _steering(numbers, t, s)
@@ -147,7 +151,9 @@ def _tires(numbers: _Numbers, t, s: _State):
     return steering, sigma, angles, loads, loads * share.x, loads * share.y
 
 
-def _pushed(numbers: _Numbers, steering, along, across):
+def _pushed(
+    numbers: _Numbers, steering: Array, along: Array, across: Array
+) -> tuple[Array, Array, Array]:
     """Force [N] on the car forward and to the left, and the yaw moment [N m]."""
     car = numbers.car
     turn = jnp.array([1.0, 1.0, 0.0, 0.0]) * steering
@@ -158,7 +164,7 @@ def _pushed(numbers: _Numbers, steering, along, across):
     return jnp.sum(ahead), jnp.sum(left), jnp.sum(arm * left - side * ahead)
 
 
-def _rate(t, s: _State, numbers: _Numbers) -> _State:
+def _rate(t: Numbers, s: _State, numbers: _Numbers) -> _State:
     car = numbers.car
     steering, _, _, _, along, across = _tires(numbers, t, s)
     forward, left, moment = _pushed(numbers, steering, along, across)
@@ -185,7 +191,7 @@ def _rate(t, s: _State, numbers: _Numbers) -> _State:
 
 
 @eqx.filter_jit
-def _integrate(numbers: _Numbers, time, max_steps: int):
+def _integrate(numbers: _Numbers, time: Array, max_steps: int) -> tuple[_State, Array]:
     """States (n, ...) at the times, and whether the integration reached them."""
     v = numbers.how["speed"]
     zero = jnp.zeros(())
@@ -202,10 +208,10 @@ def _integrate(numbers: _Numbers, time, max_steps: int):
 
 
 @eqx.filter_jit
-def _measured(numbers: _Numbers, time, states: _State) -> dict[str, jax.Array]:
+def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.Array]:
     """Measured and true columns from the states (n, ...) at the times."""
 
-    def one(t, s):
+    def one(t: Array, s: _State) -> dict[str, Array]:
         steering, sigma, angles, loads, along, across = _tires(numbers, t, s)
         forward, left, _ = _pushed(numbers, steering, along, across)
         wheels = {"omega": s.omega, "torque": _torques(numbers, t, s)}
@@ -239,7 +245,7 @@ def _noise_stds(how: Drive) -> dict[str, float]:
     return stds | {"time": 0.0, "steering": 0.0, "road_heading": 0.0}
 
 
-def _values(record) -> dict[str, jax.Array]:
+def _values(record: Car | Drive) -> dict[str, jax.Array]:
     kept = {f.name: getattr(record, f.name) for f in fields(record)}
     return {k: jnp.asarray(float(v)) for k, v in kept.items() if k != "drop"}
 

@@ -35,7 +35,7 @@ class Bristles(NamedTuple):
     transport: np.ndarray  # (n, n) matrix of the derivative along the patch, times length
 
 
-def _radau():
+def _radau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points on (0, 1], weights and derivative matrix of polynomials that are 0 at 0."""
     coefficients = np.zeros(_POINTS + 1)
     coefficients[-2:] = -1, 1
@@ -69,19 +69,19 @@ class Contact(NamedTuple):
     fz: Float[Array, "*n"]  # [N]
 
 
-def _give(tire: LuGre, z, now: Contact):
+def _give(tire: LuGre, z: Array, now: Contact) -> Array:
     """Rate of deflection (n, 2) [m/s] of travelling bristles, S(17a)."""
     speed = resultant(*now.sliding)
     return now.sliding[None] - tire.sigma0 * speed / tire.level(speed) * z
 
 
-def bristle_rate(tire: LuGre, bristles: Bristles, z, now: Contact):
+def bristle_rate(tire: LuGre, bristles: Bristles, z: Array, now: Contact) -> Array:
     """Time derivative (n, 2) [m/s] of the deflections z (n, 2) [m] at their places."""
     carried = now.rolling / tire.length * (jnp.asarray(bristles.transport) @ z)
     return _give(tire, z, now) - carried
 
 
-def bristle_forces(tire: LuGre, bristles: Bristles, z, now: Contact) -> TireForces:
+def bristle_forces(tire: LuGre, bristles: Bristles, z: Array, now: Contact) -> TireForces:
     """Force [N] of the deflections z (n, 2) [m], S(17b) averaged over the patch."""
     each = tire.sigma0 * z + tire.sigma1 * _give(tire, z, now)
     mean = jnp.asarray(bristles.weight) @ each + tire.sigma2 * now.sliding

@@ -10,15 +10,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from tirefit import __version__
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import given_tire
 from tirefit.fitting.tir import remarks
+from tirefit.models.base import AbstractTire
+from tirefit.online.controller import AbstractController
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.precision import require_x64
-from tirefit.sim.brake import Log, Plant, simulate_stop
+from tirefit.sim.brake import Log, Plant, Sensors, simulate_stop
 from tirefit.sim.brake_request import (
     Request,
     arrays,
@@ -100,7 +103,9 @@ def brake(
     return replace(done, notes=(*notes, *doubts(request)))
 
 
-def _tire(source, values: dict[str, float], signs: str | None):
+def _tire(
+    source: TireLike | None, values: dict[str, float], signs: str | None
+) -> tuple[str, AbstractTire, list[str]]:
     """Name and record of the tire, and warnings on its file."""
     if source is None:
         source, values = _DEFAULT, _VALUES | values
@@ -112,7 +117,13 @@ def _tire(source, values: dict[str, float], signs: str | None):
 
 @eqx.filter_jit
 def many_stops(
-    plants: Plant, controller, sensors, speed, keys, samples: int, queue: int
+    plants: Plant,
+    controller: AbstractController,
+    sensors: Sensors,
+    speed: Array,
+    keys: Array,
+    samples: int,
+    queue: int,
 ) -> Summary:
     """Summaries (k,) of stops in one vmapped run.
 
@@ -123,7 +134,7 @@ def many_stops(
             :func:`tirefit.sim.brake.simulate_stop`.
     """
 
-    def one(given):
+    def one(given: tuple[Plant, Array]) -> Summary:
         plant, key = given
         log = simulate_stop(plant, controller, sensors, speed, key, samples, queue)
         return summarise(plant, log, 1 / controller.rate)
@@ -173,7 +184,9 @@ def braked(
     return Braking(request, done, many, seed, __version__)
 
 
-def _stop(name, log: Log, summary, wheels, controller) -> Stop:
+def _stop(
+    name: str, log: Log, summary: Summary, wheels: tuple[str, ...], controller: AbstractController
+) -> Stop:
     """The stop with its rows until the end, as NumPy arrays."""
     end = min(int(np.sum(log.moving)) + 1, len(log.moving))
     kept = jax.tree.map(lambda leaf: np.asarray(leaf)[:end], log)

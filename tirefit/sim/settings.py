@@ -19,7 +19,7 @@ _MOST_ROWS = 10_000_000  # these need some GB of memory
 Drop = tuple[float, float] | None
 
 
-def _of(default, meaning: str, low: float = 0.0, high: float = math.inf) -> Any:
+def _of(default: Any, meaning: str, low: float = 0.0, high: float = math.inf) -> Any:
     """A field with its meaning, and the smallest and largest value of a number."""
     about = {"meaning": meaning, "limits": (low, high)}
     if isinstance(default, dict):

@@ -44,7 +44,7 @@ def simulate_rig(how: Sweeps) -> SimulatedLog:
 _MADE: dict[str, Any] = {"braking": simulate_braking, "drive": simulate_drive, "rig": simulate_rig}
 
 
-def simulate(kind: str = "braking", **settings) -> SimulatedLog:
+def simulate(kind: str = "braking", **settings: Any) -> SimulatedLog:
     """Simulate a log or sweeps that ``fit`` and ``estimate`` read.
 
     Args:

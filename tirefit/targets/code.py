@@ -3,14 +3,15 @@
 import base64
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import export
+from jaxtyping import Array
 
 from tirefit.params import parameter_values
 from tirefit.slip import CONVENTIONS
@@ -109,7 +110,7 @@ def results(program: Program, language: Language) -> list[str]:
     return [_argument(program, language, one) for one in program.outputs.values()]
 
 
-def _argument(program: Program, language: Language, arg) -> str:
+def _argument(program: Program, language: Language, arg: Term | float) -> str:
     if not isinstance(arg, Term):
         text = language.number(arg)
         return f"({text})" if text.startswith("-") else text
@@ -119,7 +120,7 @@ def _argument(program: Program, language: Language, arg) -> str:
     return program.inputs[args[0]] if op == "input" else f"t{arg.place}"
 
 
-def _expression(program: Program, language: Language, op: str, args) -> str:
+def _expression(program: Program, language: Language, op: str, args: Sequence[Term | float]) -> str:
     given = [_argument(program, language, arg) for arg in args]
     how = language.calls.get(op, language.usual.format(op))
     return how.format(*given) if "{" in how else f"{how}({', '.join(given)})"
@@ -189,9 +190,9 @@ def _numpy_function(program: Program, name: str) -> list[str]:
     ]
 
 
-def compiled(program: Program) -> Callable:
+def compiled(program: Program) -> Callable[..., Any]:
     """A program as a Python function of numbers or arrays that returns a tuple."""
-    scope: dict = {"np": np}
+    scope: dict[str, Any] = {"np": np}
     exec("\n".join(_numpy_function(program, "force")), scope)
     return scope["force"]
 
@@ -236,7 +237,7 @@ def vectors(draft: Draft) -> list[str]:
     return lines
 
 
-def _named(names, values) -> str:
+def _named(names: Iterable[str], values: Iterable[float]) -> str:
     each = zip(names, values, strict=True)
     return ", ".join(f"{name}={float(x):.17g}" for name, x in each)
 
@@ -298,7 +299,7 @@ def c_source(draft: Draft) -> str:
     )
 
 
-def _c_function(program: Program, name: str, given, count: int) -> list[str]:
+def _c_function(program: Program, name: str, given: Iterable[str], count: int) -> list[str]:
     """A C function; outputs after the first ``count`` are derivatives, see :meth:`Tire.program`."""
     inputs = [f"tirefit_real {one}" for one in program.inputs]
     used = {args[0] for op, args in program.operations if op == "input"}
@@ -347,7 +348,7 @@ def jax_source(draft: Draft) -> str:
     """A Python module with a function of arrays; it needs only JAX."""
     names, forces = draft.forces.inputs, draft.tire.function(draft.convention)
 
-    def one(*given):
+    def one(*given: Array) -> tuple[Array, ...]:
         known = dict(zip(names, given, strict=True))
         found = forces(*(known.get(name, 0.0) for name in INPUTS))
         return tuple(jnp.asarray(force, float) for force in found)

@@ -153,7 +153,7 @@ def explore(
     given = [given_tire(one) for one in listed]
     convention = given[0].content.get("data", {}).get("convention", TIR_SIGNS)
     tires = [tire_of(one) for one in listed]
-    rows: dict[str, list] = {}
+    rows: dict[str, list[float]] = {}
     told, warned = "", list[str]()
     if data is not None:
         table = as_data(data, **how, forces=False, otherwise=(convention, "the tire"))
@@ -172,7 +172,7 @@ def explore(
     return Explored(convention, inputs, tuple(shown), rows, told, tuple(warned))
 
 
-def _in_folder(source) -> list:
+def _in_folder(source: Any) -> list[Any]:
     """The tires of a folder, in order of their names; another source by itself."""
     path = Path(source) if isinstance(source, str | os.PathLike) else None
     if path is None or not path.is_dir():
@@ -186,7 +186,7 @@ def _in_folder(source) -> list:
     return [str(one) for one in fits + alone]
 
 
-def _label(source, given: GivenTire) -> str:
+def _label(source: TireLike, given: GivenTire) -> str:
     if not isinstance(source, str | os.PathLike) or not (given.tir or given.content):
         return given.name
     path = Path(source)
@@ -206,7 +206,7 @@ def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[P
             sources = {noise[force].get("source") for force in given.content["forces"]}
             half_width = half_width_95("estimated" in sources, dof)
 
-    def forces(*arguments):
+    def forces(*arguments: Any) -> tuple[Any, ...]:
         own = dict(zip(values, arguments[len(INPUTS) :], strict=True))
         changed = replace(tire, model=with_values(tire.model, own))
         return changed.function(convention)(*arguments[: len(INPUTS)])
@@ -267,7 +267,7 @@ def _columns(data: TireData) -> dict[str, np.ndarray]:
     return {k: np.asarray(v, float) for k, v in found.items() if np.isfinite(v).any()}
 
 
-def _shown_rows(columns: Mapping[str, np.ndarray], convention: str) -> dict[str, list]:
+def _shown_rows(columns: Mapping[str, np.ndarray], convention: str) -> dict[str, list[float]]:
     """Evenly chosen rows in the signs of a convention, to five digits."""
     signs = CONVENTIONS[convention]
     count = min((len(column) for column in columns.values()), default=0)

@@ -147,14 +147,14 @@ class Exported(Record):
 def export(
     source: TireLike | None,
     target: str,
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     front: TireLike | None = None,
     rear: TireLike | None = None,
-    vehicle: str | os.PathLike | None = None,
+    vehicle: str | os.PathLike[str] | None = None,
     over: Mapping[str, tuple[float, float]] | None = None,
     values: Mapping[str, float] | None = None,
-    diagnosis: "Diagnosis | str | os.PathLike | None" = None,
+    diagnosis: "Diagnosis | str | os.PathLike[str] | None" = None,
     model: str | None = None,
     wheel: Mapping[str, float] | None = None,
     forces: Sequence[str] | str = (),
@@ -263,7 +263,9 @@ def export(
     return _written(target, path, shape, tire.notes, files)
 
 
-def _drafted(target: str, tire: Tire, convention, name, wheel, first):
+def _drafted(
+    target: str, tire: Tire, convention: str, name: str, wheel: Mapping[str, float], first: str
+) -> tuple[str | dict[str, str], Shape]:
     """The text of one tire, or of several files by their endings, and its shape."""
     try:
         program = tire.program(convention)
@@ -278,7 +280,9 @@ def _drafted(target: str, tire: Tire, convention, name, wheel, first):
         raise UsageError(InputProblem(reason, remedy)) from None
 
 
-def _written(target, path: Path, shape: Shape, notes, texts) -> Exported:
+def _written(
+    target: str, path: Path, shape: Shape, notes: tuple[str, ...], texts: Mapping[Path, str]
+) -> Exported:
     texts = {path: sealed_text(text) for path, text in texts.items()}
     write_texts(texts)
     named = {path.name: text for path, text in texts.items()}

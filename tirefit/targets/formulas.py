@@ -4,12 +4,13 @@ A :class:`Formula` is the force that a simulator computes from the parameters of
 :mod:`tirefit.targets.refit` fits these parameters to an exported tire.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.models import AbstractTire, CombinedMagicFormula, TireInputs
 from tirefit.models.magic_formula import MagicFormula, bent
 from tirefit.models.mf import MFTire
@@ -57,19 +58,21 @@ class Formula:
 
     outputs: tuple[str, ...]
     signs: Convention
-    forces: Callable[[Values, Any, Any, Any], tuple]
+    forces: Callable[[Values, Any, Any, Any], tuple[Any, ...]]
     start: Callable[[Curves], dict[str, float]]
     stages: Mapping[str, Mapping[str, tuple[float, float]]]
     of_load: tuple[str, ...] = ()
     loss: tuple[str, ...] = ()
 
-    def canonical(self, values: Values, kappa, alpha, fz) -> tuple:
+    def canonical(
+        self, values: Values, kappa: Numbers, alpha: Numbers, fz: Numbers
+    ) -> tuple[Any, ...]:
         """Forces [N] at canonical slips, in canonical signs."""
         signs = self.signs
         found = self.forces(values, signs.slip * kappa, signs.alpha * alpha, fz)
         return self._signed(found, signs)
 
-    def _signed(self, found, signs: Convention) -> tuple:
+    def _signed(self, found: Iterable[Numbers], signs: Convention) -> tuple[Any, ...]:
         pairs = zip(self.outputs, found, strict=True)
         return tuple(getattr(signs, name) * force for name, force in pairs)
 
@@ -77,14 +80,16 @@ class Formula:
         """The formula with these values as a program in a sign convention."""
         signs = CONVENTIONS[convention]
 
-        def function(kappa, alpha, fz):
+        def function(kappa: Numbers, alpha: Numbers, fz: Numbers) -> tuple[Numbers, ...]:
             at = signs.slip * kappa, signs.alpha * alpha, signs.fz * fz
             return self._signed(self.canonical(values, *at), signs)
 
         return traced(function, INPUTS[:ALWAYS], self.outputs)
 
 
-def magic_formula_of(model: AbstractTire):
+def magic_formula_of(
+    model: AbstractTire,
+) -> tuple[tuple[float, ...], tuple[float, ...], dict[str, float]] | None:
     """B, C, D, E of both pure slips and the weights of a Magic Formula tire at its
     nominal load, upright and at nominal pressure; None for another tire."""
     if isinstance(model, CombinedMagicFormula):
@@ -108,7 +113,7 @@ def magic_formula_of(model: AbstractTire):
     return along, _floats(slope, shape, side.mu, y.PEY1 * scale.LEY), weights
 
 
-def _floats(b, c, d, e) -> tuple[float, ...]:
+def _floats(b: Scalar, c: Scalar, d: Scalar, e: Scalar) -> tuple[float, ...]:
     # Limit E as `bent` does; simulators do not.
     return float(b), float(c), float(d), min(float(e), 1.0)
 
@@ -121,7 +126,9 @@ _FRICTION, _SLOPE = (0.01, 5.0), (0.01, 1000.0)
 # --- CommonRoad ---------------------------------------------------------------------
 
 
-def _commonroad_forces(p: Values, kappa, alpha, fz):
+def _commonroad_forces(
+    p: Values, kappa: Numbers, alpha: Numbers, fz: Numbers
+) -> tuple[Numbers, Numbers]:
     """``tire_model.py`` of commonroad-vehicle-models 3.0.2 without camber: kappa is
     positive when braking, which pure slip negates and combined slip does not. p_vx1,
     which is zero, is inside the sine."""
@@ -131,7 +138,7 @@ def _commonroad_forces(p: Values, kappa, alpha, fz):
     slope = p["p_ky1"] / (p["p_cy1"] * p["p_dy1"])
     across = p["p_dy1"] * fz * jnp.sin(p["p_cy1"] * bent(slope * alpha, p["p_ey1"]))
 
-    def weight(axis, slope, slip, shift):
+    def weight(axis: str, slope: Numbers, slip: Numbers, shift: Numbers) -> Numbers:
         shape, curvature = p[f"r_c{axis}1"], p[f"r_e{axis}1"]
         both = (bent(slope * s, curvature) for s in (slip + shift, shift))
         top, bottom = (jnp.cos(shape * one) for one in both)
@@ -220,7 +227,9 @@ PACEJKA = Formula(
 # --- SlipX --------------------------------------------------------------------------
 
 
-def _slipx_forces(p: Values, kappa, alpha, fz):
+def _slipx_forces(
+    p: Values, kappa: Numbers, alpha: Numbers, fz: Numbers
+) -> tuple[Numbers, Numbers]:
     """``tyre.hpp`` of slipx 0.2.0; its tier L2 takes F_x as a demand and reports kappa =
     F_x / c_kappa."""
     fz0 = p["nominal_load"]
@@ -276,7 +285,7 @@ SLIPX = Formula(
 # --- Gazebo -------------------------------------------------------------------------
 
 
-def _gazebo_forces(p: Values, kappa, alpha, fz):
+def _gazebo_forces(p: Values, kappa: Numbers, alpha: Numbers, fz: Numbers) -> tuple[Numbers, ...]:
     """Gazebo's WheelSlip with a friction pyramid: the slip velocity over R omega is the
     slip compliance times the force over the normal force of the plugin."""
     slip_x = sigma_from_kappa(jnp.minimum(kappa, 0.999))

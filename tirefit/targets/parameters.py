@@ -10,6 +10,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.door import read_toml
 from tirefit.results import InputProblem, UsageError
@@ -47,13 +49,13 @@ class Axle(NamedTuple):
         return [f"{self.name}: {line}" if self.name else line for line in lines]
 
 
-def vehicle_of(path, target: str, needs: Sequence[str]) -> Vehicle:
+def vehicle_of(path: str | os.PathLike[str], target: str, needs: Sequence[str]) -> Vehicle:
     """The car of a ``vehicle.toml``; it needs no ``[columns]`` here.
 
     Raises:
         UsageError: the file is wrong, or lacks keys of ``needs``; it lists all of them.
     """
-    content = read_toml(path)
+    content = read_toml(Path(path))
     content.setdefault("columns", _NO_LOG)
     vehicle = parse_settings(Vehicle, content, str(path))
     problems = []
@@ -94,7 +96,7 @@ def axles_of(
     return tuple(_placed(*item, vehicle, alike) for item in tires.items())
 
 
-def _placed(name: str, tire: Tire, vehicle: Vehicle | None, notes) -> Axle:
+def _placed(name: str, tire: Tire, vehicle: Vehicle | None, notes: tuple[str, ...]) -> Axle:
     """The tire with the static load at its place."""
     if vehicle is None:
         return Axle(name, tire, notes=notes)
@@ -186,7 +188,7 @@ def parameter_text(
     tires: Mapping[str, Tire],
     path: Path,
     first: str,
-    vehicle: str | os.PathLike | None = None,
+    vehicle: str | os.PathLike[str] | None = None,
     over: Ranges | None = None,
     force: bool = False,
 ) -> tuple[str, Shape, tuple[str, ...]]:
@@ -209,7 +211,7 @@ def parameter_text(
     car = None if vehicle is None else vehicle_of(vehicle, target, kind.needs)
     narrowed = turned_range(over or {}, SIGNS)
     fits, axles, notes, sentences, failed = [], [], [], [], []
-    curves: dict[str, tuple] = {}
+    curves: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     for axle in axles_of(target, kind.tires, tires, car):
         tire, (low, high) = axle.tire, narrowed.get("fz", (0.0, math.inf))
         if not axle.static and not low <= tire.load <= high:

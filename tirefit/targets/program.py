@@ -6,7 +6,7 @@ languages, so that no formula is written twice.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ class Operation(NamedTuple):
     """``op`` of arguments, each a constant or a :class:`Term`."""
 
     op: str
-    args: tuple
+    args: tuple[Any, ...]
 
 
 @dataclass(frozen=True, order=True, slots=True)
@@ -45,11 +45,11 @@ class Term:
 class Graph:
     """Operations in order; equal ones are shared, and constants are folded."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.operations: list[Operation] = []
         self._known: dict[Operation, Term] = {}
 
-    def term(self, op: str, *args) -> Term:
+    def term(self, op: str, *args: Any) -> Term:
         """The term of an operation."""
         key = Operation(op, args)
         if key not in self._known:
@@ -59,7 +59,7 @@ class Graph:
             self.operations.append(key)
         return self._known[key]
 
-    def apply(self, op: str, *args):
+    def apply(self, op: str, *args: Any) -> Any:
         """The result of an operation on terms and constants: a term or a constant."""
         if not any(isinstance(arg, Term) for arg in args):
             with np.errstate(all="ignore"):
@@ -85,7 +85,10 @@ class Program(NamedTuple):
 
 
 def traced(
-    function: Callable, inputs: Sequence[str], outputs: Sequence[str], by: Sequence[int] = ()
+    function: Callable[..., Any],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    by: Sequence[int] = (),
 ) -> Program:
     """The program of a JAX function of scalars.
 
@@ -107,7 +110,7 @@ def traced(
         found = dict(zip(outputs, values, strict=True))
     else:
         # Trace the derivative once, with the direction as further inputs.
-        def both(at, along):
+        def both(at: Sequence[Any], along: Sequence[Any]) -> Any:
             return jax.jvp(function, tuple(at), tuple(along))
 
         ones = [1.0] * count
@@ -126,18 +129,20 @@ def traced(
     return program
 
 
-def _array(value) -> np.ndarray:
+def _array(value: object) -> np.ndarray:
     array = np.empty((), object)
     array[()] = value
     return array
 
 
-def _evaluate(graph: Graph, jaxpr, consts, given) -> list[np.ndarray]:
+def _evaluate(
+    graph: Graph, jaxpr: core.Jaxpr, consts: Sequence[Any], given: Sequence[np.ndarray]
+) -> list[np.ndarray]:
     """The results of a jaxpr on arrays of terms and constants."""
     known = dict(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
     known |= dict(zip(jaxpr.invars, given, strict=True))
 
-    def read(atom):
+    def read(atom: Any) -> np.ndarray:
         if not isinstance(atom, core.Literal):
             return known[atom]
         # A smaller number, which keeps a length from being zero, would be zero in single precision.
@@ -151,10 +156,10 @@ def _evaluate(graph: Graph, jaxpr, consts, given) -> list[np.ndarray]:
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _result(graph: Graph, equation, values) -> list[np.ndarray]:
+def _result(graph: Graph, equation: core.JaxprEqn, values: list[np.ndarray]) -> list[np.ndarray]:
     name, how = equation.primitive.name, equation.params
     if name in ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
-        inner = how.get("jaxpr") or how.get("call_jaxpr") or how.get("fun_jaxpr")
+        inner: Any = how.get("jaxpr") or how.get("call_jaxpr") or how.get("fun_jaxpr")
         return _evaluate(graph, inner.jaxpr, inner.consts, values)
     if name == "scan":
         return _unrolled(graph, how, values)
@@ -176,7 +181,8 @@ def _result(graph: Graph, equation, values) -> list[np.ndarray]:
     if name == "select_n":
         condition, no, yes = values
         name, values = "where", [condition, yes, no]
-    if name in _UNCHANGED and not np.issubdtype(equation.outvars[0].aval.dtype, int):
+    result: Any = equation.outvars[0].aval
+    if name in _UNCHANGED and not np.issubdtype(result.dtype, int):
         return values
     name = "add" if name == "add_any" else name
     if name not in _OPERATIONS:
@@ -184,7 +190,7 @@ def _result(graph: Graph, equation, values) -> list[np.ndarray]:
     return [_each(graph, lambda g, *args: g.apply(name, *args), values)]
 
 
-def _unrolled(graph: Graph, how, values) -> list[np.ndarray]:
+def _unrolled(graph: Graph, how: Mapping[str, Any], values: list[np.ndarray]) -> list[np.ndarray]:
     """A loop of known length, step by step."""
     first, last = how["num_consts"], how["num_consts"] + how["num_carry"]
     consts, carry, over = values[:first], values[first:last], values[last:]
@@ -203,7 +209,7 @@ def _unrolled(graph: Graph, how, values) -> list[np.ndarray]:
     return [*carry, *stacked]
 
 
-def _each(graph: Graph, function, values) -> np.ndarray:
+def _each(graph: Graph, function: Callable[..., Any], values: Sequence[np.ndarray]) -> np.ndarray:
     """A function of scalars on arrays."""
     arrays = np.broadcast_arrays(*values)
     result = np.empty(arrays[0].shape, object)
@@ -212,11 +218,11 @@ def _each(graph: Graph, function, values) -> np.ndarray:
     return result
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _power(graph: Graph, x, y: int):
+def _power(graph: Graph, x: Any, y: int) -> Any:
     """An integer power as products."""
     if y < 0:
         return _power(graph, graph.apply("div", 1.0, x), -y)
@@ -229,7 +235,7 @@ def _power(graph: Graph, x, y: int):
     return result
 
 
-def _simplified(graph: Graph, op: str, args: tuple) -> Any:
+def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
     """An equivalent of an operation that is simpler and differs by rounding at most; None
     if there is none.
 
@@ -240,7 +246,7 @@ def _simplified(graph: Graph, op: str, args: tuple) -> Any:
     """
     apply, x, y = graph.apply, args[0], args[-1]
 
-    def known(*values) -> bool:
+    def known(*values: object) -> bool:
         return not any(isinstance(value, Term) for value in values)
 
     # A term is matched by its operation and arguments, a constant by its value.
@@ -289,7 +295,7 @@ def _pruned(program: Program) -> Program:
     kept = [(k, one) for k, one in enumerate(program.operations) if k in used]
     new = {old: k for k, (old, _) in enumerate(kept)}
 
-    def placed(value):
+    def placed(value: Any) -> Any:
         return Term(new[value.place]) if isinstance(value, Term) else value
 
     operations = [Operation(o.op, tuple(map(placed, o.args))) for _, o in kept]
@@ -297,7 +303,7 @@ def _pruned(program: Program) -> Program:
     return Program(program.inputs, outputs, operations)
 
 
-_OPERATIONS: dict[str, Callable] = {
+_OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide,
     "neg": np.negative, "max": np.maximum, "min": np.minimum, "abs": np.abs,
     "sign": np.sign, "sqrt": np.sqrt, "cbrt": np.cbrt, "exp": np.exp,
@@ -315,7 +321,7 @@ in JAX."""
 _UNCHANGED = ("stop_gradient", "convert_element_type", "copy")
 """Operations of JAX that do not change values, except for conversion to integers."""
 
-_SHAPES: dict[str, Callable] = {
+_SHAPES: dict[str, Callable[..., Any]] = {
     "broadcast_in_dim": lambda v, how: np.broadcast_to(
         np.asarray(v[0]).reshape([
             n if k in how["broadcast_dimensions"] else 1

@@ -1,17 +1,20 @@
 """Fit the parameters of a simulator's formula to a tire, and compute the errors of files."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy.optimize import least_squares
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP
 from tirefit.models import TireInputs, forces
+from tirefit.params import Values
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import sigma_from_kappa
 from tirefit.targets.code import compiled
@@ -287,7 +290,7 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     return Refit(values, ranges, miss, loads, tuple(fitted))
 
 
-def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:
+def _forces(tire: Tire, kinds: Sequence[str], grids: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Canonical forces of a tire over load (rows, n) on each grid: those of its kind of
     slip; zero if the tire has none."""
     kappa, alpha, fz = np.concatenate(grids, axis=1)
@@ -302,13 +305,17 @@ def _forces(tire: Tire, kinds: Sequence[str], grids) -> list[np.ndarray]:
     ]
 
 
-def _off(formula: Formula, kind: str, found, grid, wanted):
+def _off(
+    formula: Formula, kind: str, found: Sequence[Numbers], grid: Values, wanted: Values
+) -> list[Any]:
     """Forces of a formula minus those of the tire, over load: a list of rows."""
     places = [formula.outputs.index(name) for name in _KINDS[kind].forces]
     return [found[k] / grid[2] - row for k, row in zip(places, wanted, strict=True)]
 
 
-def _miss(formula: Formula, values, kind: str, grid, wanted) -> float:
+def _miss(
+    formula: Formula, values: Mapping[str, float], kind: str, grid: np.ndarray, wanted: np.ndarray
+) -> float:
     """Largest error, by the program that is also checked, without a compiler."""
     found = compiled(formula.program(values, "braking"))(*grid)
     off = _off(formula, kind, found, grid, wanted)
@@ -316,10 +323,12 @@ def _miss(formula: Formula, values, kind: str, grid, wanted) -> float:
 
 
 @cache
-def _compiled(formula: Formula, kind: str, names: tuple[str, ...]):
+def _compiled(
+    formula: Formula, kind: str, names: tuple[str, ...]
+) -> tuple[Callable[..., Array], Callable[..., Array]]:
     """Residuals of the parameters ``names`` and their Jacobian."""
 
-    def residuals(z, others, grid, wanted):
+    def residuals(z: Array, others: Mapping[str, Scalar], grid: Array, wanted: Array) -> Array:
         values = {**others, **{name: z[k] for k, name in enumerate(names)}}
         found = formula.canonical(values, *grid)
         return jnp.concatenate(_off(formula, kind, found, grid, wanted))
@@ -327,7 +336,14 @@ def _compiled(formula: Formula, kind: str, names: tuple[str, ...]):
     return jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
 
 
-def _solved(formula, values, starts, kind, names, *at) -> dict[str, float]:
+def _solved(
+    formula: Formula,
+    values: Mapping[str, float],
+    starts: Sequence[Mapping[str, float]],
+    kind: str,
+    names: tuple[str, ...],
+    *at: np.ndarray,
+) -> dict[str, float]:
     """Least squares of the parameters ``names``: the best from all starts."""
     residuals, jacobian = _compiled(formula, kind, names)
     low, high = np.array([formula.stages[kind][name] for name in names]).T
@@ -368,7 +384,7 @@ def _curves(tire: Tire) -> list[Curves]:
     return begun
 
 
-def _slope_and_peak(force) -> tuple[float, float]:
+def _slope_and_peak(force: np.ndarray) -> tuple[float, float]:
     """Slope of a force over load at slips of 1e-4, -1e-4, and its peak beyond."""
     peak = np.max(force[2:], where=np.isfinite(force[2:]), initial=1e-9)
     return float(force[0] - force[1]) / 2e-4, float(peak)

@@ -1,11 +1,12 @@
 """Check an exported tire at rest, at large slip and at large load, where simulators can fail."""
 
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tirefit.slip import CONVENTIONS
+from tirefit.slip import CONVENTIONS, Convention
 from tirefit.targets.code import compiled
 from tirefit.targets.program import Program
 from tirefit.targets.tire import Tire
@@ -52,7 +53,9 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     most = 2 * max(load, tire.measured.get("fz", (0.0, 0.0))[1])
     middle = {"v": tire.speed, "gamma": 0.0, "pressure": 0.0}
 
-    def at(kappa=0.0, alpha=0.0, fz=load, **others) -> dict[str, np.ndarray]:
+    def at(
+        kappa: ArrayLike = 0.0, alpha: ArrayLike = 0.0, fz: float = load, **others: ArrayLike
+    ) -> dict[str, np.ndarray]:
         values = middle | {"kappa": kappa, "alpha": alpha, "fz": signs.fz * fz} | others
         given = np.broadcast_arrays(*(values[k] for k in program.inputs))
         with np.errstate(all="ignore"):
@@ -82,7 +85,7 @@ def _joined(title: str, checks: list[tuple[str, bool]]) -> tuple[str, bool]:
     return f"{title}: {'; '.join(text for text, _ in checks)}", all(ok for _, ok in checks)
 
 
-def _at_rest(name: str, along: Callable, load) -> tuple[str, bool]:
+def _at_rest(name: str, along: Callable[..., Any], load: float) -> tuple[str, bool]:
     f = along(name, np.array([-2, -1, 0, 1, 2]) * _STEP) / load
     left, right = (f[1] - f[0]) / _STEP, (f[4] - f[3]) / _STEP
     jump = max(abs(f[2] - f[1] - left * _STEP), abs(f[3] - f[2] - right * _STEP))
@@ -92,7 +95,7 @@ def _at_rest(name: str, along: Callable, load) -> tuple[str, bool]:
     return f"{name} {how}, slope {(left + right) / 2:.4g} F_z, {zero:.3g} F_z at zero", smooth
 
 
-def _standing(at: Callable, names, speed: bool) -> tuple[str, bool]:
+def _standing(at: Callable[..., Any], names: Iterable[str], speed: bool) -> tuple[str, bool]:
     slips = np.concatenate([_FEW[0], [[-1.0], [1.0]]])
     forces = at(kappa=slips, alpha=_FEW[1], v=0.0)
     sound = all(np.all(np.isfinite(forces[name])) for name in names)
@@ -101,7 +104,7 @@ def _standing(at: Callable, names, speed: bool) -> tuple[str, bool]:
     return f"standstill: every force is {how} at {what}", sound
 
 
-def _signs(along: Callable, given, signs) -> tuple[str, bool]:
+def _signs(along: Callable[..., Any], given: Iterable[str], signs: Convention) -> tuple[str, bool]:
     directions, sound = [], True
     for name in given:
         slip = _PURE[name][0]
@@ -113,7 +116,7 @@ def _signs(along: Callable, given, signs) -> tuple[str, bool]:
     return f"signs: {', '.join(directions)}, {word}", sound
 
 
-def _peak(name: str, along: Callable, loads) -> tuple[str, bool]:
+def _peak(name: str, along: Callable[..., Any], loads: Iterable[float]) -> tuple[str, bool]:
     each, sound, grid = [], True, _PURE[name][1]
     for fz in loads:
         f = np.abs(along(name, grid, fz)) / fz
@@ -125,7 +128,9 @@ def _peak(name: str, along: Callable, loads) -> tuple[str, bool]:
     return f"{name} {each[0]} (twice the largest load: {each[1]})", sound
 
 
-def _ellipse(at: Callable, along: Callable, given, most) -> tuple[str, bool]:
+def _ellipse(
+    at: Callable[..., Any], along: Callable[..., Any], given: Sequence[str], most: float
+) -> tuple[str, bool]:
     if len(given) < 2:
         return "combined slip: only one force", True
     worst = 0.0

@@ -7,13 +7,14 @@ coefficients.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from textwrap import wrap
 
 import equinox as eqx
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tirefit.data.tir.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir.tir_file import TirFile
@@ -76,7 +77,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     return replace(tire, model=held, bare=None, tir=tir, notes=tuple(notes))
 
 
-def _wheel_problems(wheel: Mapping[str, float], keys) -> list[InputProblem]:
+def _wheel_problems(wheel: Mapping[str, float], keys: Collection[str]) -> list[InputProblem]:
     """Problems of the values of a wheel, which must have these keys."""
     return unknown_names("--wheel", wheel, keys) + [
         InputProblem(f"--wheel {name}={value:g} is not positive", "give it in SI units")
@@ -126,7 +127,7 @@ def _alike(one: MFTire, other: MFTire) -> bool:
     return bool(eqx.tree_equal(*pair, rtol=1e-12))
 
 
-def _comments(lines) -> str:
+def _comments(lines: Iterable[str]) -> str:
     """Lines as comments of a ``.tir`` file, wrapped to the length that programs read."""
     short: list[str] = []
     for line in lines:
@@ -256,7 +257,7 @@ def _limited(model: MFTire, load: float) -> list[str]:
         if name in model.lacks:
             continue
 
-        def share(at, name=name, slip=slip):
+        def share(at: ArrayLike, name: str = name, slip: str = slip) -> np.ndarray:
             """Force over load (n, loads) at slips that broadcast to it."""
             at, fz = np.broadcast_arrays(at, loads)
             given = TireInputs(fz=fz.ravel())._replace(**{slip: at.ravel()})

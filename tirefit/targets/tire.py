@@ -4,10 +4,11 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 
+from tirefit.arrays import Numbers
 from tirefit.data.tir.tir import TirFile
 from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.fitting.source import GivenTire, given_tire
@@ -125,7 +126,7 @@ class Tire:
         given = modelled(self.model)
         return check_names("force", self.asked, given) if self.asked else given
 
-    def function(self, convention: str) -> Callable:
+    def function(self, convention: str) -> Callable[..., Any]:
         """The :attr:`outputs` as a JAX function of the scalars :data:`INPUTS`.
 
         Args:
@@ -135,7 +136,14 @@ class Tire:
         require_x64("an export")
         signs, outputs = CONVENTIONS[convention], self.outputs
 
-        def forces(kappa, alpha, fz, v, gamma, pressure):
+        def forces(
+            kappa: Numbers,
+            alpha: Numbers,
+            fz: Numbers,
+            v: Numbers,
+            gamma: Numbers,
+            pressure: Numbers,
+        ) -> tuple[Numbers, ...]:
             kappa = signs.slip * kappa
             # A locked wheel has no finite sigma_x.
             turned = kappa / jnp.maximum(1 - kappa, 1 / (1 + LOCKED))
@@ -188,9 +196,9 @@ def range_text(ranges: Mapping[str, tuple[float, float]]) -> str:
 
 
 def tire_of(
-    source: "Fit | AbstractTire | str | os.PathLike",
+    source: "Fit | AbstractTire | str | os.PathLike[str]",
     values: Mapping[str, float] | None = None,
-    diagnosis: "Diagnosis | str | os.PathLike | None" = None,
+    diagnosis: "Diagnosis | str | os.PathLike[str] | None" = None,
 ) -> Tire:
     """The tire of a fit, a ``fit.json``, a ``.tir`` file, or a model, in steady state
     and with both slips combined.
@@ -209,7 +217,9 @@ def tire_of(
     return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
 
 
-def _given(source, values: Mapping[str, float] | None) -> Tire:
+def _given(
+    source: "Fit | AbstractTire | str | os.PathLike[str]", values: Mapping[str, float] | None
+) -> Tire:
     path = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     given = given_tire(source, values)
     if given.tir is not None:
@@ -262,7 +272,7 @@ def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:
     )
 
 
-def _with_effects(tire: Tire, diagnosis) -> Tire:
+def _with_effects(tire: Tire, diagnosis: "Diagnosis | str | os.PathLike[str]") -> Tire:
     """The tire with the effects that a diagnosis names and a tire can have."""
     from tirefit.diagnosis.extended import extend, read_document
 

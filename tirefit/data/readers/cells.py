@@ -126,7 +126,7 @@ def has_decimal_comma(cells: Iterable[str]) -> bool:
     return not all(_GROUPED.fullmatch(cell) for cell in marked if "," in cell)
 
 
-def words_of(cells) -> list[str]:
+def words_of(cells: Iterable[object]) -> list[str]:
     """The cells of a column as text, without blanks around them; 1.0 of a column of
     numbers is 1."""
     if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":

@@ -6,7 +6,7 @@ sections, of which :func:`vbo_table` makes a header, units and rows.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -100,7 +100,9 @@ def _sections(lines: Sequence[str]) -> dict[str, list[tuple[int, str]]]:
     return sections
 
 
-def _units(header: Sequence[str], sections) -> tuple[list[str], tuple[str, ...]]:
+def _units(
+    header: Sequence[str], sections: Mapping[str, Sequence[tuple[int, str]]]
+) -> tuple[list[str], tuple[str, ...]]:
     """The unit of each column, and warnings.
 
     [channel units] has a line, which may be blank, for each column beyond those of the GPS,

@@ -9,7 +9,7 @@ import logging
 import re
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -152,7 +152,9 @@ def _signals_of(place: Path) -> tuple[dict[str, Signal], list[str]]:
     return signals, left
 
 
-def _topic(messages, topic: str, is_ros1: bool) -> dict[str, Signal] | str:
+def _topic(
+    messages: Iterable[tuple[Any, int, bytes]], topic: str, is_ros1: bool
+) -> dict[str, Signal] | str:
     """Fields of the messages of a topic, or the reason why it has none to read."""
     decoders: dict[int, Callable[[bytes], Any]] = {}
     recorded: list[float] = []
@@ -174,7 +176,7 @@ def _topic(messages, topic: str, is_ros1: bool) -> dict[str, Signal] | str:
     return named or ("no numbers" if rows else "no messages")
 
 
-def _decoder(connection, is_ros1: bool) -> Callable[[bytes], Any]:
+def _decoder(connection: Any, is_ros1: bool) -> Callable[[bytes], Any]:
     """A function from bytes to a message. It uses the definition of the type in the bag,
     or that of ROS 2 if the bag has none."""
     from rosbags import typesys
@@ -194,13 +196,13 @@ def _decoder(connection, is_ros1: bool) -> Callable[[bytes], Any]:
     return lambda raw: decode(raw, name)
 
 
-def _stamp(message) -> float:
+def _stamp(message: Any) -> float:
     """Time of a header, or of a message's own header [s]; 0 without one."""
     stamp = getattr(getattr(message, "header", message), "stamp", None)
     return 0.0 if stamp is None else stamp.sec + stamp.nanosec / 1e9
 
 
-def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
+def _fields(message: Any, place: str = "") -> Iterator[tuple[str, float]]:
     """Numbers of a message by the path to each; short arrays by their index."""
     for name in getattr(message, "__dataclass_fields__", {}):
         value: Any = getattr(message, name)

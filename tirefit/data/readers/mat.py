@@ -10,7 +10,7 @@ from a struct ``units`` with a text for each column.
 import io
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,7 +120,7 @@ def _of_hdf5(content: bytes) -> dict[str, Any]:
         return {key: _of_item(item, file) for key, item in file.items() if not key.startswith("#")}
 
 
-def _of_item(item, file) -> Any:
+def _of_item(item: Any, file: Any) -> Any:
     """A variable of version 7.3 in the form of :func:`_plain`; arrays are transposed."""
     kind = item.attrs.get("MATLAB_class", b"")
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
@@ -142,7 +142,9 @@ def _of_item(item, file) -> Any:
 # --- find the columns -----------------------------------------------------------------
 
 
-def _best(contents, file: str, is_known) -> tuple[str, Channels]:
+def _best(
+    contents: Mapping[str, Any], file: str, is_known: Callable[[str], bool]
+) -> tuple[str, Channels]:
     """The struct ("" for the variables) with the most known columns, and its columns."""
     read = {
         place: channels
@@ -167,14 +169,16 @@ def _best(contents, file: str, is_known) -> tuple[str, Channels]:
     return best[0], channels
 
 
-def _structs(contents, place: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _structs(
+    contents: Mapping[str, Any], place: str = ""
+) -> Iterator[tuple[str, Mapping[str, Any]]]:
     yield place, contents
     for name, value in contents.items():
         if isinstance(value, dict):
             yield from _structs(value, f"{place}.{name}" if place else name)
 
 
-def _channels(struct: Mapping[str, Any], is_known) -> Channels:
+def _channels(struct: Mapping[str, Any], is_known: Callable[[str], bool]) -> Channels:
     """Columns of one struct, of the length that most of the known columns have."""
     logged = _logged(struct)
     if logged is not None:
@@ -199,7 +203,7 @@ def _channels(struct: Mapping[str, Any], is_known) -> Channels:
     return Channels(kept if numbers else {}, {}, tuple(_left_out(struct, kept)))
 
 
-def _are_texts(values: list) -> bool:
+def _are_texts(values: list[object]) -> bool:
     return all(isinstance(value, str) for value in values)
 
 
@@ -242,7 +246,7 @@ def _logged(struct: Mapping[str, Any]) -> Channels | None:
     return Channels(columns, {"Time": "s"} | texts, tuple(notes))
 
 
-def _left_out(struct: Mapping[str, Any], kept) -> list[str]:
+def _left_out(struct: Mapping[str, Any], kept: Collection[str]) -> list[str]:
     """Notes on the other content of a struct; texts in full."""
     others = {n: value for n, value in struct.items() if n not in kept}
     texts = [f"{n} = {value!r}" for n, value in others.items() if isinstance(value, str)]
@@ -254,7 +258,7 @@ def _left_out(struct: Mapping[str, Any], kept) -> list[str]:
     return [*texts, *([f"variables not read: {', '.join(left)}"] if left else [])]
 
 
-def _described(value) -> str:
+def _described(value: Any) -> str:
     if isinstance(value, _Opaque):
         return f"MATLAB {value.kind}"
     if isinstance(value, np.ndarray):

@@ -7,6 +7,7 @@ process. The layout is that of MathWorks, *MAT-File Format*, chapter 1.
 import math
 import struct
 import zlib
+from collections.abc import Sequence
 from typing import NamedTuple
 
 _MATRIX, _COMPRESSED = 14, 15
@@ -108,7 +109,7 @@ def _numbers(part: _Element, order: str) -> tuple[int, ...]:
     return struct.unpack(f"{order}{len(part.content) // 4}i", part.content)
 
 
-def _check_numbers(parts, count: int, is_complex: bool, is_text: bool) -> None:
+def _check_numbers(parts: Sequence[_Element], count: int, is_complex: bool, is_text: bool) -> None:
     """Check that the number of values fits the dimensions; UTF-8 may have more bytes."""
     if len(parts) != 1 + is_complex:
         raise ValueError("a variable has no values")
@@ -120,7 +121,7 @@ def _check_numbers(parts, count: int, is_complex: bool, is_text: bool) -> None:
             raise ValueError(f"{there} values where there should be {count}")
 
 
-def _check_sparse(parts, dimensions: tuple[int, ...], order: str) -> None:
+def _check_sparse(parts: Sequence[_Element], dimensions: tuple[int, ...], order: str) -> None:
     """Check the row indices of a sparse matrix, and the beginning of each column."""
     if len(parts) < 3:
         raise ValueError("a sparse matrix has no values")
@@ -131,7 +132,9 @@ def _check_sparse(parts, dimensions: tuple[int, ...], order: str) -> None:
         raise ValueError("a sparse matrix has places outside of it")
 
 
-def _fields(parts, count: int, is_object: bool, order: str) -> tuple[int, list]:
+def _fields(
+    parts: list[_Element], count: int, is_object: bool, order: str
+) -> tuple[int, list[_Element]]:
     """The number of values that the fields of a struct must have, and its values."""
     parts = parts[1:] if is_object else parts
     if len(parts) < 2:

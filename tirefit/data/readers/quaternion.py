@@ -20,7 +20,7 @@ _PART = re.compile(
 _NORM = 0.1  # largest error of a norm, as with components rounded to one decimal place
 
 
-def heading(x, y, z, w):
+def heading(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Heading [rad] of a quaternion of any norm."""
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 

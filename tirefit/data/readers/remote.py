@@ -62,7 +62,7 @@ Place = Path | RemoteFile
 """The place of a file: a path or an address."""
 
 
-def file_at(place: str | os.PathLike | RemoteFile) -> Place:
+def file_at(place: str | os.PathLike[str] | RemoteFile) -> Place:
     """A path, or a file at an address."""
     if isinstance(place, RemoteFile):
         return place

@@ -7,7 +7,7 @@ number is a missing value and no error, as a driving vehicle cannot stop for it.
 import csv
 import itertools
 from collections.abc import Iterator
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class RowReader:
         DataError: there is no header, or it cannot be understood; it lists all problems.
     """
 
-    def __init__(self, lines: TextIO, name: str = "standard input", **how):
+    def __init__(self, lines: TextIO, name: str = "standard input", **how: Any) -> None:
         known = "columns", "units", "convention", "slip", "constants", "rolling_radius"
         self._options = declared(mask_bad_rows=True, **{key: how.get(key) for key in known})
         # Do not iterate over the file itself, which would read ahead.
@@ -92,9 +92,11 @@ class RowReader:
     def _with_sigma(self, row: dict[str, float]) -> dict[str, float]:
         definition, radius = self._plan.slip, self._options.rolling_radius
         if definition is not None:
-            slip = np.float64(row.pop(definition))
+            slip = np.asarray(row.pop(definition))
+            alpha = np.asarray(row["alpha"]) if "alpha" in row else None
             with np.errstate(all="ignore"):
-                row["sigma_x"] = float(slip_to_sigma(slip, definition, row.get("alpha")))
+                row["sigma_x"] = float(slip_to_sigma(slip, definition, alpha))
         elif radius is not None and {"v", "omega"} <= row.keys():
-            row["sigma_x"] = float(slip_from_speeds(np.float64(row["omega"]), row["v"], radius))
+            speeds = np.asarray(row["omega"]), np.asarray(row["v"])
+            row["sigma_x"] = float(slip_from_speeds(*speeds, radius))
         return row

@@ -3,7 +3,7 @@
 import datetime
 import io
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -64,7 +64,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     return Channels(columns, units, (f"read as a file of {kind}", *notes))
 
 
-def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
+def _columns(table: Any, types: Any) -> tuple[dict[str, Any], list[str], list[str]]:
     """Columns by name, the columns that are not read, and notes."""
     columns: dict[str, Any] = {}
     left, notes = [], []
@@ -166,7 +166,9 @@ def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]
         raise DataError(reason, remedy, file) from error
 
 
-def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
+def _cells_of_xlsx(
+    library: Any, content: bytes
+) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
     """Title and rows of values of each sheet."""
     book = library.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
     for sheet in book.worksheets:
@@ -175,11 +177,11 @@ def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
     book.close()
 
 
-def _cells_of_xls(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
+def _cells_of_xls(library: Any, content: bytes) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
     """Title and rows of values of each sheet of a .xls file."""
     book = library.open_workbook(file_contents=content, logfile=io.StringIO())
 
-    def value(cell):
+    def value(cell: Any) -> Any:
         if cell.ctype == library.XL_CELL_DATE:
             return library.xldate_as_datetime(cell.value, book.datemode)
         if cell.ctype == library.XL_CELL_ERROR:
@@ -208,7 +210,7 @@ def _check_unpacked(content: bytes, file: str) -> None:
         raise DataError(reason, "export the sheet as CSV, or save it as Parquet", file)
 
 
-def _rows(cells: Iterable, file: str) -> list[tuple[int, list[str]]]:
+def _rows(cells: Iterable[Sequence[object]], file: str) -> list[tuple[int, list[str]]]:
     """Rows with content as (number in the sheet, texts), all of one length.
 
     Raises:
@@ -227,7 +229,7 @@ def _rows(cells: Iterable, file: str) -> list[tuple[int, list[str]]]:
     return [(number, texts + [""] * (width - len(texts))) for number, texts in rows]
 
 
-def _text(cell) -> str:
+def _text(cell: object) -> str:
     if cell is None:
         return ""
     if isinstance(cell, datetime.timedelta):
@@ -235,7 +237,9 @@ def _text(cell) -> str:
     return repr(cell) if isinstance(cell, float) else str(cell).strip()
 
 
-def _header(rows, is_known) -> tuple[int, int]:
+def _header(
+    rows: Sequence[tuple[int, list[str]]], is_known: Callable[[str], bool]
+) -> tuple[int, int]:
     """Index of the row with the most known names (the first of them), and how many."""
     counts = [sum(map(is_known, texts)) for _, texts in rows[:_SEARCHED]]
     best = max(counts)

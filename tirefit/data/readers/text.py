@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Guess, guess, is_number
@@ -50,7 +51,7 @@ class Table:
     file: str
     name: str
     headers: list[str]
-    cells: list  # per column n strings or an (n,) number array
+    cells: list[Any]  # per column n strings or an (n,) number array
     lines: np.ndarray  # (n,) lines of the rows
     ragged: np.ndarray  # (n,) bool, rows without the header's number of fields
     header_line: int | None = None
@@ -85,11 +86,11 @@ def read_bytes(path: Place) -> bytes:
         reason = f"the file cannot be read: {cause}"
         raise _refusal(reason, "check the path and its permissions", path) from error
     if len(raw) > DATA:
-        raise too_large(path, DATA)
+        raise too_large(str(path), DATA)
     return raw
 
 
-def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
+def _refusal(reason: str, remedy: str, path: Place | str, row: int | None = None) -> DataError:
     return DataError(reason, remedy, str(path), row)
 
 
@@ -104,7 +105,7 @@ def gunzipped(raw: bytes, path: Place) -> bytes:
         reason = f"the gzip file is damaged: {error}"
         raise _refusal(reason, "copy or compress it again", path) from error
     if len(content) > DATA:
-        raise too_large(path, DATA)
+        raise too_large(str(path), DATA)
     return content
 
 
@@ -339,7 +340,7 @@ def _split_rows(lines: list[str], delimiter: str, start: int, path: Place) -> It
     raise _refusal(reason, "close or remove it", path, last)
 
 
-def table_of_frame(frame, name: str) -> Table:
+def table_of_frame(frame: Any, name: str) -> Table:
     """A table of a frame, a structured array or a mapping of arrays; rows are counted
     from 0. Dates and times become seconds since the first."""
     if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
@@ -365,7 +366,7 @@ def table_of_frame(frame, name: str) -> Table:
     return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
 
 
-def _shown(values) -> np.ndarray:
+def _shown(values: ArrayLike) -> np.ndarray:
     """An array; masked elements become missing values."""
     if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiub":
         return np.ma.filled(values.astype(float), np.nan)

@@ -10,7 +10,7 @@ Longitudinal slip, forces and moments are those of the axes W and H (ISO 8855).
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -149,7 +149,7 @@ def _sections(text: str) -> dict[str, list[tuple[int, str]]]:
     return sections
 
 
-def _channels(lines, file: str) -> list[_Entry]:
+def _channels(lines: Iterable[tuple[int, str]], file: str) -> list[_Entry]:
     channels: list[_Entry] = []
     for line, text in lines:
         entry = _entry(line, text)
@@ -190,7 +190,9 @@ def _entry(number: int, line: str) -> _Entry | None:
     return _Entry(words[0], unit, tuple(numbers), number)
 
 
-def _records(lines, width: int) -> tuple[list[list[str]], list[int], tuple]:
+def _records(
+    lines: Sequence[tuple[int, str]], width: int
+) -> tuple[list[list[str]], list[int], tuple[BadRows, ...]]:
     """Rows of ``width`` texts, which may continue over lines; the first line of each row;
     and the rows with another number of values."""
     rows: list[list[str]] = []
@@ -229,7 +231,9 @@ def _words(line: str, missing: int) -> list[str]:
     return columns if touching else words
 
 
-def _converted(texts, factor: float, before: float, after: float) -> np.ndarray | list[str]:
+def _converted(
+    texts: Sequence[str], factor: float, before: float, after: float
+) -> np.ndarray | list[str]:
     """Values in the unit of the channel; texts if one of them is not a number."""
     try:
         with np.errstate(all="ignore"):  # the reader reports rows that are not finite
@@ -244,7 +248,9 @@ def _converted(texts, factor: float, before: float, after: float) -> np.ndarray 
 # --- constants and meanings -----------------------------------------------------------
 
 
-def _constants(lines, channels) -> tuple[list[_Entry], list[tuple[int, str]]]:
+def _constants(
+    lines: Iterable[tuple[int, str]], channels: Sequence[_Entry]
+) -> tuple[list[_Entry], list[tuple[int, str]]]:
     """Constants that are columns without a channel, and the lines of other constants."""
     there = {_NAMES.get(channel.name, channel.name) for channel in channels}
     kept: list[_Entry] = []
@@ -260,7 +266,9 @@ def _constants(lines, channels) -> tuple[list[_Entry], list[tuple[int, str]]]:
     return kept, unread
 
 
-def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
+def _of_tire(
+    lines: Iterable[tuple[int, str]], header: Iterable[tuple[int, str]]
+) -> tuple[dict[str, float], dict[str, str]]:
     """Constants of the tire [SI] by .tir key, and a note for each line used.
 
     The nominal size is also read from the header.
@@ -308,7 +316,7 @@ def _radius_of_size(text: str) -> float:
     return np.nan
 
 
-def _meant(names, constants) -> dict[str, str]:
+def _meant(names: Collection[str], constants: Sequence[_Entry]) -> dict[str, str]:
     """Parameter -> column; "" if another parameter of the file has the same meaning."""
     meant: dict[str, str] = {}
     for name, column in _NAMES.items():
@@ -318,7 +326,13 @@ def _meant(names, constants) -> dict[str, str]:
     return meant
 
 
-def _said(sections, channels, constants, unread, meant) -> Iterator[str]:
+def _said(
+    sections: Mapping[str, Sequence[tuple[int, str]]],
+    channels: Sequence[_Entry],
+    constants: Sequence[_Entry],
+    unread: Sequence[str],
+    meant: Mapping[str, str],
+) -> Iterator[str]:
     """Sentences on the signs, the header, and what was read how or not at all."""
     header = {line.split()[0].upper(): line.split()[-1] for _, line in sections.get("HEADER", [])}
     release = header.get("RELEASE", "of no stated release")

@@ -4,6 +4,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 FEW_SETTINGS = 6
 """Largest number of levels that count as settings; a column with more is a range."""
@@ -37,7 +38,7 @@ class Levels(NamedTuple):
         return not self.is_swept and len(self.center) <= most
 
 
-def levels(values) -> Levels:
+def levels(values: ArrayLike) -> Levels:
     """The settings at which values cluster, separated by gaps.
 
     The values are cut at their widest gaps, as long as each is clearly wider than the
@@ -115,7 +116,9 @@ def _without_outliers(cuts: np.ndarray, ordered: np.ndarray) -> np.ndarray:
     return cuts
 
 
-def cells(codes, size: int, values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def cells(
+    codes: np.ndarray, size: int, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Count, mean and sample standard deviation of the values in each cell.
 
     Args:

@@ -1,6 +1,6 @@
 """Segment, bin and filter the recording of a rig test: :func:`prepare`."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -108,7 +108,7 @@ class Prepared(Record):
         return rows
 
 
-def prepare(data: DataLike, config: PrepareConfig | dict | None = None) -> Prepared:
+def prepare(data: DataLike, config: PrepareConfig | dict[str, Any] | None = None) -> Prepared:
     """Find the segments of a rig test, and prepare its data for a fit.
 
     Args:
@@ -203,7 +203,7 @@ def _lost_conditions(parts: list[Segment], kept: np.ndarray) -> list[str]:
     return [words] if lost else []
 
 
-def _binned(parts: list[Segment], names) -> list[Segment]:
+def _binned(parts: list[Segment], names: Mapping[str, list[str]]) -> list[Segment]:
     """The segments with their bins; the name of a bin has the settings that varied."""
     held = [part for part in parts if part.is_held]
     varied = {name for name in names if len({part.level.get(name, -1) for part in held} - {-1}) > 1}
@@ -233,7 +233,13 @@ def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, n
     return out
 
 
-def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
+def _looked_at(
+    data: TireData,
+    config: PrepareConfig,
+    series: Series,
+    raw: Mapping[str, np.ndarray],
+    slips: Sequence[str],
+) -> tuple[dict[str, Settings], list[Segment], list[str]]:
     """Settings, segments and notes of a series."""
     rate = series.rate
     shortest = max(round(config.shortest * rate), 2)
@@ -289,7 +295,12 @@ def _windows(its_legs: Mapping[str, list[Leg]], second: int) -> list[Window]:
     return [window for window in windows if window.end - window.begin >= 3]
 
 
-def _held_slips(its_legs, smooth, series: Series, shortest: int) -> dict:
+def _held_slips(
+    its_legs: Mapping[str, Sequence[Leg]],
+    smooth: Mapping[str, np.ndarray],
+    series: Series,
+    shortest: int,
+) -> dict[str, Any]:
     """Settings of a slip in segments in which it is held and the other one swept."""
     out = {}
     for name, all_legs in its_legs.items():
@@ -306,7 +317,9 @@ def _held_slips(its_legs, smooth, series: Series, shortest: int) -> dict:
     return {name: settings for name, settings in out.items() if settings.is_held}
 
 
-def _with_held_slip(part: Segment, conditions, settings) -> Segment:
+def _with_held_slip(
+    part: Segment, conditions: Mapping[str, Settings], settings: Collection[str]
+) -> Segment:
     """A segment with the setting of the slip that it does not sweep."""
     if not part.is_held:
         return part
@@ -318,7 +331,9 @@ def _with_held_slip(part: Segment, conditions, settings) -> Segment:
     return replace(part, level=level)
 
 
-def _chosen_filter(config: PrepareConfig, series: Series, parts, raw):
+def _chosen_filter(
+    config: PrepareConfig, series: Series, parts: Sequence[Segment], raw: Mapping[str, np.ndarray]
+) -> tuple[ZeroPhase | None, str]:
     """The filter of all channels, and a note on it."""
     rate = series.rate
     if not config.filter:
@@ -351,7 +366,9 @@ def _chosen_filter(config: PrepareConfig, series: Series, parts, raw):
     return chosen, message
 
 
-def _followed(chosen: ZeroPhase, series: Series, parts, raw) -> float:
+def _followed(
+    chosen: ZeroPhase, series: Series, parts: Sequence[Segment], raw: Mapping[str, np.ndarray]
+) -> float:
     """The largest movement of a force with its slip beyond the bandwidth, see
     :meth:`~tirefit.data.rig.series.ZeroPhase.force_beyond`."""
     found = [0.0]
@@ -363,7 +380,9 @@ def _followed(chosen: ZeroPhase, series: Series, parts, raw) -> float:
     return max(found)
 
 
-def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.ndarray]:
+def _filtered(
+    raw: Mapping[str, np.ndarray], series: Series, chosen: ZeroPhase | None
+) -> dict[str, np.ndarray]:
     """The filtered channels (n,), with the slip as sigma_x again."""
     out = {}
     for name, values in raw.items():

@@ -84,7 +84,14 @@ def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
     return out
 
 
-def _held(begin, end, level, leg_of: Mapping[str, Leg], slips, shortest: int) -> Segment:
+def _held(
+    begin: int,
+    end: int,
+    level: Mapping[str, int],
+    leg_of: Mapping[str, Leg],
+    slips: Mapping[str, np.ndarray],
+    shortest: int,
+) -> Segment:
     """A sweep or a steady state, or a transition if it is too short."""
     swept = {name: leg for name, leg in leg_of.items() if leg.how == SWEPT}
     for name, leg in leg_of.items():

@@ -101,7 +101,7 @@ class ZeroPhase(NamedTuple):
         a cycle of the bandwidth (correlation 0.01; from there on -0.13 to 0.03)."""
         return max(int(np.ceil(round(self.rate / (2 * self.bandwidth), 3))), 1)
 
-    def __call__(self, values: np.ndarray, time: np.ndarray | None = None):
+    def __call__(self, values: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
         """The filtered series.
 
         Args:
@@ -134,7 +134,9 @@ class ZeroPhase(NamedTuple):
             rows[piece.start : piece.stop : self.step] = True
         return rows
 
-    def force_beyond(self, series: Series, slip, force, rows) -> float:
+    def force_beyond(
+        self, series: Series, slip: np.ndarray, force: np.ndarray, rows: np.ndarray
+    ) -> float:
         """Movement of the force with the slip beyond the bandwidth, over its largest value.
 
         There, the noises of slip and force are independent, but what the tire does is not.

@@ -6,7 +6,7 @@ their scatter are the same setting. A row belongs to a setting while the channel
 near to it as during those sweeps.
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +56,7 @@ def whole(name: str, values: np.ndarray) -> Settings:
 
 
 def settings_of(
-    name: str, values: np.ndarray, windows: list[Window], pieces, shortest: int
+    name: str, values: np.ndarray, windows: list[Window], pieces: Sequence[slice], shortest: int
 ) -> Settings:
     """The settings of a channel, and the rows at each.
 
@@ -87,7 +87,9 @@ def settings_of(
     return Settings(name, center, width, code)
 
 
-def _candidates(values, windows: list[Window]):
+def _candidates(
+    values: np.ndarray, windows: list[Window]
+) -> tuple[np.ndarray, np.ndarray, list[Window]]:
     """Medians and deviations of the channel in windows in which it is held; the windows."""
     middle, stray, scatter, trend = [], [], [], []
     for begin, end, _ in windows:
@@ -113,7 +115,9 @@ def _candidates(values, windows: list[Window]):
     return np.array(middle)[held], np.array(stray)[held], still
 
 
-def _clustered(middle, stray, least: float, size: float):
+def _clustered(
+    middle: np.ndarray, stray: np.ndarray, least: float, size: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Centres of groups of candidates, and the deviation of the channel in each."""
     order = np.argsort(middle)
     middle, stray = middle[order], stray[order]
@@ -139,7 +143,14 @@ def _room(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.append(np.inf, gaps), np.append(gaps, np.inf)
 
 
-def _assigned(values, center, width, pieces, shortest: int, sure) -> np.ndarray:
+def _assigned(
+    values: np.ndarray,
+    center: np.ndarray,
+    width: np.ndarray,
+    pieces: Sequence[slice],
+    shortest: int,
+    sure: np.ndarray,
+) -> np.ndarray:
     """The setting of each row; the channel must stay near it for long enough.
 
     ``sure`` (n + 1,) counts the windows in which it is held, up to each row.

@@ -1,5 +1,6 @@
 """Divide a slip over time into legs: held, swept up or down, or moved."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,9 @@ def swept_range(slip: np.ndarray) -> float:
     return float(high - low)
 
 
-def legs(slip: np.ndarray, pieces, noise: float, least: float, shortest: int) -> list[Leg]:
+def legs(
+    slip: np.ndarray, pieces: Iterable[slice], noise: float, least: float, shortest: int
+) -> list[Leg]:
     """The legs of a slip: they cover all rows of the pieces, in order.
 
     Args:
@@ -106,7 +109,7 @@ def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int
     return kept
 
 
-def _between(slip: np.ndarray, stops, reversal: float) -> list[Leg]:
+def _between(slip: np.ndarray, stops: Iterable[tuple[int, int]], reversal: float) -> list[Leg]:
     """Legs between the stops, cut where the slip turns."""
     edges = [0, *(edge for stop in stops for edge in stop), len(slip)]
     moving: list[Leg] = []

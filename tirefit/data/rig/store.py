@@ -57,9 +57,9 @@ def prepared_csv(prepared: Prepared) -> str:
     return first + csv_text(columns)
 
 
-def segment_columns(prepared: Prepared) -> dict[str, list]:
+def segment_columns(prepared: Prepared) -> dict[str, list[Any]]:
     """The table of segments: one row for each, settings in SI units."""
-    columns: dict[str, list] = {}
+    columns: dict[str, list[Any]] = {}
     for k, part in enumerate(prepared.segments):
         for key, value in _segment(prepared, k, part).items():
             columns.setdefault(key, []).append(value)
@@ -105,7 +105,7 @@ def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path
     return [folder / key for key in texts]
 
 
-def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict:
+def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict[str, Any]:
     """The record of all settings and steps, with a checksum.
 
     Args:

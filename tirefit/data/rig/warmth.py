@@ -39,7 +39,9 @@ def _cut(parts: list[Segment], time: np.ndarray, until: float) -> list[Segment]:
     ]
 
 
-def _by_temperature(parts, time, temperature):
+def _by_temperature(
+    parts: list[Segment], time: np.ndarray, temperature: np.ndarray
+) -> tuple[list[Segment], str]:
     held = [part for part in parts if part.is_held]
     if not held:
         return parts, "warm-up: none, as no condition is held"

@@ -230,7 +230,7 @@ def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
     return tir
 
 
-def read_tir(path) -> TirFile:
+def read_tir(path: str | Path) -> TirFile:
     """Read a ``.tir`` file.
 
     Raises:

@@ -277,7 +277,7 @@ def _with_new(lines: list[str], new: Mapping[str, list[str]]) -> Iterator[str]:
             yield added + end
 
 
-def _key(found: re.Match) -> str:
+def _key(found: re.Match[str]) -> str:
     key = found["key"].upper()
     return ALIASES.get(key, key)
 

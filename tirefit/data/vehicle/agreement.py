@@ -94,7 +94,9 @@ class Fit(NamedTuple):
     error: np.ndarray  # (n,) residuals
 
 
-def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement | None:
+def agreement(
+    pair: Pair, part: np.ndarray, usable: np.ndarray, rate: float, apart: float
+) -> Agreement | None:
     """The pair's gains, delay and offset; None if too few rows are usable.
 
     Args:
@@ -116,7 +118,7 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
     # Values of rows that are not usable, as at standstill, are arbitrary.
     terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
 
-    def zero(gains) -> float:
+    def zero(gains: np.ndarray) -> float:
         return pair.zero * float(np.linalg.norm(gains[:-1]))
 
     shift, gains = _delay(pair.values, terms, rows, latest)
@@ -148,7 +150,7 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
     )  # fmt: skip
 
 
-def around(values, rows, step: int) -> np.ndarray:
+def around(values: np.ndarray, rows: np.ndarray, step: int) -> np.ndarray:
     """Values (n, k) before and after each row, at the times ``AROUND``, as columns."""
     last = len(values) - 1
     places = [np.clip(rows + round(k * step), 0, last) for k in AROUND]
@@ -162,7 +164,7 @@ def _no_outlier(error: np.ndarray) -> np.ndarray:
     return good if good.sum() >= FEWEST else np.ones(len(error), bool)
 
 
-def surrounded(part, usable, known, reach: int) -> np.ndarray:
+def surrounded(part: np.ndarray, usable: np.ndarray, known: np.ndarray, reach: int) -> np.ndarray:
     """Usable rows with ``reach`` known samples of their stretch on either side."""
     rows = np.flatnonzero(usable)
     rows = rows[(rows >= reach) & (rows < len(part) - reach)]
@@ -171,7 +173,9 @@ def surrounded(part, usable, known, reach: int) -> np.ndarray:
     return rows[whole & (part[rows - reach] == part[rows + reach])]
 
 
-def _delay(values, terms, rows, latest: int) -> tuple[int, np.ndarray]:
+def _delay(
+    values: np.ndarray, terms: np.ndarray, rows: np.ndarray, latest: int
+) -> tuple[int, np.ndarray]:
     """The delay [samples] at which the terms explain most variance, and their gains."""
     columns = np.column_stack([terms[rows], np.ones(len(rows))])
     basis, triangle = np.linalg.qr(columns)
@@ -186,7 +190,9 @@ def _delay(values, terms, rows, latest: int) -> tuple[int, np.ndarray]:
     return best, np.linalg.lstsq(triangle, projected)[0][:-1]
 
 
-def instrumented(values, sides, near, zero: Callable) -> Fit | None:
+def instrumented(
+    values: np.ndarray, sides: np.ndarray, near: np.ndarray, zero: Callable[[np.ndarray], float]
+) -> Fit | None:
     """Two-stage least squares with a prior on the offset; None if not determined.
 
     Args:
@@ -222,7 +228,7 @@ def instrumented(values, sides, near, zero: Callable) -> Fit | None:
     return Fit(theta / scale, std / scale, share, count, values - columns @ theta)
 
 
-def _share(columns, seen, k: int) -> float:
+def _share(columns: np.ndarray, seen: np.ndarray, k: int) -> float:
     """Share of the variation of the k-th column, beyond the other columns, that the instruments
     explain: small for noise and for a combination of the other columns (Sanderson, Windmeijer).
 

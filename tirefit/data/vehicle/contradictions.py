@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Comparison:
     warnings: tuple[str, ...]  # sentences on smaller or irrelevant differences
     line: str  # for the summary
 
-    def as_dicts(self) -> list[dict]:
+    def as_dicts(self) -> list[dict[str, Any]]:
         """Each pair with its estimates, for the companion file."""
         return [
             {
@@ -137,7 +137,9 @@ def _drift(motion: Motion, vehicle: Vehicle, sign: int = 1) -> float:
 # --- gains ----------------------------------------------------------------------
 
 
-def _gains(pairs, track, motion, vehicle: Vehicle) -> Iterator[Deviation]:
+def _gains(
+    pairs: Sequence[Agreement], track: Track, motion: Motion, vehicle: Vehicle
+) -> Iterator[Deviation]:
     """Gains that are not 1: exchanged channels, wrong units and signs, or neither."""
     off, stray = not_explained(pairs), [a for a in pairs if strays(a)]
     if not off and not stray:
@@ -183,7 +185,9 @@ def _used(names: Iterable[str], a: Agreement, track: Track, vehicle: Vehicle) ->
     return _column(track, a.pair.channel).named and not used.isdisjoint(names)
 
 
-def _swapped(track, motion, vehicle, wrong: set) -> tuple[str, str] | None:
+def _swapped(
+    track: Track, motion: Motion, vehicle: Vehicle, wrong: set[tuple[str, str]]
+) -> tuple[str, str] | None:
     """Two channels whose exchange resolves the contradictions of the pairs ``wrong``."""
     there = {c.quantity for c in track.channels}
     for pair in itertools.combinations([c for c in _SWAPPED if c in there], 2) if wrong else ():
@@ -245,7 +249,9 @@ def _clearness(a: Agreement, k: int, faults: Iterable[Fault]) -> tuple[bool, flo
 # --- delays and offsets ---------------------------------------------------------
 
 
-def _delays_and_offsets(pairs, track: Track, vehicle: Vehicle) -> Iterator[Deviation]:
+def _delays_and_offsets(
+    pairs: Iterable[Agreement], track: Track, vehicle: Vehicle
+) -> Iterator[Deviation]:
     """Delays that change a channel by more than ``CHANGED``; delays and zero errors of the a_y
     from which forces are computed."""
     reported = set()
@@ -284,7 +290,7 @@ def _has_delay(a: Agreement) -> bool:
     return any(judged(a)) and a.pair.exact and a.delay_seen > SEEN
 
 
-def _line(pairs, vehicle: Vehicle) -> str:
+def _line(pairs: Iterable[Agreement], vehicle: Vehicle) -> str:
     """One line for the summary on the agreement of the channels."""
     gains, late = [], [(0.0, "")]
     for a in pairs:

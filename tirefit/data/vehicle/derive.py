@@ -23,6 +23,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import fill, wrap
+from typing import Any
 
 import numpy as np
 
@@ -324,7 +325,9 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
     return columns
 
 
-def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
+def _kept(
+    motion: Motion, track: Track, vehicle: Vehicle, axle: str
+) -> tuple[np.ndarray, dict[str, int]]:
     """Grid samples to keep (n,) bool, and reason -> samples dropped for it."""
     last_row = np.searchsorted(track.time, motion.time, side="right") - 1
     keep = vehicle.keep
@@ -353,7 +356,9 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     return kept, dropped
 
 
-def _none_left(track: Track, motion, vehicle: Vehicle, dropped, file: str) -> InputProblem:
+def _none_left(
+    track: Track, motion: Motion, vehicle: Vehicle, dropped: Mapping[str, int], file: str
+) -> InputProblem:
     """The error that no sample is kept, with a remedy."""
     reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
     if motion.settled.any():
@@ -381,7 +386,7 @@ def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]
 # --- words ----------------------------------------------------------------------
 
 
-def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
+def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "tirefit": __version__,

@@ -1,6 +1,8 @@
 """Warnings on parts of a derived log that a tire hardly caused: transients of the filter, a
 band that it cuts, forces beyond any friction."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tirefit.data.vehicle.faults import ALIKE
@@ -16,7 +18,9 @@ _DRY = 1.0  # largest |F_y| / F_z of road tires on dry asphalt
 _SILENT = 1e-300  # variance of a column that never changes
 
 
-def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
+def doubts(
+    columns: Mapping[str, np.ndarray], motion: Motion, kept: np.ndarray, vehicle: Vehicle
+) -> tuple[str, ...]:
     """Warnings on content that a tire model should not be fitted to.
 
     Args:
@@ -30,11 +34,13 @@ def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
     )
 
 
-def _beyond_grip(columns, kept, vehicle: Vehicle) -> list[str]:
+def _beyond_grip(
+    columns: Mapping[str, np.ndarray], kept: np.ndarray, vehicle: Vehicle
+) -> list[str]:
     """A warning if the lateral force is larger than tires transmit without downforce, or
     mostly due to yaw inertia: at the limit, F_y / F_z is about |a_y| / g."""
 
-    def high(values) -> float:
+    def high(values: np.ndarray) -> float:
         return float(np.percentile(np.abs(values[kept]), 99))
 
     share = high(columns["fy"] / columns["fz"])
@@ -53,7 +59,7 @@ def _beyond_grip(columns, kept, vehicle: Vehicle) -> list[str]:
     return [f"{message}: check mass, yaw_inertia and the unit of a_y or of the positions"]
 
 
-def _at_edges(motion: Motion, kept, vehicle: Vehicle) -> list[str]:
+def _at_edges(motion: Motion, kept: np.ndarray, vehicle: Vehicle) -> list[str]:
     reach = vehicle.filter.settling
     inside = np.count_nonzero(kept & (motion.within < reach * (1 - 1e-9)))
     if not inside:
@@ -64,7 +70,9 @@ def _at_edges(motion: Motion, kept, vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _cut_by_filter(columns, motion: Motion, kept, vehicle: Vehicle) -> list[str]:
+def _cut_by_filter(
+    columns: Mapping[str, np.ndarray], motion: Motion, kept: np.ndarray, vehicle: Vehicle
+) -> list[str]:
     """Warnings on columns with much variance just below the bandwidth, and so above it."""
     band = vehicle.filter.bandwidth
     signals = np.stack([columns["alpha"], columns["fy"]], axis=1)

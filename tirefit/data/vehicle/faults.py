@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from tirefit.data.units import units_of
 from tirefit.data.vehicle.agreement import LATEST, Agreement
-from tirefit.data.vehicle.track import Track
+from tirefit.data.vehicle.track import Channel, Track
 from tirefit.data.vehicle.vehicle import QUANTITIES, unit_of
 
 ALIKE = 1.3
@@ -156,7 +156,7 @@ def _header_of(name: str) -> str:
     return {"xy": "x", "y": "x"}.get(name, name)
 
 
-def _units(channel) -> dict[float, str]:
+def _units(channel: Channel) -> dict[float, str]:
     """Factor by which values were read too large -> the unit that they are in."""
     factors: dict[float, str] = {}
     if channel.quantity not in QUANTITIES:

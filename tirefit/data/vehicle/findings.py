@@ -1,6 +1,7 @@
 """Errors of vehicle logs that ``derive`` found, and the words in which they are reported."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ _LAGS = {
 the words for its lag. Simulated drives without a delay show lags of 0.03 to 0.3 s."""
 
 
-def found_in(logs: Sequence) -> dict[str, float]:
+def found_in(logs: Sequence[Any]) -> dict[str, float]:
     """Errors that the logs show, as means over the logs: alpha_zero [rad], found_point
     [m ahead of the rear axle] and late_CHANNEL [s], with standard errors.
 

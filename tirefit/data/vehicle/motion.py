@@ -97,7 +97,9 @@ def not_ahead(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
     }
 
 
-def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
+def slip_and_force(
+    motion: Motion, vehicle: Vehicle, axle: str = "rear"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Slip angle [rad], lateral force [N] and forward speed [m/s] of an axle, (n,)
     each, in canonical signs; formulas: :mod:`tirefit.data.vehicle.derive`.
     """
@@ -165,7 +167,7 @@ def error_along(force: np.ndarray, vehicle: Vehicle, axle: str) -> np.ndarray:
     return np.hypot(part * total, rolling)
 
 
-def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
+def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0) -> np.ndarray | None:
     """Filter signals (n, k) at the rate of the grid, with zero phase.
 
     Args:
@@ -274,7 +276,9 @@ def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
         )
 
 
-def _on_grid(time, signals, grid, max_gap: float, vehicle: Vehicle):
+def _on_grid(
+    time: np.ndarray, signals: np.ndarray, grid: np.ndarray, max_gap: float, vehicle: Vehicle
+) -> np.ndarray | None:
     """Signals (n, k) on the grid, low-passed, NaN in long gaps; None if too short."""
     from scipy.interpolate import CubicSpline  # slow, and no other reader needs it
 

@@ -12,6 +12,7 @@ another place of the accelerometer act alike: the message names them.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -127,7 +128,7 @@ class _Point(NamedTuple):
         return self.known and abs(self.ahead) > SURE * self.std and self.effect > CHANGED
 
 
-def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck:
+def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -> PointCheck:
     """Estimate the tracked point; refuse a force in the direction of the axle's slip.
 
     Args:
@@ -175,7 +176,7 @@ def _words(found: _Point, vehicle: Vehicle) -> tuple[str, str]:
     )
 
 
-def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept, found: _Point) -> bool:
+def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept: np.ndarray, found: _Point) -> bool:
     """Whether the stated point fits the other sign of v_y of the tracked point (and of the a_y
     that follows from it where none is logged) better than the point that was found. If neither
     sign determines a point, whether the force is in the direction of the slip only as stated."""
@@ -221,7 +222,7 @@ class _Lines(NamedTuple):
         share = (self.force + x * self.force_x) / strong
         return np.arctan(self.slip + x * self.slip_x), np.column_stack([share, share**3])
 
-    def solved(self, alpha, sides, rows, offset: float) -> Fit:
+    def solved(self, alpha: np.ndarray, sides: np.ndarray, rows: np.ndarray, offset: float) -> Fit:
         """The fit of alpha by the sides (n, k), with standard errors that include a zero error
         that is not fitted."""
         near = around(sides, rows, self.step)
@@ -232,7 +233,7 @@ class _Lines(NamedTuple):
         return fit._replace(std=np.hypot(fit.std, other.theta - fit.theta))
 
 
-def _point(motion: Motion, vehicle: Vehicle, kept) -> _Point:
+def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Point:
     """The point by the filtered signals, or by the slower ones if only these determine it or, of a
     pose, if these determine it better or contradict it."""
     each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
@@ -248,7 +249,7 @@ def _point(motion: Motion, vehicle: Vehicle, kept) -> _Point:
     return best._replace(effect=effect, slope=min((one.slope for one in each), default=0.0))
 
 
-def _lines(motion: Motion, vehicle: Vehicle, kept):
+def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Iterator[_Lines]:
     """The lines of the filtered signals and of those below a fifth of the cutoff."""
     small = 0.01 * vehicle.wheelbase
     alpha, force, _ = slip_and_force(motion, vehicle)

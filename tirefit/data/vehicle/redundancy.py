@@ -12,6 +12,7 @@ unit. The equation of the steering is valid up to a factor of a few, as cars und
 """
 
 from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -97,7 +98,13 @@ def agreements(
     return [result for result in found if result is not None]
 
 
-def _pair(of: dict[str, np.ndarray], usable, channel: str, words: str, terms) -> Pair | None:
+def _pair(
+    of: dict[str, np.ndarray],
+    usable: np.ndarray,
+    channel: str,
+    words: str,
+    terms: Mapping[str, str],
+) -> Pair | None:
     """The pair of a row of :data:`_PAIRS`; None if a signal is missing."""
     own = "yaw_turn" if channel == "yaw" else channel
     summands = []
@@ -121,7 +128,9 @@ def _pair(of: dict[str, np.ndarray], usable, channel: str, words: str, terms) ->
     return Pair(channel, words, of[own], tuple(summands), zero, floor, channel == "v_x", exact)
 
 
-def _signals(track: Track, motion: Motion, vehicle: Vehicle, swapped=None):
+def _signals(
+    track: Track, motion: Motion, vehicle: Vehicle, swapped: tuple[str, str] | None = None
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Channels, and signals that follow from them -> values (n,), low-passed, NaN where they are
     not known; and which samples (n,) bool can be compared: in motion, away from edges."""
     unknown = slowed(np.where(np.isfinite(motion.logged), 0.0, 1.0), motion, vehicle)

@@ -1,7 +1,7 @@
 """Read the usable samples of a vehicle log, in SI: :func:`read_track`."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,7 +122,9 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     )  # fmt: skip
 
 
-def _lacking(table: Table, channels: Sequence[Channel], columns) -> tuple[str, ...]:
+def _lacking(
+    table: Table, channels: Sequence[Channel], columns: Mapping[str, np.ndarray]
+) -> tuple[str, ...]:
     """A sentence that names the rows without a value in one of the channels, if any."""
     absent = {c.header: np.flatnonzero(~np.isfinite(columns[c.header])) for c in channels}
     faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items()]
@@ -141,7 +143,9 @@ def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
     return np.array(words_of(table.cells[table.headers.index(header)]))
 
 
-def _in_runs(time, label, period: float, max_gap: float, notes: list[str]):
+def _in_runs(
+    time: np.ndarray, label: np.ndarray, period: float, max_gap: float, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Time (n,) continued where it restarts, the number of the run of each row (n,), and
     the names of the runs.
 
@@ -240,7 +244,15 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
     return channels
 
 
-def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> Channel:
+def _channel(
+    table: Table,
+    quantity: str,
+    header: str,
+    vehicle: Vehicle,
+    notes: list[str],
+    problems: list[InputProblem],
+    named: bool = True,
+) -> Channel:
     """The column with its unit: declared, from the header, or from the row below it."""
     dimension = QUANTITIES[quantity]
     text, where = vehicle.units.get(quantity), ""
@@ -261,8 +273,8 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
         remedy += f" ({', '.join(units_of(dimension))})"
     unit = unit_of(text, quantity) if text else None
     # Round brackets may contain other text, as in ``W (IMU)``.
-    label = f"({in_header})" in header and text == in_header
-    label = label and known_unit(text.removeprefix("-")) is None
+    bracketed = text if f"({in_header})" in header and text == in_header else None
+    label = bracketed is not None and known_unit(bracketed.removeprefix("-")) is None
     if text and text != "-" and unit is None and not label:
         problems.append(
             InputProblem(
@@ -280,10 +292,12 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
         scale = unit.scale
     if named or text != _SI[dimension]:
         notes.append(f"column {header!r} read as {quantity} in {text}{where}")
-    return Channel(quantity, header, text, scale, named)
+    return Channel(quantity, header, text or "", scale, named)
 
 
-def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:
+def _numbers(
+    table: Table, channels: Sequence[Channel], active: str | None
+) -> dict[str, np.ndarray]:
     """Header -> values (n,) of the columns that are read.
 
     Cells without a value, infinity and rows without the header's number of cells are NaN.
@@ -299,7 +313,9 @@ def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray
     return columns
 
 
-def _no_row(file: str, needed: Sequence[Channel], columns) -> list[InputProblem]:
+def _no_row(
+    file: str, needed: Sequence[Channel], columns: Mapping[str, np.ndarray]
+) -> list[InputProblem]:
     """The columns without any value, or that no row has a value in all of them."""
     remedy = "fill the column, or name another one in [columns] of vehicle.toml"
     empty = [c for c in needed if not np.isfinite(columns[c.header]).any()]
@@ -341,7 +357,7 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
     return period
 
 
-def _steps(channels, signals: np.ndarray) -> list[str]:
+def _steps(channels: Iterable[Channel], signals: np.ndarray) -> list[str]:
     """A note on channels whose quantisation is coarse compared with their changes."""
     coarse = []
     for channel, values in zip(channels, signals.T, strict=True):

@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
@@ -264,11 +264,11 @@ class Vehicle(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _complete_geometry(cls, given):
+    def _complete_geometry(cls, given: Any) -> dict[str, Any]:
         """Compute values that follow from others; missing ones are reported later."""
         given = dict(given)
 
-        def positive(*names):
+        def positive(*names: str) -> bool:
             values = [given.get(name) for name in names]
             return all(type(value) in (int, float) and value > 0 for value in values)
 
@@ -311,7 +311,7 @@ class Vehicle(Section):
             )
 
     def _geometry_problems(self) -> Iterator[InputProblem]:
-        def differ(one, other):
+        def differ(one: float, other: float) -> bool:
             return abs(one - other) > _AXLE_TOLERANCE * abs(other)
 
         if differ(self.wheelbase, self.l_f + self.l_r):

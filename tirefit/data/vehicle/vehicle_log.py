@@ -49,7 +49,9 @@ _MANY = 2
 steering) from which on a file is a vehicle log, even if it lacks those for the slip."""
 
 
-def _incomplete(found: Mapping[str, str], file: str, headers, units) -> InputProblem | None:
+def _incomplete(
+    found: Mapping[str, str], file: str, headers: Sequence[str], units: Sequence[str] | None
+) -> InputProblem | None:
     """The problem of a log with too few channels for ``tirefit derive``, which needs them."""
     there = [name for name in ("v_x", "v_y", "yaw_rate", "a_y", "steering") if name in found]
     if "time" not in found or len(there) < _MANY:
@@ -67,7 +69,12 @@ def _incomplete(found: Mapping[str, str], file: str, headers, units) -> InputPro
     return InputProblem(IS_VEHICLE_LOG, remedy, file)
 
 
-def _template(found: Mapping[str, str], names, headers, units) -> str:
+def _template(
+    found: Mapping[str, str],
+    names: Sequence[str],
+    headers: Sequence[str],
+    units: Sequence[str] | None,
+) -> str:
     """The lines of a vehicle.toml; those of needed channels without a column are comments."""
     lines = [*_CAR]
     for name in names:

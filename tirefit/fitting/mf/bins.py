@@ -1,6 +1,6 @@
 """Find the settings of a rig test in its rows, and bin the rows by setting and slip."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -122,7 +122,9 @@ def _medians(values: np.ndarray, code: np.ndarray) -> np.ndarray:
     return np.array([np.median(values[code == k]) for k in range(code.max() + 1)])[code]
 
 
-def _held(force: str, slips, run) -> tuple[np.ndarray, np.ndarray]:
+def _held(
+    force: str, slips: Mapping[str, np.ndarray], run: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """For each row (n,): whether the slip angle is swept, and the level of the other
     slip, 0 where that slip is nearly zero."""
     own = SLIPS_OF[force][-1]
@@ -157,7 +159,7 @@ def _class_of(slip: np.ndarray) -> np.ndarray:
     return np.where(other, 1 + np.searchsorted(edges, slip), 0)
 
 
-def _levels(name: str, values: np.ndarray, alike) -> tuple[np.ndarray, bool]:
+def _levels(name: str, values: np.ndarray, alike: np.ndarray) -> tuple[np.ndarray, bool]:
     """The level of each value (n,), and whether the levels are thirds of a range.
 
     Args:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def virtual_test(
     if pressure_too:
         around = _range(tir, "pressure", (1 - _PRESSURE) * nominal, (1 + _PRESSURE) * nominal)
         pressures = [around[0], nominal, around[1]]
-    parts: list[tuple] = []
+    parts: list[tuple[Any, ...]] = []
     for fz in loads:
         for pressure in pressures:
             for gamma in cambers:

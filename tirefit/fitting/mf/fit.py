@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,9 +63,9 @@ def fit_magic_formula(
     model: str = "mf61",
     *,
     part: str = "all",
-    config: FitConfig | dict | None = None,
+    config: FitConfig | dict[str, Any] | None = None,
     first: Mapping[str, float] | None = None,
-    like: TirFile | str | os.PathLike | None = None,
+    like: TirFile | str | os.PathLike[str] | None = None,
     leave_out: str = "three",
     progress: Callable[[float, str], None] = lambda share, note: None,
 ) -> MagicFormulaFit:
@@ -118,7 +119,7 @@ def fit_magic_formula(
     _check_settings(model, config)
     require(whole, ("fz",), f"the model {model}")
     rows, notes = rows_of_part(whole, part, config)
-    other = like if like is None or isinstance(like, TirFile) else read_tir(like)
+    other = like if like is None or isinstance(like, TirFile) else read_tir(Path(like))
     constants = whole.source.constants
     if other is not None:
         config, taken = with_dimensions(other, rows, config, constants)
@@ -188,7 +189,7 @@ def nominal_of(
     config: FitConfig,
     constants: Mapping[str, float] | None = None,
     also: Iterable[str] = (),
-):
+) -> tuple[MFTire, list[str]]:
     """The tire with its nominal state and the given values, and notes on assumptions.
 
     It has M_x or M_y if the data do, or ``config`` or ``also`` name a coefficient.
@@ -306,7 +307,14 @@ def _coefficients(
     return found, covariance
 
 
-def _result(model, data: TireData, work: Search, rows, bands, notes) -> dict[str, Any]:
+def _result(
+    model: str,
+    data: TireData,
+    work: Search,
+    rows: Mapping[str, ForceRows],
+    bands: Mapping[str, Band],
+    notes: Sequence[str],
+) -> dict[str, Any]:
     """The fields of the result, without those of the coefficients."""
     problem, forces = work.problem, tuple(work.groups)
     tire = with_values(problem.tire, problem.values(work.u))
@@ -351,7 +359,9 @@ def _size(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _far(work: Search, used: Mapping[str, ForceRows], missed) -> list[str]:
+def _far(
+    work: Search, used: Mapping[str, ForceRows], missed: Mapping[str, np.ndarray]
+) -> list[str]:
     """Notes on the number of rows of each force that are far from the formula."""
     messages = []
     for force, off in missed.items():

@@ -5,7 +5,7 @@ twice the largest, cambers and pressures of the data, slips to lock and to 30 de
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -106,7 +106,7 @@ def _grid(tire: MFTire, ranges: Mapping[str, tuple[float, float]], within: bool)
 
 def _failures(grid: _Grid, fitted: tuple[str, ...]) -> dict[str, tuple[str, np.ndarray]]:
     """Guard -> (words, which states fail it (states,)), the worst of its forces."""
-    failing: dict[str, list] = {name: [] for name in GUARDS}
+    failing: dict[str, list[Any]] = {name: [] for name in GUARDS}
     for force in fitted:
         slip, largest = grid.slips[force], f"the largest {force}"
         along = grid.pure[force] * np.sign(slip)  # positive in the direction of the slip

@@ -167,7 +167,7 @@ def _parts(
     }
 
 
-def _sample(work: Search, rows: ForceRows, chosen, fitted) -> _Sample:
+def _sample(work: Search, rows: ForceRows, chosen: np.ndarray, fitted: np.ndarray) -> _Sample:
     """A sample of the ``chosen`` rows (n,) under the fit of the ``fitted`` rows (n,)."""
     at = np.flatnonzero(chosen)
     count = len(at)

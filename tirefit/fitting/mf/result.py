@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -30,6 +30,10 @@ from tirefit.models import AbstractTire, TireInputs
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
+
+if TYPE_CHECKING:
+    import pandas
+
 
 ORIGINS = {
     "fitted": "the data determine it more than its prior",
@@ -93,7 +97,7 @@ class MagicFormulaFit(Record):
     binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
     warmth: FrictionTemperature | None = None  # with ``friction_temperature``
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", ByName(self.coefficients))
 
     def __repr__(self) -> str:
@@ -112,7 +116,7 @@ class MagicFormulaFit(Record):
 
         return predict(self, data)
 
-    def to_frame(self):
+    def to_frame(self) -> "pandas.DataFrame":
         """The coefficients as a pandas data frame: columns name, value, std, identified
         (whether the data determine it more than its prior)."""
         each = self.coefficients.items()
@@ -241,7 +245,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
     return new_tir(version, values, fit.ranges, notes, comment)
 
 
-def save_magic_formula(fit: MagicFormulaFit, directory: str | os.PathLike) -> list[Path]:
+def save_magic_formula(fit: MagicFormulaFit, directory: str | os.PathLike[str]) -> list[Path]:
     """Write ``fit.tir`` and ``fit.json``, both or none."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
@@ -285,6 +289,6 @@ def magic_formula_forces(
     return mean, variance
 
 
-TireLike = FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike
+TireLike = FitResult | MagicFormulaFit | StoredFit | AbstractTire | str | os.PathLike[str]
 """What every function takes as a tire: a fit, a tire, the name of a model, or the path of
 a ``fit.json`` or a ``.tir`` file."""

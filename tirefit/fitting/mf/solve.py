@@ -9,7 +9,7 @@ evaluations; forward tangents would cost one evaluation per coefficient. Blocks 
 sizes, so that all files, forces and stages share three compiled programs.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from tirefit.compiled import BRIEF
 from tirefit.fitting.mf.parts import influences
@@ -30,7 +31,7 @@ from tirefit.fitting.solve.least_squares import (
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, curvatures
 from tirefit.padding import pad_rows
-from tirefit.params import with_values
+from tirefit.params import Values, with_values
 
 _ROWS = (8192, 1024)
 """Numbers of rows of a block. A call costs as much as about 1000 rows, and the last
@@ -74,17 +75,17 @@ class Problem:
     free: np.ndarray  # (p,) coefficients that this stage moves
     blocks: tuple[Block, ...]
 
-    def values(self, u) -> dict[str, float]:
+    def values(self, u: np.ndarray) -> dict[str, float]:
         """Coefficient -> value at u (p,)."""
         return dict(zip(self.names, self.natural(u).tolist(), strict=True))
 
-    def natural(self, u) -> np.ndarray:
+    def natural(self, u: np.ndarray) -> np.ndarray:
         """Coefficients (p,) at u (p,)."""
         moved = self.spread * u
         raised = self.centre * np.exp(np.where(self.log, moved, 0.0))
         return np.where(self.log, raised, self.centre + moved)
 
-    def scale(self, u) -> np.ndarray:
+    def scale(self, u: np.ndarray) -> np.ndarray:
         """Derivatives (p,) of the coefficients in u."""
         return self.spread * np.where(self.log, self.natural(u), 1.0)
 
@@ -103,7 +104,7 @@ class Problem:
                 u[i] = self.unit(name, values[name])
         return u
 
-    def with_free(self, names: Sequence[str]) -> "Problem":
+    def with_free(self, names: Collection[str]) -> "Problem":
         """The same problem with exactly these coefficients free."""
         return replace(self, free=np.isin(self.names, list(names)))
 
@@ -112,7 +113,9 @@ class Problem:
         return replace(self, blocks=tuple(blocks))
 
 
-def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...]:
+def blocks_of(
+    force: str, inputs: TireInputs, observed: np.ndarray, std: np.ndarray
+) -> tuple[Block, ...]:
     """Cut rows (n,) into blocks; the last one is padded with its first row.
 
     Args:
@@ -133,10 +136,20 @@ def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...
 
 
 @partial(jax.jit, static_argnames=("force", "is_limit", "names"), compiler_options=BRIEF)
-def _pass(force, is_limit, names, tire, theta, scale, inputs, observed, weight):
+def _pass(
+    force: str,
+    is_limit: bool,
+    names: tuple[str, ...],
+    tire: MFTire,
+    theta: Values,
+    scale: Values,
+    inputs: TireInputs,
+    observed: Values,
+    weight: Values,
+) -> tuple[Float[Array, " n"], Float[Array, "p n"]]:
     """Residuals (n,) of a block over the noise, and their derivatives in u (p, n)."""
 
-    def one(given, sample):
+    def one(given: dict[str, Array], sample: TireInputs) -> Array:
         changed = with_values(tire, given)
         if not is_limit:
             return getattr(changed(sample), force)
@@ -151,7 +164,9 @@ def _pass(force, is_limit, names, tire, theta, scale, inputs, observed, weight):
     return residual, jnp.stack(columns) * (weight[None, :] * scale[:, None])
 
 
-def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
+def _passes(
+    problem: Problem, u: np.ndarray
+) -> Iterator[tuple[Block, np.ndarray, np.ndarray, np.ndarray]]:
     """For every block: the block, the indices in u of its coefficients, its residuals
     (n,) and their derivatives (p, n)."""
     natural, scale = problem.natural(u), problem.scale(u)
@@ -176,7 +191,9 @@ def limit_of(force: str, inputs: Sequence[TireInputs]) -> list[Block]:
     return [Block(force, points, np.zeros(_LIMITED), np.ones(_LIMITED), is_limit=True)]
 
 
-def _passed(problem: Problem, u: np.ndarray, moved: np.ndarray):
+def _passed(
+    problem: Problem, u: np.ndarray, moved: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
     """Sum of squares of the rows at u, and half its curvature and half its gradient in
     the coefficients ``moved`` (p,)."""
     size = len(u)
@@ -234,7 +251,7 @@ def curvature_at(problem: Problem, u: np.ndarray) -> np.ndarray:
     return _passed(problem, u, np.full(len(u), True))[1]
 
 
-def _between(size):
+def _between(size: Array) -> Array:
     """Damping by the geometric mean of that of the priors (Levenberg) and that of the rows
     (Marquardt). Of six starts of pure F_y, either one alone ended in another minimum, at a
     kink of the formula, from three, and the mean from one."""
@@ -247,7 +264,7 @@ def minimise(
     """Least squares over the free coefficients, from ``start`` (p,), until one more step would
     gain less than ``settled`` of deviance."""
 
-    def normal(u) -> Normal:
+    def normal(u: np.ndarray) -> Normal:
         rows, curvature, slope = _passed(problem, u, problem.free)
         downhill = np.where(problem.free, slope + u, 0.0)
         return Normal(rows + float(u @ u), curvature + np.eye(len(u)), downhill)

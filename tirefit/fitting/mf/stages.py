@@ -7,7 +7,7 @@ as known within their errors and moves only its own coefficients, so a moment th
 formula describes badly does not worsen a force.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -214,7 +214,9 @@ def _blocks(group: Group, most: int | None = None) -> list[Block]:
     return list(blocks_of(group.force, some.inputs, some.observed, std))
 
 
-def problem_of(work: Search, groups: Sequence[Group], names, most=None) -> Problem:
+def problem_of(
+    work: Search, groups: Sequence[Group], names: Collection[str], most: int | None = None
+) -> Problem:
     """The problem of some groups of a force, with the coefficients ``names`` free; at
     most ``most`` cells of a group, evenly taken."""
     blocks = [block for group in groups for block in _blocks(group, most)]
@@ -232,7 +234,7 @@ def _with_noise(work: Search, group: Group, predicted: np.ndarray) -> Group:
     return replace(group, misfit=noise_law(predicted - cells.observed, fz, predicted, known))
 
 
-def _cells_per_one(work: Search, group: Group, names) -> float:
+def _cells_per_one(work: Search, group: Group, names: Collection[str]) -> float:
     """Number of cells of a group per independent cell.
 
     The misfit of neighbouring cells of a sweep is correlated. The number is the larger

@@ -18,6 +18,7 @@ from tirefit.fitting.mf.parts import coefficients_of
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import row_gradients, row_values
 from tirefit.fitting.mf.stages import Search, problem_of
+from tirefit.models.base import TireInputs
 from tirefit.params import parameter_values, with_values
 from tirefit.results import DataError
 
@@ -91,12 +92,12 @@ def at_reference(
     return work, now, FrictionTemperature(b, std, reference)
 
 
-def _expanded(work: Search, force: str, inputs) -> tuple[np.ndarray, np.ndarray]:
+def _expanded(work: Search, force: str, inputs: TireInputs) -> tuple[np.ndarray, np.ndarray]:
     """First and half the second derivative (n,) of a force in the friction."""
     tire = work.problem.tire
     scales = {k: parameter_values(tire)[k] for k in ("LMUX", "LMUY")}
 
-    def at(change):
+    def at(change: float) -> np.ndarray:
         other = with_values(tire, {k: (1 + change) * v for k, v in scales.items()})
         return row_values(replace(work.problem, tire=other), work.u, force, inputs)
 
@@ -104,7 +105,9 @@ def _expanded(work: Search, force: str, inputs) -> tuple[np.ndarray, np.ndarray]
     return (high - low) / (2 * _STEP), (high + low - 2 * middle) / (2 * _STEP**2)
 
 
-def _step(work: Search, rows: Rows, warmth) -> tuple[float, float, np.ndarray]:
+def _step(
+    work: Search, rows: Rows, warmth: Mapping[str, np.ndarray]
+) -> tuple[float, float, np.ndarray]:
     """The Gauss-Newton step of b, its standard error, and du/db (p,) of the best fit."""
     information, downhill, shift = 0.0, 0.0, np.zeros(len(work.u))
     of_part = coefficients_of(work.problem.tire.version)

@@ -2,13 +2,14 @@
 
 import difflib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 from jaxtyping import Array
 
+from tirefit.arrays import Kept
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.problem.combined_slip import slip_of_forces
@@ -59,7 +60,7 @@ def find_model(name: str) -> AbstractTire:
     raise UsageError(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
 
 
-def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], list]:
+def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], list[str]]:
     possible = [c for c, slip in CHANNEL_SLIP.items() if c in data and slip in data]
     if config.force is not None:
         needed = [column for name in config.force for column in (name, CHANNEL_SLIP[name])]
@@ -90,7 +91,7 @@ def _column_wins(name: str, noise: NoiseConfig) -> str:
     return f"noise of {name}: column {name}_std{rest}"
 
 
-def force_scale(data: TireData, name: str, noise: NoiseConfig):
+def force_scale(data: TireData, name: str, noise: NoiseConfig) -> tuple[np.ndarray, bool, str]:
     """(scale (n_used,), estimated?, sentence) of one force."""
     if f"{name}_std" in data:
         scale = data.usable(f"{name}_std")
@@ -110,7 +111,7 @@ def force_scale(data: TireData, name: str, noise: NoiseConfig):
     return np.full(data.n, size), True, f"noise of {name}: estimated from the residuals"
 
 
-def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
+def _slip_scale(data: TireData, slip: str, noise: NoiseConfig) -> tuple[np.ndarray | None, str]:
     given, of_speed = getattr(noise, slip), getattr(noise, f"{slip}_speed")
     if f"{slip}_std" in data:
         return data.usable(f"{slip}_std"), _column_wins(slip, noise)
@@ -123,7 +124,9 @@ def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
     return None, f"noise of {slip}: none assumed"
 
 
-def _noise_problems(data: TireData, forces, config: FitConfig):
+def _noise_problems(
+    data: TireData, forces: Sequence[str], config: FitConfig
+) -> tuple[list[InputProblem], list[InputProblem]]:
     """Noise, in columns or settings, at which squared residuals overflow or vanish."""
     given = {name: force_scale(data, name, config.noise) for name in forces}
     stds = {name: std for name, (std, estimated, _) in given.items() if not estimated}
@@ -151,7 +154,7 @@ def _noise_problems(data: TireData, forces, config: FitConfig):
     return of_columns, of_settings
 
 
-def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProblem:
+def _noise_column(data: TireData, column: str, wrong: np.ndarray, beside: str) -> InputProblem:
     """``wrong`` indexes the used rows."""
     source, row = data.source, np.flatnonzero(data.used)[wrong[0]]
     rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
@@ -164,7 +167,9 @@ def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProbl
     )
 
 
-def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
+def _settled(
+    data: TireData, model: AbstractTire, forces: Sequence[str], config: FitConfig
+) -> tuple[AbstractTire, Layout, list[str]]:
     """Result of ``choose_layout``; its problems and those of the noise are raised together."""
     of_columns, of_settings = _noise_problems(data, forces, config)
     try:
@@ -200,14 +205,16 @@ def _put(values: np.ndarray, size: int) -> Array:
 
 
 def _inputs(data: TireData, size: int) -> TireInputs:
-    def column(name):
+    def column(name: str) -> Array:
         values = data.usable(name) if name in data else np.zeros(data.n)
         return _put(np.nan_to_num(values), size)
 
     return TireInputs(*(column(name) for name in TireInputs._fields))
 
 
-def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, float]:
+def _first_guess(
+    model: AbstractTire, data: TireData, forces: Sequence[str], layout: Layout
+) -> dict[str, float]:
     """Guess from the slope of the low-slip half and from the largest force."""
     name = "fx" if "fx" in forces else ("fy" if "fy" in forces else None)
     guess = {p.name: float(parameter_values(model)[p.name]) for p in layout.free}
@@ -231,7 +238,7 @@ def slope_and_peak(data: TireData, force: str) -> tuple[float, float, float]:
     return slope, float(np.quantile(np.abs(value) / load, 0.97)), float(np.median(load))
 
 
-def guess_from_curve(stiffness, peak, load) -> dict:
+def guess_from_curve(stiffness: Kept, peak: Kept, load: Kept) -> dict[str, Kept]:
     """Start values of the parameters, from slope and peak of the curve.
 
     Args:
@@ -252,7 +259,7 @@ def guess_from_curve(stiffness, peak, load) -> dict:
     }
 
 
-def _check_size(data: TireData, layout: Layout, channels, n_values: int) -> None:
+def _check_size(data: TireData, layout: Layout, channels: Sequence[Channel], n_values: int) -> None:
     unknowns = layout.size + sum(c.noise_estimated for c in channels)
     if n_values <= unknowns:
         raise DataError(
@@ -335,7 +342,9 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
     return FitTask(name, problem, guess, time, tuple(notes), data)
 
 
-def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
+def _check_inputs(
+    data: TireData, name: str, model: AbstractTire, forces: Sequence[str], config: FitConfig
+) -> None:
     if config.friction_temperature:
         reason = f"friction_temperature with the model {name}"
         remedy = "only mf52, mf61 and mf62 have it: remove it from [model]"
@@ -362,7 +371,9 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
         raise DataError(reason, remedy, data.file)
 
 
-def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):
+def _with_reference_load(
+    data: TireData, model: AbstractTire, config: FitConfig
+) -> tuple[FitConfig, list[str]]:
     """The configuration with a reference load, by default chosen here, and a note."""
     asked = config.parameters.get("fz0", ParameterConfig())
     if "fz0" not in specs(model) or asked.value is not None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -21,7 +21,7 @@ from tirefit.settings import Section, parse_settings
 Force = Literal["fx", "fy", "mz"]
 
 
-def _out_of_order(section, low: str, high: str, remedy: str) -> Iterator[InputProblem]:
+def _out_of_order(section: Section, low: str, high: str, remedy: str) -> Iterator[InputProblem]:
     lower, upper = getattr(section, low), getattr(section, high)
     if None not in (lower, upper) and lower >= upper:
         yield InputProblem(f"{low} = {lower:g} is not below {high} = {upper:g}", remedy)
@@ -141,7 +141,7 @@ class PosteriorConfig(Section):
     max_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 5000
 
 
-def _listed(force):
+def _listed(force: object) -> object:
     """``force = "fx"`` is short for ``force = ["fx"]``."""
     if isinstance(force, str):
         return [force]
@@ -170,7 +170,7 @@ class FitConfig(Section):
         return self._source
 
 
-def parse_config(content: dict, source: str = "config") -> FitConfig:
+def parse_config(content: dict[str, Any], source: str = "config") -> FitConfig:
     """Check the content of a ``fit.toml``; ``source`` is its origin.
 
     Raises:

@@ -47,7 +47,9 @@ class SlipNodes(NamedTuple):
     of_force: Float[Array, ""] | None = None  # not None: the likelihood of the slip for the force
 
 
-def slips_of_nodes(slip, std, everywhere=None) -> Float[np.ndarray, "n q"]:
+def slips_of_nodes(
+    slip: np.ndarray, std: np.ndarray, everywhere: np.ndarray | None = None
+) -> Float[np.ndarray, "n q"]:
     """Slips of the nodes of rows with measured slips (n,) of noise std (n,).
 
     Args:
@@ -70,7 +72,9 @@ def node_weights(place: Float[Array, "n q"]) -> Float[Array, "n q"]:
     return jnp.exp(-(place**2) / 2) * share
 
 
-def unbent(force: Float[Array, "n q"], place: Float[Array, "n q"], within: bool):
+def unbent(
+    force: Float[Array, "n q"], place: Float[Array, "n q"], within: bool
+) -> Float[Array, "n q"]:
     """Forces (n, q) at the nodes whose chords have no error on average: chords of a curve lie
     on its inner side. ``within``: no node moves past a neighbour, and so above a peak."""
     wide, step = jnp.diff(place, axis=1), jnp.diff(force, axis=1)
@@ -84,7 +88,7 @@ def unbent(force: Float[Array, "n q"], place: Float[Array, "n q"], within: bool)
     return force.at[:, 1:-1].add(-off)
 
 
-def _erfcx(x):
+def _erfcx(x: Array) -> Array:
     """exp(x^2) erfc(x) for x >= 0 within 1e-8 of itself."""
     t = 2.5 / (2.5 + x)
     power = jnp.full_like(t, _ERFCX[-1])
@@ -99,7 +103,7 @@ def integrals(
     density: Float[Array, "n q"],
     *,
     measured: bool = True,
-):
+) -> tuple[Float[Array, " n"], Float[Array, "n q"]]:
     """Likelihood of each row with a density of the true slips that is linear between nodes.
 
     Args:
@@ -136,7 +140,7 @@ def integrals(
     return most + jnp.log(jnp.sum(part * mean, axis=1)), weight
 
 
-def _normal_part(low, high):
+def _normal_part(low: Array, high: Array) -> tuple[Array, Array, Array]:
     """Integrals of exp(-x^2/2) and x exp(-x^2/2) from low to high, and the log of a factor
     of both, which keeps them finite far from zero."""
     mirrored = low + high < 0

@@ -5,16 +5,18 @@ another one. The solver and the samplers see one unconstrained vector z; ``natur
 turns it into named values within their bounds.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from tirefit.arrays import Numbers, Same, Scalar
 from tirefit.fitting.problem.config import FitConfig, ParameterConfig
 from tirefit.models import AbstractTire
-from tirefit.params import Spec, constrain, log_jacobian, specs, unconstrain, with_values
+from tirefit.params import Spec, Values, constrain, log_jacobian, specs, unconstrain, with_values
 from tirefit.results import InputProblem, UsageError
 
 
@@ -73,12 +75,12 @@ class Layout:
         """Whether a row depends only on some elements of z, those of its run."""
         return any(parameter.per_run for parameter in self.free)
 
-    def elements_of(self, run):
+    def elements_of(self, run: Same) -> Same:
         """Indices (n, q) of each row's elements of z, one per free parameter."""
-        count = [len(self.runs) if p.per_run else 1 for p in self.free]
+        count: list[int] = [len(self.runs) if p.per_run else 1 for p in self.free]
         first = np.cumsum([0, *count[:-1]])
         own = np.array([p.per_run for p in self.free])
-        return first[None] + run[:, None] * own[None]
+        return run[:, None] * own[None] + first[None]
 
     @property
     def prior_elements(self) -> np.ndarray:
@@ -87,9 +89,10 @@ class Layout:
         run = np.concatenate([np.arange(n) for n in count])
         return self.elements_of(run[[p.prior is not None for _, p in self.elements]])
 
-    def natural(self, z) -> dict:
+    def natural(self, z: Values) -> dict[str, Numbers]:
         """Named values: shape () where shared, (runs,) where per run; ties resolved."""
-        values, start = {}, 0
+        values: dict[str, Numbers] = {}
+        start = 0
         for parameter in self.free:
             count = len(self.runs) if parameter.per_run else 1
             part = constrain(z[start : start + count], parameter.spec)
@@ -99,13 +102,13 @@ class Layout:
             values[tie.name] = tie.factor * values[tie.other]
         return values
 
-    def vector(self, z):
+    def vector(self, z: Same) -> Same:
         """Natural value of every element of z, shape (size,)."""
         library = jnp if isinstance(z, jax.Array) else np
         values = [constrain(z[i], p.spec) for i, (_, p) in enumerate(self.elements)]
         return library.stack(values)
 
-    def unconstrained(self, values: Mapping[str, float]):
+    def unconstrained(self, values: Mapping[str, Numbers]) -> Values:
         """z of the given natural values, by parameter name or by label."""
         coordinates = [
             unconstrain(values[label if label in values else p.name], p.spec)
@@ -114,11 +117,11 @@ class Layout:
         traced = any(isinstance(value, jax.Array) for value in coordinates)
         return jnp.stack(coordinates) if traced else np.array(coordinates, float)
 
-    def log_volume(self, z):
+    def log_volume(self, z: Float[Values, " p"]) -> Scalar:
         """log |d natural / d z|: the prior flat in the bounds, in coordinates z."""
         return sum(log_jacobian(z[i], p.spec) for i, (_, p) in enumerate(self.elements))
 
-    def prior_residual(self, z):
+    def prior_residual(self, z: Float[Values, " p"]) -> Float[Array, " k"]:
         """Gaussian priors as pseudo-measurements, shape (number of priors,)."""
         pulls = [
             (constrain(z[i], p.spec) - p.prior[0]) / p.prior[1]
@@ -187,13 +190,13 @@ def choose_layout(
     return with_values(model, fixed), Layout(unknowns, tuple(ties), runs), notes
 
 
-def _is_free(spec: Spec, name: str, asked: ParameterConfig, forces) -> bool:
+def _is_free(spec: Spec, name: str, asked: ParameterConfig, forces: Sequence[str]) -> bool:
     if asked.tied is not None or asked.free is not None:
         return bool(asked.free)
     return "mz" in forces if name == "half_length" else spec.free
 
 
-def _free_parameter(name: str, spec: Spec, asked: ParameterConfig, runs: int):
+def _free_parameter(name: str, spec: Spec, asked: ParameterConfig, runs: int) -> FreeParameter:
     prior = None if asked.prior is None else (asked.prior.mean, asked.prior.std)
     return FreeParameter(name, spec, asked.per_run and runs > 1, prior)
 
@@ -202,7 +205,7 @@ def _interval(spec: Spec) -> str:
     return f"[{spec.lower:.6g}, {spec.upper:.6g}]"
 
 
-def _bounded(name: str, spec: Spec, asked: ParameterConfig):
+def _bounded(name: str, spec: Spec, asked: ParameterConfig) -> tuple[Spec, list[InputProblem]]:
     """The spec with the bounds of the configuration, and the problems of these bounds."""
     lower = spec.lower if asked.lower is None else asked.lower
     upper = spec.upper if asked.upper is None else asked.upper
@@ -216,7 +219,7 @@ def _bounded(name: str, spec: Spec, asked: ParameterConfig):
     return spec, [InputProblem(reason, remedy)]
 
 
-def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
+def _narrowed(tie: Tie, bounded: Mapping[str, Spec]) -> tuple[Spec, list[InputProblem], list[str]]:
     """Spec of the other parameter within the tied one's bounds; problems; a note."""
     own, other = bounded[tie.name], bounded[tie.other]
     low, high = sorted((own.lower / tie.factor, own.upper / tie.factor))
@@ -239,7 +242,9 @@ def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
     return narrow, [], [message]
 
 
-def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> InputProblem:
+def _wrong_tie(
+    tie: Tie, ties: Sequence[Tie], free: Sequence[str], known: Collection[str]
+) -> InputProblem:
     tied = {one.name: one.other for one in ties}
     key, reason = f"parameters.{tie.name}", f"tied to {tie.other!r}, which is not free"
     if tie.other == tie.name:

@@ -10,10 +10,10 @@ of a row is latent, and its likelihood an integral over the true slip, see
 the limit of no slip noise, so Gauss-Newton steps carry over.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from tirefit.arrays import Numbers
 from tirefit.compiled import BRIEF
 from tirefit.fitting.problem.latent_slip import SlipNodes, integrals, node_weights, unbent
 from tirefit.fitting.problem.layout import Layout
@@ -35,7 +36,7 @@ CHANNEL_SLIP = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 """Force channel -> the slip that drives it in pure slip."""
 
 
-def _huber(square):
+def _huber(square: Array) -> Array:
     """Quadratic to 1.345 standard deviations, linear beyond (95 % efficiency)."""
     k = 1.345
     inside = square <= k**2
@@ -43,11 +44,11 @@ def _huber(square):
     return jnp.where(inside, square, 2 * k * size - k**2)
 
 
-def _soft_l1(square):
+def _soft_l1(square: Array) -> Array:
     return 2 * (jnp.sqrt(1 + square) - 1)
 
 
-def _cauchy(square):
+def _cauchy(square: Array) -> Array:
     """Redescending; scale 2.385 gives 95 % efficiency at Gaussian noise."""
     k = 2.385
     return k**2 * jnp.log1p(square / k**2)
@@ -65,7 +66,7 @@ class Channel:
     noise_estimated: bool = True
     slip: str = ""  # the slip whose noise, if any, is integrated out
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "slip", self.slip or CHANNEL_SLIP[self.name])
 
 
@@ -153,7 +154,7 @@ class FitProblem(eqx.Module):
             return z
         return self.widened.centre + self.widened.matrix @ (z - self.widened.centre)
 
-    def used(self, array) -> np.ndarray:
+    def used(self, array: Numbers) -> np.ndarray:
         """An array over padded rows without its padding, shape (n,)."""
         return np.asarray(array)[: self.n]
 
@@ -161,7 +162,7 @@ class FitProblem(eqx.Module):
         """The problem with other rules for its residuals."""
         return replace(self, rules=dict(rules))
 
-    def with_rows(self, **changes) -> "FitProblem":
+    def with_rows(self, **changes: Any) -> "FitProblem":
         """The problem with other rows."""
         changed = replace(self, rows=jax.device_put(self.rows._replace(**changes)))
         blocks = dict.fromkeys(changed.block_of(channel) for channel in self.channels)
@@ -185,11 +186,11 @@ def row_forces(
         run: run of each row, shape (n,).
     """
     values = layout.natural(z)
-    rows = {name: value[run] if jnp.ndim(value) else value for name, value in values.items()}
+    rows = {k: jnp.asarray(v)[run] if jnp.ndim(v) else v for k, v in values.items()}
     axes = {name: 0 if jnp.ndim(value) else None for name, value in rows.items()}
     felt = with_values(model, rows).felt(inputs, run)
 
-    def one(values, sample):
+    def one(values: dict[str, Numbers], sample: TireInputs) -> dict[str, Array | None]:
         return with_values(model, values)(sample)._asdict()
 
     return jax.vmap(one, in_axes=(axes, 0))(rows, felt)
@@ -203,14 +204,16 @@ def predict(
     return row_forces(problem.model, problem.layout, z, inputs, problem.rows.run)
 
 
-def _forces_at(problem: FitProblem, z, slip: str, slips) -> dict[str, Float[Array, "n q"]]:
+def _forces_at(
+    problem: FitProblem, z: Float[Values, " p"], slip: str, slips: Float[Array, "n q"]
+) -> dict[str, Float[Array, "n q"]]:
     """Forces at true slips (n, q), of the channels whose slip it is."""
     rows = problem.rows
     names = [c.name for c in problem.channels if c.slip == slip]
 
-    def at(slips):
+    def at(slips: Float[Array, " n"]) -> dict[str, Array]:
         forces = predict(problem, z, rows.inputs._replace(**{slip: slips}))
-        return {name: forces[name] for name in names}
+        return {name: jnp.asarray(forces[name]) for name in names}
 
     return jax.vmap(at, in_axes=1, out_axes=1)(slips)
 
@@ -233,7 +236,9 @@ def _places(rows: Rows, slip: str) -> Float[Array, "n q"]:
     return (rows.nodes[slip].slip - measured) / rows.slip_std[slip][:, None]
 
 
-def _slip_likelihoods(problem: FitProblem, forces, slip: str):
+def _slip_likelihoods(
+    problem: FitProblem, forces: Mapping[str, Float[Array, "n q"]], slip: str
+) -> tuple[Array, Array | None, Array]:
     """Logs (n,) of the likelihood of the forces and the measured slip, and of the forces
     alone (None where that is not needed); the weights of the nodes in the first."""
     rows, nodes = problem.rows, problem.rows.nodes[slip]
@@ -266,7 +271,7 @@ def _least(values: Float[Array, "n q"]) -> Float[Array, " n"]:
     return jnp.sum(jnp.where(mask, values, 0.0), axis=1) / jnp.sum(mask, axis=1)
 
 
-def _log_of_slip(rows: Rows, slip: str):
+def _log_of_slip(rows: Rows, slip: str) -> Float[Array, " n"]:
     """Log of the density (n,) of the measured slips."""
     return jnp.log(jnp.sum(node_weights(_places(rows, slip)) * rows.nodes[slip].density, axis=1))
 
@@ -293,7 +298,7 @@ def steepness(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
     return most
 
 
-def _blocks(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
+def _blocks(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float[Array, " n"]]:
     """:func:`root_deviance` of known forces."""
     rows, loss = problem.rows, LOSSES[problem.loss]
     blocks: dict[str, Array] = {}
@@ -312,7 +317,7 @@ def _blocks(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
     return blocks
 
 
-def _unlikely(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
+def _unlikely(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float[Array, " n"]]:
     """-2 log likelihood of the forces given the measured slip, over its smallest value."""
     rows = problem.rows
     return {
@@ -321,7 +326,9 @@ def _unlikely(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
     }
 
 
-def _moments(problem: FitProblem, forces):
+def _moments(
+    problem: FitProblem, forces: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """:func:`moments` of known forces."""
     rows, mean, variance = problem.rows, {}, {}
     for channel in problem.channels:
@@ -349,7 +356,9 @@ def root_deviance(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Floa
 
 
 @partial(jax.jit, compiler_options=BRIEF)
-def moments(problem: FitProblem, z: Float[Values, " p"]):
+def moments(
+    problem: FitProblem, z: Float[Values, " p"]
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """Mean and variance of each fitted force given the measured slip, by channel (n,).
 
     Where the slip has noise, both are over the true slips of the row, whatever its force.
@@ -357,13 +366,17 @@ def moments(problem: FitProblem, z: Float[Values, " p"]):
     return _moments(problem, _channel_forces(problem, z))
 
 
-def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
+def blocks_and_moments(
+    problem: FitProblem, z: Float[Values, " p"]
+) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array], dict[str, Array]]:
     """:func:`root_deviance`, :func:`moments` and :func:`_unlikely` from one evaluation."""
     forces = _channel_forces(problem, problem.compared_at(z))
     return _blocks(problem, forces), *_moments(problem, forces), _unlikely(problem, forces)
 
 
-def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
+def row_moments(
+    problem: FitProblem, z: Float[Values, " p"]
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """:func:`moments` of a problem's own rows, without padding."""
     mean, variance = jax.tree.map(problem.used, moments(problem, z))
     return mean, variance
@@ -379,7 +392,7 @@ def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""
     """
     rows = problem.rows
 
-    def objective(log_factor):
+    def objective(log_factor: Array) -> Array:
         scale = {k: v * jnp.exp(log_factor) for k, v in rows.scale.items()}
         # The likelihood of the slips for the forces says little of the noise of the forces.
         nodes = {k: v._replace(of_force=None) for k, v in rows.nodes.items()}
@@ -387,7 +400,7 @@ def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""
         squares = sum(jnp.sum(block**2) for block in root_deviance(there, z).values())
         return squares / 2 + jnp.sum(rows.weight) * len(problem.channels) * log_factor
 
-    def step(_, log_factor):
+    def step(_: Array, log_factor: Array) -> Array:
         slope = jax.grad(objective)(log_factor)
         curvature = jnp.maximum(jax.hessian(objective)(log_factor), jnp.sum(rows.weight))
         return log_factor - jnp.clip(slope / curvature, -0.7, 0.7)
@@ -395,7 +408,7 @@ def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""
     return jnp.exp(jax.lax.fori_loop(0, 6, step, 0.0))
 
 
-def _signed_root(function, residual, loss: str):
+def _signed_root(function: Callable[[Array], Array], residual: Array, loss: str) -> Array:
     if loss == "squares":
         return residual
     # sqrt(loss) has no slope at zero; below 1e-6 every loss is the square itself.

@@ -2,11 +2,13 @@
 and one beyond the measured loads) and the effective number of samples."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
+
+from tirefit.arrays import Numbers
 
 _CLEAR_TERM = 10.8  # chi-square of one degree of freedom at the level of 0.1 %
 
@@ -25,25 +27,31 @@ class NoiseLaw(NamedTuple):
     beyond: float = 0.0  # [-] std of the formula's error at e times the largest load
     loads: tuple[float, float] = (0.0, np.inf)  # [N] (least, largest) measured
 
-    def variance(self, fz, force):
+    def variance(self, fz: Numbers, force: Numbers) -> np.ndarray:
         """Variance at loads fz [N] and forces [N, N m], any shape."""
         of_force = self.of_force**2 + self.beyond**2 * beyond_loads(fz, self.loads)
         of_load = self.share * np.maximum(fz, self.loads[0])
         return self.constant**2 + of_load**2 + of_force * force**2
 
-    def std(self, fz, force):
+    def std(self, fz: Numbers, force: Numbers) -> np.ndarray:
         """Standard deviation at loads fz [N] and forces [N, N m], any shape."""
         return np.sqrt(self.variance(fz, force))
 
 
-def beyond_loads(fz, loads: tuple[float, float]):
+def beyond_loads(fz: Numbers, loads: tuple[float, float]) -> np.ndarray:
     """Logarithm of a load fz [N] (any shape) over the nearest of the (least, largest)
     ``loads``, positive on either side; zero between them."""
     fz = np.maximum(fz, 1e-9)
     return np.log(np.maximum(np.maximum(loads[0] / fz, fz / loads[1]), 1.0))
 
 
-def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
+def noise_law(
+    residual: np.ndarray,
+    fz: np.ndarray,
+    force: np.ndarray,
+    known: np.ndarray | float = 0.0,
+    each: np.ndarray | float = 1.0,
+) -> NoiseLaw:
     """Fit the law to the squares of residuals.
 
     The share of force is zero unless it raises the likelihood at the level of 0.1 %.
@@ -62,12 +70,14 @@ def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
     return NoiseLaw(*np.sqrt(shares if is_clear else plain).tolist())
 
 
-def _deviance(residual, variance, each) -> float:
+def _deviance(residual: np.ndarray, variance: np.ndarray, each: np.ndarray | float) -> float:
     variance = np.maximum(variance, 1e-300)
     return float(np.sum((np.log(variance) + residual**2 / variance) / each))
 
 
-def law_shares(residual, terms, known=0.0) -> np.ndarray:
+def law_shares(
+    residual: np.ndarray, terms: np.ndarray, known: np.ndarray | float = 0.0
+) -> np.ndarray:
     """Regress squared residuals on variance terms (n, k): non-negative shares (k,).
 
     A square of expectation v has the variance 2 v^2, so each row is weighted by 1 / v.
@@ -96,7 +106,7 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
     return shares * scale / size
 
 
-def non_negative(normal, aim) -> np.ndarray:
+def non_negative(normal: np.ndarray, aim: np.ndarray) -> np.ndarray:
     """The x >= 0 (k,) that minimises x' normal x / 2 - aim' x. All 2^k sets of non-zero entries are
     tried: for four entries this is faster than importing ``scipy.optimize``."""
     best, least = np.zeros(len(aim)), 0.0
@@ -104,7 +114,7 @@ def non_negative(normal, aim) -> np.ndarray:
         at = np.flatnonzero(free)
         x = np.linalg.solve(normal[np.ix_(at, at)], aim[at])
         if np.all(x >= 0) and -aim[at] @ x < least:
-            best, least = np.zeros(len(aim)), -aim[at] @ x
+            best, least = np.zeros(len(aim)), float(-aim[at] @ x)
             best[at] = x
     return best
 
@@ -169,7 +179,7 @@ def autocorrelation_time(residuals: list[np.ndarray]) -> float:
     return float(min(max(time, 1.0), count / 4))
 
 
-def effective_inflation(scores, run, time) -> float:
+def effective_inflation(scores: np.ndarray, run: np.ndarray, time: np.ndarray | None) -> float:
     """Rows per independent row: by how much autocorrelation raises the variance.
 
     The largest autocorrelation time of the rows' contributions to the gradient, over
@@ -210,7 +220,7 @@ def _inflation(parts: list[np.ndarray]) -> float:
     return time * scatter / freedom if chdtrc(freedom, scatter) < 1e-3 else time
 
 
-def design_effect(residual, slopes, setting) -> float:
+def design_effect(residual: np.ndarray, slopes: np.ndarray, setting: np.ndarray) -> float:
     """Variance of the gradient of the deviance over that of independent residuals.
 
     It is the mean over the directions of the coefficients; settings are independent.
@@ -240,12 +250,14 @@ def design_effect(residual, slopes, setting) -> float:
     return found / expected if is_clear else 1.0
 
 
-def robust_scale(residual) -> float:
+def robust_scale(residual: np.ndarray) -> float:
     """Standard deviation from the median absolute deviation, shape (n,) -> scalar."""
     return float(MAD * np.median(np.abs(residual - np.median(residual))))
 
 
-def noise_by_row(residual, fz, force, run, names) -> dict[str, Any]:
+def noise_by_row(
+    residual: np.ndarray, fz: np.ndarray, force: np.ndarray, run: np.ndarray, names: Sequence[str]
+) -> dict[str, Any]:
     """The record of a noise that varies among rows; empty if it is not significant.
 
     Its variance is that of :class:`NoiseLaw`. ``by_run`` holds a further factor of the
@@ -277,7 +289,13 @@ def noise_by_row(residual, fz, force, run, names) -> dict[str, Any]:
     return law
 
 
-def noise_std(record: Mapping[str, Any], fz, force, runs=None, reference=None):
+def noise_std(
+    record: Mapping[str, Any],
+    fz: np.ndarray,
+    force: np.ndarray,
+    runs: Iterable[str] | None = None,
+    reference: float | None = None,
+) -> np.ndarray:
     """Standard deviation (n,) of one measurement, from the noise record of a fit.
 
     Args:

@@ -1,5 +1,6 @@
 """Estimate the noise of a file from its own rows, and choose a sample of them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ def stretches(data: TireData, force: str) -> list[np.ndarray]:
     return [part[np.argsort(data[slip][part], kind="stable")] for part in parts]
 
 
-def some_rows(data: TireData, parts, seed: int) -> TireData:
+def some_rows(data: TireData, parts: Sequence[np.ndarray], seed: int) -> TireData:
     """Data of at most ``ROWS`` rows of the parts, evenly taken in their order."""
     order = np.concatenate(parts)
     if len(order) > ROWS:
@@ -54,7 +55,7 @@ def some_rows(data: TireData, parts, seed: int) -> TireData:
     return data.where(chosen)
 
 
-def scatter_of(data: TireData, force: str, parts) -> Scatter:
+def scatter_of(data: TireData, force: str, parts: Sequence[np.ndarray]) -> Scatter:
     """The noise from the residuals of the rows about a piecewise parabolic slip curve."""
     share = data[force] / data["fz"]
     rest = np.full(len(data), np.nan)

@@ -30,7 +30,7 @@ def speed_of(data: TireData) -> np.ndarray:
     raise DataError(reason, remedy, data.file)
 
 
-def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:
+def std_with_speed(plain: float, of_speed: float, v: np.ndarray) -> np.ndarray:
     """Standard deviations (n,) of slips that come from positions or wheel speeds.
 
     Args:
@@ -75,7 +75,7 @@ _SETTLED = 1e-6  # gain in log likelihood of the last step
 _MOST_STEPS, _HALVINGS = 50, 8
 
 
-def slip_knots(slip, std, steep: bool = False) -> np.ndarray:
+def slip_knots(slip: np.ndarray, std: np.ndarray, steep: bool = False) -> np.ndarray:
     """Knots (k,) of the density of the true slips of measured ones (n,).
 
     Args:
@@ -94,12 +94,12 @@ class SlipDensity(NamedTuple):
     scores: np.ndarray
     penalty: np.ndarray
 
-    def at(self, slips) -> np.ndarray:
+    def at(self, slips: np.ndarray) -> np.ndarray:
         """Density at slips of any shape."""
         found = np.interp(slips, self.knots, self.heights, left=0.0, right=0.0)
         return found + _FLOOR * self.heights.max()
 
-    def profiled(self, scores) -> np.ndarray:
+    def profiled(self, scores: np.ndarray) -> np.ndarray:
         """Information (p, p) on parameters that is left if the density is unknown, from the
         slopes (n, p) of the log likelihood of the rows over these parameters."""
         mixed = self.scores.T @ scores
@@ -107,7 +107,9 @@ class SlipDensity(NamedTuple):
         return scores.T @ scores - mixed.T @ np.linalg.solve(inner, mixed)
 
 
-def slip_density(knots, nodes, weights, smooth: float = SMOOTH) -> SlipDensity:
+def slip_density(
+    knots: np.ndarray, nodes: np.ndarray, weights: np.ndarray, smooth: float = SMOOTH
+) -> SlipDensity:
     """The density of the true slips of a file: penalised maximum likelihood.
 
     Args:
@@ -129,7 +131,7 @@ def slip_density(knots, nodes, weights, smooth: float = SMOOTH) -> SlipDensity:
     penalty = smooth * bend.T @ bend + _WEAK * np.eye(count)
     log = np.zeros(count)
 
-    def value(log):
+    def value(log: np.ndarray) -> float:
         return np.sum(np.log(parts @ _shares(log))) - log @ penalty @ log / 2
 
     best = value(log)
@@ -144,14 +146,14 @@ def slip_density(knots, nodes, weights, smooth: float = SMOOTH) -> SlipDensity:
     return SlipDensity(knots, _shares(log), _scores(parts, log), penalty)
 
 
-def _scores(parts, log):
+def _scores(parts: np.ndarray, log: np.ndarray) -> np.ndarray:
     """Slopes (n, k) of the log likelihood of the rows over the logarithms of the shares."""
     share = _shares(log)
     each = parts * share
     return each / each.sum(axis=1, keepdims=True) - share
 
 
-def _shares(log):
+def _shares(log: np.ndarray) -> np.ndarray:
     share = np.exp(log - log.max())
     return share / share.sum()
 
@@ -165,7 +167,9 @@ class SlipDistribution(NamedTuple):
     standing: np.ndarray  # (k,)
     shares: np.ndarray  # (k,)
 
-    def moments(self, slip, std):
+    def moments(
+        self, slip: np.ndarray, std: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean and standard deviation (n,) of each latent slip given the measured one,
         and the share (n,) of that variance which rows of one standing slip have in common.
 
@@ -194,7 +198,7 @@ class SlipDistribution(NamedTuple):
 _NEW_SHARE = 0.05  # share that new standing slips begin with, together
 
 
-def slip_distribution(slip, std):
+def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
     """Distribution of the true slips of measured ones (n,) with standard deviations
     (n,): a density and standing slips.
 
@@ -214,7 +218,7 @@ def slip_distribution(slip, std):
     standing, likely = np.zeros(0), _log_likelihood(columns, weight)
     worth = 1.2 * np.log(len(slip))
 
-    def beside(more):
+    def beside(more: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """The distribution with more places; None if it gains less than the penalty."""
         wider = np.append(standing, places[more])
         found = _with_more(slip, std, smooth, wider, weight, _STEPS_AFTER)
@@ -240,15 +244,14 @@ def slip_distribution(slip, std):
     return SlipDistribution(knots, density, standing, weight[hats:])
 
 
-def _peaks(values, most: int = 8):
+def _peaks(values: np.ndarray, most: int = 8) -> np.ndarray:
     """Indices of the highest local maxima."""
     padded = np.pad(values, 1, constant_values=-np.inf)
-    tops = (values >= padded[:-2]) & (values >= padded[2:])
-    tops = np.flatnonzero(tops)
+    tops = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
     return tops[np.argsort(-values[tops])][:most]
 
 
-def _first_gain(alone, together) -> float:
+def _first_gain(alone: np.ndarray, together: np.ndarray) -> float:
     """Gain in log likelihood from a share of one more part with the ratios of the others
     unchanged: a lower limit of the gain when all shares are fitted again."""
     ratio = alone / np.maximum(together, 1e-300) - 1
@@ -256,7 +259,14 @@ def _first_gain(alone, together) -> float:
     return float(np.max(np.sum(np.log1p(shares * ratio), axis=1)))
 
 
-def _with_more(slip, std, smooth, standing, weight, iterations: int):
+def _with_more(
+    slip: np.ndarray,
+    std: np.ndarray,
+    smooth: np.ndarray,
+    standing: np.ndarray,
+    weight: np.ndarray,
+    iterations: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(columns, weights, places) of the smooth parts and the standing slips, the last of
     which are new; all places are refined."""
     new = smooth.shape[1] + len(standing) - len(weight)
@@ -271,26 +281,26 @@ def _with_more(slip, std, smooth, standing, weight, iterations: int):
     return wider, share, standing
 
 
-def _standing_likelihood(slip, std, places):
+def _standing_likelihood(slip: np.ndarray, std: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Likelihood of each measured slip for each place, (n, k)."""
     return _gauss((slip[:, None] - places) / std[:, None]) / std[:, None]
 
 
-def _log_likelihood(columns, weight) -> float:
+def _log_likelihood(columns: np.ndarray, weight: np.ndarray) -> float:
     return float(np.sum(np.log(np.maximum(columns @ weight, 1e-300))))
 
 
-def _gauss(x):
+def _gauss(x: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
 
 
-def _some(slip, std):
+def _some(slip: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every k-th slip: some thousands give the same distribution as all of them."""
     every = max(len(slip) // _ENOUGH, 1)
     return slip[::every], std[::every]
 
 
-def _hats(slip, std, hats: int):
+def _hats(slip: np.ndarray, std: np.ndarray, hats: int) -> tuple[np.ndarray, float, np.ndarray]:
     """(knots, spacing, likelihood of each slip for each hat (n, hats))."""
     width = max(float(np.ptp(slip)), float(np.median(std)))
     count = int(np.clip(width / max(float(np.median(std)), 1e-300), 3, hats))
@@ -299,7 +309,7 @@ def _hats(slip, std, hats: int):
     return knots, spacing, _hat_likelihood(slip, std, knots, spacing)
 
 
-def _weights(columns, weight, iterations: int):
+def _weights(columns: np.ndarray, weight: np.ndarray, iterations: int) -> np.ndarray:
     """Weights of the parts by expectation maximisation."""
     for _ in range(iterations):
         together = np.maximum(columns @ weight, 1e-300)
@@ -307,7 +317,9 @@ def _weights(columns, weight, iterations: int):
     return weight
 
 
-def _hat_likelihood(slip, std, knots, spacing):
+def _hat_likelihood(
+    slip: np.ndarray, std: np.ndarray, knots: np.ndarray, spacing: float
+) -> np.ndarray:
     """Likelihood of each slip for each hat of unit area, (n, hats), by quadrature."""
     offset, mass = np.polynomial.hermite_e.hermegauss(15)
     true = slip[:, None] + std[:, None] * offset

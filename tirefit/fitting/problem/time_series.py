@@ -1,5 +1,7 @@
 """Checks for transient models, which need rows that form a time series."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from tirefit.data.table import TireData
@@ -45,7 +47,7 @@ def check_time_series(data: TireData, name: str) -> None:
     DataError.raise_for(problems)
 
 
-def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> None:
+def check_whole_series(data: TireData, name: str, slips: Iterable[str], config: FitConfig) -> None:
     """Raises UsageError if settings or columns hide part of the slip's history.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from tirefit.data.write import csv_text
 from tirefit.display import Record
@@ -17,6 +17,7 @@ from tirefit.fitting.problem.build import find_model, guess_from_curve
 from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.solve.least_squares import least_squares
 from tirefit.models import TireInputs
+from tirefit.models.base import AbstractTire
 from tirefit.params import Values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, Outcome, UsageError
@@ -109,15 +110,24 @@ def fit_many(
 
 
 @partial(jax.jit, static_argnames=("layout", "axis", "batch"))
-def _solve_all(template, layout, slip, force, fz, v, axis, batch):
-    def one(data):
+def _solve_all(
+    template: AbstractTire,
+    layout: Layout,
+    slip: Array,
+    force: Array,
+    fz: Array,
+    v: Array,
+    axis: str,
+    batch: int,
+) -> tuple[Array, Array, Array]:
+    def one(data: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
         slip, force, fz, v = data
         slip_name = "sigma_x" if axis == "fx" else "alpha"
 
-        def residual(z):
+        def residual(z: Array) -> tuple[Array, None]:
             tire = with_values(template, layout.natural(z))
 
-            def at(slip, fz, v):
+            def at(slip: Array, fz: Array, v: Array) -> Array:
                 inputs = TireInputs(fz=fz, v=v)._replace(**{slip_name: slip})
                 return getattr(tire(inputs), axis)
 
@@ -132,7 +142,9 @@ def _solve_all(template, layout, slip, force, fz, v, axis, batch):
     return jax.lax.map(one, (slip, force, fz, v), batch_size=batch)
 
 
-def _guess(template, layout, slip, force, fz, v):
+def _guess(
+    template: AbstractTire, layout: Layout, slip: Array, force: Array, fz: Array, v: Array
+) -> Float[Array, " p"]:
     """Slope of the smaller slips and the largest force, in terms of the parameters."""
     del v
     small = jnp.abs(slip) <= 0.2 * jnp.max(jnp.abs(slip))
@@ -140,4 +152,4 @@ def _guess(template, layout, slip, force, fz, v):
     peak = jnp.max(jnp.abs(force) / fz)
     guessed = guess_from_curve(stiffness, peak, jnp.mean(fz))
     known = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
-    return layout.unconstrained(known | {k: x for k, x in guessed.items() if k in known})
+    return jnp.asarray(layout.unconstrained(known | {k: guessed[k] for k in guessed if k in known}))

@@ -17,16 +17,19 @@ slip), cells are also cut by the residual. The deviance itself shows if they are
 
 import heapq
 import itertools
+from collections.abc import Iterable
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from tirefit.arrays import Numbers
 from tirefit.fitting.problem.likelihood import FitProblem, moments, root_deviance, row_moments
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.solve.inference import Linearised, deviance, linearise
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.padding import pad_rows
+from tirefit.params import Values
 
 FEWEST = 4096  # smallest number of rows that are condensed; fewer are as fast as cells
 
@@ -82,7 +85,9 @@ def apart(sampled: FitResult, cells: FitProblem) -> float:
     return float(np.std(errors) / 2)
 
 
-def _deviances(problem: FitProblem, z, points) -> np.ndarray:
+def _deviances(
+    problem: FitProblem, z: Float[Values, " p"], points: Iterable[np.ndarray]
+) -> np.ndarray:
     base = float(deviance(problem, z))
     return np.array([float(deviance(problem, point)) - base for point in points])
 
@@ -128,7 +133,7 @@ def _residuals(solved: Solved) -> dict[str, np.ndarray]:
     }
 
 
-def _changes(solved: Solved, points) -> Float[np.ndarray, "n m"]:
+def _changes(solved: Solved, points: Iterable[np.ndarray]) -> Float[np.ndarray, "n m"]:
     """The change of each row from the estimate to each point: of forces in standard
     deviations of a common row, or of deviances if these are not squares."""
     problem, at, changes = solved.problem, solved.at, []
@@ -144,13 +149,15 @@ def _changes(solved: Solved, points) -> Float[np.ndarray, "n m"]:
     return np.stack(changes, axis=1)
 
 
-def _codes(place, change, group, most: int, share: float) -> Int[np.ndarray, " n"]:
+def _codes(
+    place: np.ndarray, change: np.ndarray, group: np.ndarray, most: int, share: float
+) -> Int[np.ndarray, " n"]:
     """The cell of each row. Cells are cut one by one: always the cell with the largest loss."""
     number = itertools.count()
     queue: list[tuple[float, int, np.ndarray]] = []  # - loss, number, rows of each cell
     whole: list[tuple[float, int, np.ndarray]] = []  # those of one place
 
-    def add(rows) -> float:
+    def add(rows: np.ndarray) -> float:
         loss = _loss(change[rows])
         heapq.heappush(queue, (-loss, next(number), rows))  # the smallest is popped first
         return loss
@@ -206,14 +213,14 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
     precision = {k: 1 / problem.used(v) ** 2 for k, v in rows.scale.items()}
     whole = np.sum([v / v.mean() for v in precision.values()], axis=0)
 
-    def mean(values, weight=whole) -> np.ndarray:
+    def mean(values: Numbers, weight: np.ndarray = whole) -> np.ndarray:
         if np.ndim(values) > 1:
             columns = np.moveaxis(problem.used(values), -1, 0)
             return np.stack([mean(column, weight) for column in columns], axis=-1)
         total = np.bincount(code, problem.used(values) * weight)
         return total[given] / np.bincount(code, weight)[given]
 
-    def padded(values) -> np.ndarray:
+    def padded(values: np.ndarray) -> np.ndarray:
         return pad_rows(values, size)
 
     number = count[given]
@@ -264,7 +271,7 @@ def _with_the_same_slope(solved: Solved, small: FitProblem) -> FitProblem:
     return small.with_rules(rules)
 
 
-def _score(at: Linearised, block: str, is_latent: bool):
+def _score(at: Linearised, block: str, is_latent: bool) -> tuple[np.ndarray, np.ndarray]:
     """Half the slope (p,) and half the curvature (p, p) of the deviance of a block."""
     values, slopes = np.asarray(at.values[block]), np.asarray(at.slopes[block])
     rows = slopes * values[:, None] if is_latent else slopes

@@ -20,6 +20,7 @@ load far from all others is always excluded. Other values far from their column 
 excluded in the first fit only, and name the column in the report.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ from tirefit.data.far import FAR_COLUMNS, FarValue, far_values, like_slips, prob
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.fitting.problem.build import FitTask, build
 from tirefit.fitting.problem.config import FitConfig
-from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, Channel, FitProblem
 from tirefit.fitting.problem.noise import MAD
 from tirefit.fitting.solve.inference import REACH, Linearised
 from tirefit.fitting.solve.multistart import Solved, on_rows, solve_problem
@@ -169,14 +170,14 @@ def _limit(problem: FitProblem) -> float:
     return float(stdtrit(dof, 1 - _CHANCE / (2 * rows)))
 
 
-def _leaving_runs(aside, task: FitTask) -> Bool[np.ndarray, " n"]:
+def _leaving_runs(aside: np.ndarray, task: FitTask) -> Bool[np.ndarray, " n"]:
     """Rows to exclude, except in runs that would lose half of their rows."""
     run = task.problem.used(task.problem.rows.run)
     share = np.bincount(run, aside) / np.maximum(np.bincount(run), 1)
     return aside & (share <= 0.5)[run]
 
 
-def _worst_in_time(ratio, kept):
+def _worst_in_time(ratio: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """The ratios (n,), above one only for the worst of kept rows that are close in time:
     one wrong slip affects a transient tire for a while."""
     from scipy.ndimage import maximum_filter1d  # for transient tires alone
@@ -185,7 +186,7 @@ def _worst_in_time(ratio, kept):
     return np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
 
 
-def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:
+def _farthest(ratio: np.ndarray, beyond: np.ndarray, most: int) -> Bool[np.ndarray, " n"]:
     """At most ``most`` of the rows beyond the limit, the farthest first."""
     chosen = np.zeros_like(beyond)
     order = np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")
@@ -193,7 +194,7 @@ def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:
     return chosen
 
 
-def _fitted(whole: FitTask, kept, config: FitConfig) -> tuple[FitTask, Solved]:
+def _fitted(whole: FitTask, kept: np.ndarray, config: FitConfig) -> tuple[FitTask, Solved]:
     if kept.all():
         return whole, solve_problem(whole, config)
     rows = np.zeros(len(whole.data), bool)
@@ -204,7 +205,9 @@ def _fitted(whole: FitTask, kept, config: FitConfig) -> tuple[FitTask, Solved]:
     return task, solve_problem(task, config)
 
 
-def _judge(whole: FitTask, task, solved: Solved, kept, limit: float) -> _Judged:
+def _judge(
+    whole: FitTask, task: FitTask, solved: Solved, kept: np.ndarray, limit: float
+) -> _Judged:
     """Distances of all rows from what a fit of the kept rows predicts."""
     problem, at = solved.problem, solved.at
     if not kept.all():
@@ -236,7 +239,7 @@ def _judge(whole: FitTask, task, solved: Solved, kept, limit: float) -> _Judged:
     return _Judged(distance, ratio, predicted, leverage, limit)
 
 
-def _by_density(problem: FitProblem, at: Linearised, channel) -> Float[np.ndarray, " n"]:
+def _by_density(problem: FitProblem, at: Linearised, channel: Channel) -> Float[np.ndarray, " n"]:
     """Distances of forces whose slip is noisy, from the density of the force at the measured
     slip: it is not normal where the curve bends within the noise of the slip."""
     scale = problem.used(problem.rows.scale[channel.name])
@@ -244,7 +247,7 @@ def _by_density(problem: FitProblem, at: Linearised, channel) -> Float[np.ndarra
     return np.sqrt(np.maximum(at.unlikely[channel.slip] - spread, 0.0))
 
 
-def _root_of_covariance(at: Linearised, kept) -> Float[np.ndarray, "p p"]:
+def _root_of_covariance(at: Linearised, kept: np.ndarray) -> Float[np.ndarray, "p p"]:
     """R with R R' the covariance of z if all rows are independent."""
     parts = [v if k == "prior" else v[kept] for k, v in at.slopes.items()]
     information = sum(part.T @ part for part in parts)
@@ -252,7 +255,7 @@ def _root_of_covariance(at: Linearised, kept) -> Float[np.ndarray, "p p"]:
     return vectors / np.sqrt(np.maximum(values, 1 / REACH**2))
 
 
-def _scale(off) -> float:
+def _scale(off: np.ndarray) -> float:
     """Standard deviation of normal noise, from the smallest nine in ten distances (m,);
     the others have no influence."""
     count = max(int(np.ceil((1 - _MOST) * len(off))), 1)
@@ -263,7 +266,7 @@ def _scale(off) -> float:
     return float(np.sqrt(np.mean(part**2) / (1 - 2 * end * density / share)))
 
 
-def _beside(rows, off, order, counts) -> np.ndarray:
+def _beside(rows: np.ndarray, off: np.ndarray, order: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Distances of some rows, less those of their neighbours, (m,).
 
     Args:
@@ -277,7 +280,7 @@ def _beside(rows, off, order, counts) -> np.ndarray:
     before[order] = np.cumsum(counts[order]) - counts[order]
     before = before[rows]
 
-    def near(most):
+    def near(most: int) -> np.ndarray:
         size = min(most, len(members) - 1)
         start = np.clip(before - size // 2, 0, len(members) - own - size)
         at = start[:, None] + np.arange(size)
@@ -299,7 +302,13 @@ _REMEDY = "correct or delete the row"
 _KEEP = f"{_REMEDY}, or keep it with noise.loss = 'squares'"
 
 
-def _named(whole: FitTask, judged: _Judged, kept, beyond, suspects):
+def _named(
+    whole: FitTask,
+    judged: _Judged,
+    kept: np.ndarray,
+    beyond: np.ndarray,
+    suspects: Mapping[int, FarValue],
+) -> tuple[FarRow, ...]:
     """The outliers, in the order of the file."""
     many = whole.problem.n >= _MANY * whole.problem.layout.size
     resting = kept & (judged.leverage > _RESTS) & many
@@ -310,7 +319,9 @@ def _named(whole: FitTask, judged: _Judged, kept, beyond, suspects):
     )
 
 
-def _far_row(whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, suspect) -> FarRow:
+def _far_row(
+    whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, suspect: FarValue | None
+) -> FarRow:
     problem, channel = whole.problem, int(np.argmax(judged.ratio[:, i]))
     force = problem.channels[channel].name
     measured = float(problem.used(problem.rows.observed[force])[i])

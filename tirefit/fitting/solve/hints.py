@@ -53,7 +53,7 @@ class Misfit(NamedTuple):
     rows_per_one: float = 1.0  # independent row, without trends at their variance
 
 
-def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
+def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | None) -> Misfit:
     """Select the columns that the residuals depend on, by forward selection.
 
     If a force varies with a column, its residuals resemble the column times a constant
@@ -101,7 +101,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
     return Misfit(tuple(found), max(1.0, share * inflation))
 
 
-def _explained(values, known, more) -> float:
+def _explained(values: np.ndarray, known: np.ndarray, more: np.ndarray) -> float:
     """Sum of squares that ``more`` explains beyond ``known``; 0 if not significant."""
     (before, fewer), (rest, rank) = remainder(values, known), remainder(values, more)
     explained, left = float(before @ before - rest @ rest), float(rest @ rest)

@@ -9,8 +9,10 @@ Everything rests on one function of z, the *deviance* D(z) = -2 log L + 2 log L(
   D = n_eff log(S / S_min), which in a linear model gives exactly Student's t.
 """
 
+from collections.abc import Mapping
 from functools import partial
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import ndtri, stdtrit
 
+from tirefit.arrays import Scalar
 from tirefit.compiled import BRIEF
 from tirefit.fitting.problem.likelihood import FitProblem, Rule, blocks_and_moments, root_deviance
 from tirefit.fitting.solve.least_squares import SOLVERS, Solver, directions, least_squares
@@ -47,15 +50,23 @@ def residuals(
 class Minima(NamedTuple):
     """Ends of several searches, in order: see :class:`least_squares.Solution`."""
 
-    z: Float[Array, "m p"]
-    cost: Float[Array, " m"]
-    deviance: Float[Array, " m"]
-    converged: Bool[Array, " m"]
-    steps: Int[Array, " m"]
+    z: Float[Values, "m p"]
+    cost: Float[Values, " m"]
+    deviance: Float[Values, " m"]
+    converged: Bool[Values, " m"]
+    steps: Int[Values, " m"]
 
 
 @partial(jax.jit, static_argnames=("solver",))
-def _minima(problem: FitProblem, starts, index, values, count, arrays, solver) -> Minima:
+def _minima(
+    problem: FitProblem,
+    starts: Array,
+    index: Array,
+    values: Array,
+    count: Array,
+    arrays: Any,
+    solver: Any,
+) -> Minima:
     """:func:`minima` of the first ``count`` of m searches; the others are skipped."""
     solver = eqx.combine(arrays, solver)
     blocks = len(problem.rules)
@@ -64,8 +75,8 @@ def _minima(problem: FitProblem, starts, index, values, count, arrays, solver) -
         parts = [problem.layout.elements_of(problem.rows.run)] * blocks
         elements = jnp.concatenate([*parts, problem.layout.prior_elements])
 
-    def one(k, ends):
-        def held(z):
+    def one(k: Array, ends: Minima) -> Minima:
+        def held(z: Array) -> Array:
             return z.at[index[k]].set(values[k], mode="drop")
 
         end = least_squares(
@@ -135,7 +146,7 @@ def best_of(solution: Minima) -> int:
     return best if settled[best] <= cost[lowest] * (1 + 1e-6) + 1e-12 else lowest
 
 
-def _of_squares(rule: Rule, squares, library):
+def _of_squares(rule: Rule, squares: Scalar, library: ModuleType) -> Scalar:
     """Deviance of a block from the sum of its squares."""
     squares = squares + rule.within
     known = squares / rule.inflation
@@ -157,25 +168,25 @@ def deviance(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
 class Linearised(NamedTuple):
     """Residuals of every row at z, slopes, moments of the forces given the measured slip."""
 
-    values: dict[str, Array]  # (n,) by block; Gaussian priors are the block ``prior``
-    slopes: dict[str, Array]  # (n, p) by block
-    mean: dict[str, Array]  # (n,) by force
-    variance: dict[str, Array]  # (n,) by force
-    unlikely: dict[str, Array]  # (n,) by noisy slip: -2 log likelihood of the forces
+    values: Mapping[str, Values]  # (n,) by block; Gaussian priors are the block ``prior``
+    slopes: Mapping[str, Values]  # (n, p) by block
+    mean: Mapping[str, Values]  # (n,) by force
+    variance: Mapping[str, Values]  # (n,) by force
+    unlikely: Mapping[str, Values]  # (n,) by noisy slip: -2 log likelihood of the forces
 
 
 @partial(jax.jit, compiler_options=BRIEF)
 def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
     """Residuals, slopes and moments at z, from one compiled program."""
 
-    def everything(z):
+    def everything(z: Array) -> tuple[dict[str, Array], list[Any]]:
         values, *rest = blocks_and_moments(problem, z)
         return values | {"prior": problem.layout.prior_residual(z)}, rest
 
-    def push(direction):
+    def push(direction: Array) -> tuple[Any, Any, Any]:
         return jax.jvp(everything, (z,), (direction,), has_aux=True)
 
-    def spread(slopes, elements):
+    def spread(slopes: Array, elements: Values) -> Array:
         rows = jnp.broadcast_to(jnp.arange(len(elements))[:, None], elements.shape)
         return jnp.zeros((len(elements), z.size)).at[rows, elements].add(slopes)
 
@@ -208,7 +219,7 @@ def _curvature(problem: FitProblem, z: Float[Values, " p"]) -> Float[np.ndarray,
     """Half the curvature of the deviance, priors included, from differences of its slope: a
     program for the exact one takes longer to compile than the whole fit."""
 
-    def slope(z):
+    def slope(z: np.ndarray) -> np.ndarray:
         at, total = linearise(problem, z), np.zeros(len(z))
         for name, values in at.values.items():
             total += np.asarray(at.slopes[name]).T @ np.asarray(values) / inflation(problem, name)

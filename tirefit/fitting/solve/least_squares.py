@@ -97,18 +97,20 @@ class _State(NamedTuple):
     aux: Any
 
 
-def directions(elements: Int[Array, "n q"], size: int) -> Float[Array, "q size"]:
+def directions(elements: Int[Values, "n q"], size: int) -> Float[Array, "q size"]:
     """Tangents (q, size) that give all derivatives in q passes: a row depends on only q
     elements of z, one in each column of ``elements``."""
     columns = jnp.broadcast_to(jnp.arange(elements.shape[1]), elements.shape)
     return jnp.zeros((elements.shape[1], size)).at[columns, elements].set(1.0)
 
 
-def _linearise(residual: Residual, z: Float[Array, " p"], elements=None):
+def _linearise(
+    residual: Residual, z: Float[Array, " p"], elements: Int[Array, "n q"] | None = None
+) -> tuple[Normal, Array | None]:
     """Normal equations, and the weights, from one pass of forward tangents."""
     each = jnp.eye(z.size) if elements is None else directions(elements, z.size)
 
-    def push(direction):
+    def push(direction: Array) -> tuple[Array, Array, Array | None]:
         return jax.jvp(residual, (z,), (direction,), has_aux=True)
 
     values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(each)
@@ -124,7 +126,7 @@ def _linearise(residual: Residual, z: Float[Array, " p"], elements=None):
     return Normal(values @ values, normal, gradient), weights
 
 
-def _gain(move, at: Normal):
+def _gain(move: Array, at: Normal) -> Array:
     """Predicted decrease of the cost if the residuals are linear."""
     return at.beside - move @ (2 * at.gradient + at.normal @ move)
 
@@ -134,7 +136,13 @@ def at_least_a_share(size: Float[Array, " p"]) -> Float[Array, " p"]:
     return jnp.maximum(size, LEAST_SCALE * jnp.max(size)) + NO_CURVATURE
 
 
-def _after_step(z, at: Normal, damping: Float[Array, " p"], allowed: Callable, longest):
+def _after_step(
+    z: Float[Array, " p"],
+    at: Normal,
+    damping: Float[Array, " p"],
+    allowed: Callable[[Array], Array],
+    longest: float,
+) -> Float[Array, " p"]:
     """z (p,) after one damped step in which no element moves by more than longest.
 
     Elements that would move further, or leave their range, are limited, and the step of
@@ -142,7 +150,7 @@ def _after_step(z, at: Normal, damping: Float[Array, " p"], allowed: Callable, l
     large step, which would distort the steps of the others.
     """
 
-    def limited(move):
+    def limited(move: Array) -> tuple[Array, Array]:
         asked = z + jnp.clip(move, -longest, longest)
         return allowed(asked), asked
 
@@ -156,7 +164,7 @@ def _after_step(z, at: Normal, damping: Float[Array, " p"], allowed: Callable, l
     return limited(jnp.linalg.solve(system, beside))[0]
 
 
-class NormalEquations(optx.AbstractLeastSquaresSolver):
+class NormalEquations(optx.AbstractLeastSquaresSolver[Any, Any, Any, _State]):
     """Levenberg's method (1944) on the normal equations of some parameters, for optimistix.
 
     optimistix's Levenberg-Marquardt factorises the Jacobian, and finds the same minimum. 512 fits
@@ -189,8 +197,10 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
     rtol: float = TOLERANCE
     atol: float = TOLERANCE**2
     first_damping: float = FIRST_DAMPING
-    scaling: Callable = eqx.field(default=at_least_a_share, static=True)
-    norm: Callable = eqx.field(default=optx.max_norm, static=True)  # of the interface, unused
+    scaling: Callable[[Array], Array] = eqx.field(default=at_least_a_share, static=True)
+    norm: Callable[[Any], Any] = eqx.field(
+        default=optx.max_norm, static=True
+    )  # of the interface, unused
 
     def begin(self, z: Float[Values, " p"], aux: Any = None) -> _State:
         """State before the first trial, which is z."""
@@ -198,14 +208,25 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
         nothing = Normal(np.inf, np.eye(z.size), np.zeros(z.size), 0.0)
         return _State(nothing, z, self.first_damping, STIFFEN, 1.0, False, aux)
 
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
+    def init(
+        self,
+        fn: Any,
+        y: Any,
+        args: Any,
+        options: dict[str, Any],
+        f_struct: Any,
+        aux_struct: Any,
+        tags: Any,
+    ) -> _State:
         aux = jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), aux_struct)
         return jax.tree.map(jnp.asarray, self.begin(ravel_pytree(y)[0], aux))
 
-    def step(self, fn, y, args, options, state: _State, tags):
+    def step(
+        self, fn: Any, y: Any, args: Any, options: dict[str, Any], state: _State, tags: Any
+    ) -> tuple[Any, _State, Any]:
         z, whole = ravel_pytree(y)
 
-        def residual(z):
+        def residual(z: Array) -> tuple[Array, Array | None]:
             values, weights = fn(whole(z), args)
             return ravel_pytree(values)[0], weights
 
@@ -216,15 +237,34 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
         z, state = self.advance(z, state._replace(aux=aux), found, *limits)
         return whole(z), state, aux
 
-    def terminate(self, fn, y, args, options, state: _State, tags):
+    def terminate(
+        self, fn: Any, y: Any, args: Any, options: dict[str, Any], state: _State, tags: Any
+    ) -> tuple[Array, optx.RESULTS]:
         failed = state.done & ~jnp.isfinite(state.best.cost)
         results = optx.RESULTS
         return state.done, results.where(failed, results.nonlinear_divergence, results.successful)
 
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+    def postprocess(
+        self,
+        fn: Any,
+        y: Any,
+        aux: Any,
+        args: Any,
+        options: dict[str, Any],
+        state: _State,
+        tags: Any,
+        result: optx.RESULTS,
+    ) -> tuple[Any, Any, dict[str, Any]]:
         return y, aux, {}
 
-    def advance(self, z, state: _State, found: Normal, lower=None, upper=None):
+    def advance(
+        self,
+        z: Array,
+        state: _State,
+        found: Normal,
+        lower: Values | float | None = None,
+        upper: Values | float | None = None,
+    ) -> tuple[Array, _State]:
         """(z, state) after the normal equations ``found`` at the trial: the better of trial
         and z, the damping that follows from it, and the next trial."""
         best = state.best
@@ -250,7 +290,14 @@ class NormalEquations(optx.AbstractLeastSquaresSolver):
 _advance = jax.jit(NormalEquations.advance, compiler_options=BRIEF)
 
 
-def advanced(solver: NormalEquations, z, state: _State, found: Normal, lower, upper):
+def advanced(
+    solver: NormalEquations,
+    z: Values,
+    state: _State,
+    found: Normal,
+    lower: Values | float | None,
+    upper: Values | float | None,
+) -> tuple[Array, _State]:
     """:meth:`NormalEquations.advance`, compiled, for NumPy code."""
     # One type of every number: one compiled program.
     known = jax.tree.map(np.asarray, (z, state, found))
@@ -272,7 +319,8 @@ def on_host(
     Args:
         rest: the search also ends if this number of steps gained less than this in all.
     """
-    solver, z, rests = solver or NormalEquations(), np.asarray(start, float), False
+    solver, rests = solver or NormalEquations(), False
+    z: Values = np.asarray(start, float)
     costs: list[float] = []
     state = solver.begin(z)
     while len(costs) < max_steps and not (state.done or rests):
@@ -284,7 +332,7 @@ def on_host(
     return Solution(np.asarray(z), costs[-1], ended, len(costs), np.asarray(state.best.normal))
 
 
-def _ordinary(residual: Residual, start) -> Callable:
+def _ordinary(residual: Residual, start: Array) -> Callable[[Array], Array]:
     """Residuals that a least-squares library can take, with the same minimum.
 
     Rows with noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes by
@@ -293,7 +341,7 @@ def _ordinary(residual: Residual, start) -> Callable:
     first, weights = residual(start)
     deviance_row = False if weights is None else weights != 1.0
 
-    def ordinary(z):
+    def ordinary(z: Array) -> Array:
         values, _ = residual(z)
         # Reverse mode multiplies the branch not taken by zero: it must stay finite.
         safe = jnp.where(deviance_row, values, first)
@@ -303,7 +351,7 @@ def _ordinary(residual: Residual, start) -> Callable:
     return ordinary
 
 
-def _jaxopt(residual: Callable, start):
+def _jaxopt(residual: Callable[[Array], Array], start: Array) -> tuple[Array, Array, Array]:
     with warnings.catch_warnings():
         # jaxopt announces at import that it is no longer maintained.
         warnings.simplefilter("ignore")
@@ -322,7 +370,7 @@ def _jaxopt(residual: Callable, start):
     return z, state.iter_num < MAX_STEPS, state.iter_num
 
 
-Solver = optx.AbstractLeastSquaresSolver | str
+Solver = optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | str
 SOLVERS: dict[str, Solver] = {
     "gauss-newton": NormalEquations(),
     "optimistix": optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),

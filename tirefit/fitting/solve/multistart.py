@@ -1,17 +1,19 @@
 """Solve a problem: multi-start least squares, with the noise estimated."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 from scipy.special import chdtrc
 
 from tirefit.fitting.problem.build import FitTask
 from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.problem.latent_slip import SlipNodes, slips_of_nodes
 from tirefit.fitting.problem.likelihood import (
+    Channel,
     FitProblem,
     Rule,
     Widened,
@@ -40,6 +42,7 @@ from tirefit.fitting.solve.inference import (
     threshold,
 )
 from tirefit.fitting.solve.least_squares import Solver
+from tirefit.params import Values
 
 _SETTLED = 1e-3
 """Deviance still to gain below which an estimate has converged: 0.03 standard errors."""
@@ -101,13 +104,17 @@ def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
     return np.concatenate([first[None], first + scatter * widths])
 
 
-def _scaled(problem: FitProblem, factors: Mapping[str, float]):
+def _scaled(problem: FitProblem, factors: Mapping[str, float]) -> dict[str, np.ndarray]:
     """The force noise times factors, by channel; 1 for channels without one."""
     return {k: np.asarray(v) * factors.get(k, 1.0) for k, v in problem.rows.scale.items()}
 
 
 def with_densities(
-    problem: FitProblem, factors: Mapping[str, float], z, *, counted=None
+    problem: FitProblem,
+    factors: Mapping[str, float],
+    z: Float[Values, " p"],
+    *,
+    counted: np.ndarray | None = None,
 ) -> tuple[FitProblem, dict[str, SlipDensity]]:
     """The problem with scaled force noise, and nodes and density of the true slips; and the
     densities by noisy slip.
@@ -148,7 +155,7 @@ def _judges_slips(problem: FitProblem) -> bool:
     return any(laid.of_force is not None for laid in problem.rows.nodes.values())
 
 
-def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
+def _scale_updates(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, float]:
     """Factors by which the residuals differ from the noise scales that are estimated."""
     estimated = [c.name for c in problem.channels if c.noise_estimated]
     if estimated and problem.rows.nodes:
@@ -170,7 +177,7 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
     return factors
 
 
-def _settle_noise(task: FitTask, z, solver: Solver):
+def _settle_noise(task: FitTask, z: np.ndarray, solver: Solver) -> tuple[FitProblem, np.ndarray]:
     """Estimate parameters and noise scales in turn until the scales no longer change."""
     problem = task.problem
     problem = problem.with_rows(scale=_scaled(problem, _scale_updates(problem, z)))
@@ -180,21 +187,23 @@ def _settle_noise(task: FitTask, z, solver: Solver):
     several = several or any(p.prior for p in problem.layout.free)
     rounds = 12 if problem.noise_estimated and several else 0
     for _ in range(rounds):
-        z = minima(problem, z[None]).z[0]
+        z = np.asarray(minima(problem, z[None]).z[0])
         factors = _scale_updates(problem, z)
         if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
             break
         problem = problem.with_rows(scale=_scaled(problem, factors))
     if rounds:
-        z = minima(problem, z[None], solver=solver).z[0]
+        z = np.asarray(minima(problem, z[None], solver=solver).z[0])
     return problem, z
 
 
-def _settle_slips(problem: FitProblem, z):
+def _settle_slips(problem: FitProblem, z: np.ndarray) -> tuple[FitProblem, np.ndarray]:
     """The problem and the parameters at the largest likelihood over parameters, density of
     the slips and noise. Each step is Newton's for the profile over the density."""
 
-    def laid(problem, factors, z):
+    def laid(
+        problem: FitProblem, factors: Mapping[str, float], z: Values
+    ) -> tuple[FitProblem, dict[str, SlipDensity], Linearised]:
         problem, densities = with_densities(problem, factors, z)
         return problem, densities, _used(problem, linearise(problem, z))
 
@@ -221,13 +230,15 @@ def _settle_slips(problem: FitProblem, z):
     return here[0], z
 
 
-def _profiled(problem: FitProblem, densities: Mapping[str, SlipDensity], at, fixed=False):
+def _profiled(
+    problem: FitProblem, densities: Mapping[str, SlipDensity], at: Linearised, fixed: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Half the slope (p,) of the deviance, and its curvature (p, p) from the slopes of the
     rows: with the density profiled out where the likelihood depends on it, or fixed."""
     size = problem.layout.size
     slope, information = np.zeros(size), np.eye(size) / REACH**2
     for name, values in at.values.items():
-        slopes = at.slopes[name]
+        slopes = np.asarray(at.slopes[name])
         slope += slopes.T @ values
         if name not in densities:
             information += slopes.T @ slopes
@@ -240,7 +251,7 @@ def _profiled(problem: FitProblem, densities: Mapping[str, SlipDensity], at, fix
     return slope, information
 
 
-def _widened(problem: FitProblem, z) -> FitProblem:
+def _widened(problem: FitProblem, z: Float[Values, " p"]) -> FitProblem:
     """The problem whose deviance has the curvature of the profile over the density of the
     slips; see :class:`likelihood.Widened`. A layout per run is left as it is."""
     if not problem.slip_noise or problem.layout.is_sparse:
@@ -258,13 +269,15 @@ def _widened(problem: FitProblem, z) -> FitProblem:
 def _used(problem: FitProblem, at: Linearised) -> Linearised:
     """The linearisation without padding rows; priors are kept."""
 
-    def cut(arrays):
+    def cut(arrays: Mapping[str, Values]) -> dict[str, np.ndarray]:
         return {k: np.asarray(v) if k == "prior" else problem.used(v) for k, v in arrays.items()}
 
     return Linearised(*(cut(arrays) for arrays in at))
 
 
-def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig, misfit: Misfit):
+def _judged(
+    problem: FitProblem, time: np.ndarray | None, at: Linearised, config: FitConfig, misfit: Misfit
+) -> tuple[FitProblem, float | None, float]:
     """(the problem with its rules, chi2/dof if the noise was given, n_effective).
 
     Correlated residuals leave few independent rows. With few degrees of freedom, t can
@@ -280,7 +293,7 @@ def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig, misfit
         channels = problem.block_channels(name)
         rows_per_one = 1.0
         if config.noise.effective_samples == "estimate":
-            scores = values[:, None] * at.slopes[name]
+            scores = np.asarray(values[:, None] * at.slopes[name])
             rows_per_one = effective_inflation(scores, run, time)
         estimated = any(c.noise_estimated for c in channels)
         if misfit.columns and estimated:
@@ -300,7 +313,9 @@ def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig, misfit
     return problem.with_rules(rules), chi2_dof, effective_total / len(rules)
 
 
-def _surprise(problem: FitProblem, at: Linearised, channels, rows_per_one: float):
+def _surprise(
+    problem: FitProblem, at: Linearised, channels: Sequence[Channel], rows_per_one: float
+) -> tuple[float, bool]:
     """chi2/dof of channels whose noise was given, and whether it is significantly above
     one. The variance of a row includes the effect of slip noise."""
     chi2 = 0.0
@@ -314,7 +329,9 @@ def _surprise(problem: FitProblem, at: Linearised, channels, rows_per_one: float
     return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
 
 
-def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitProblem, Linearised]:
+def on_rows(
+    whole: FitTask, kept: np.ndarray, task: FitTask, solved: Solved
+) -> tuple[FitProblem, Linearised]:
     """All rows of a task with the noise of a fit to some of them, and linearised at it.
 
     Fitted rows keep the values of the fit, in which a transient model skips the others.
@@ -331,7 +348,7 @@ def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitPro
     problem, _ = with_densities(problem, scales, solved.z, counted=kept)
     every = _used(problem, linearise(problem, solved.z))
 
-    def joined(all_rows, fitted):
+    def joined(all_rows: np.ndarray, fitted: np.ndarray) -> np.ndarray:
         if len(all_rows) != len(kept):
             return fitted  # priors
         rows = np.array(all_rows)
@@ -341,7 +358,7 @@ def on_rows(whole: FitTask, kept, task: FitTask, solved: Solved) -> tuple[FitPro
     return problem, jax.tree.map(joined, every, solved.at)
 
 
-def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
+def _still_to_gain(problem: FitProblem, at: Linearised, z: np.ndarray, cov: np.ndarray) -> float:
     """Deviance that one more Gauss-Newton step would gain in parameters off their bounds.
 
     At a bound the bijection goes to infinity and no solver stops, although the other
@@ -356,7 +373,7 @@ def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
     return float(gradient @ np.linalg.solve(information, gradient))
 
 
-def _independent(problem: FitProblem, z, at: Linearised) -> np.ndarray:
+def _independent(problem: FitProblem, z: np.ndarray, at: Linearised) -> np.ndarray:
     """Covariance if every row were independent of the others."""
     rules = {
         name: rule._replace(inflation=rule.inflation * rule.effective / problem.n)
@@ -370,7 +387,7 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     starts = starting_points(task, config.starts, config.seed)
     solution = minima(task.problem, starts, solver=config.solver)
     best = best_of(solution)
-    z, converged = solution.z[best], bool(solution.converged[best])
+    z, converged = np.asarray(solution.z[best]), bool(solution.converged[best])
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
     near = cost <= cost[best] * (1 + 1e-6) + 1e-9
     problem, z = _settle_noise(task, z, config.solver)

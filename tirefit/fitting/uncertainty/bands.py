@@ -11,6 +11,7 @@ from tirefit.fitting.result import FitResult
 from tirefit.fitting.solve.inference import half_width_95
 from tirefit.models import TireInputs
 from tirefit.padding import pad_rows, padded_size
+from tirefit.params import Values
 
 _DRAWS = 400
 _ROOM = 8192  # rows for which 400 evaluations take as long as compiling a program
@@ -26,7 +27,7 @@ class Band(NamedTuple):
     noise_high: np.ndarray
 
 
-def _elsewhere(problem: FitProblem, inputs: TireInputs, run) -> list[FitProblem]:
+def _elsewhere(problem: FitProblem, inputs: TireInputs, run: Values) -> list[FitProblem]:
     """The problem at other inputs (m,), with exact slip, in blocks of as many rows as it
     has, so that a figure uses the programs that the fit has compiled, unless many rows
     would take longer than compiling.
@@ -48,11 +49,11 @@ def _elsewhere(problem: FitProblem, inputs: TireInputs, run) -> list[FitProblem]
     return [block(first) for first in range(0, count, room)]
 
 
-def _force_at(blocks: list[FitProblem], channel: str, z) -> np.ndarray:
+def _force_at(blocks: list[FitProblem], channel: str, z: np.ndarray) -> np.ndarray:
     return np.concatenate([moments(block, z)[0][channel] for block in blocks])
 
 
-def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run):
+def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run: Values) -> np.ndarray:
     """One force (m,) of a fit at other inputs.
 
     Args:
@@ -67,7 +68,8 @@ def _z_draws(result: FitResult) -> np.ndarray:
     """At most 400 posterior draws in the unconstrained space, (n, p)."""
     flat = np.asarray(result.chains).reshape(-1, len(result.labels))
     flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
-    return result.problem.layout.unconstrained(dict(zip(result.labels, flat.T, strict=True))).T
+    values = dict(zip(result.labels, flat.T, strict=True))
+    return np.asarray(result.problem.layout.unconstrained(values)).T
 
 
 def _quantile(result: FitResult) -> float:
@@ -75,7 +77,9 @@ def _quantile(result: FitResult) -> float:
     return half_width_95(result.problem.noise_estimated, result.statistics.dof)
 
 
-def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):
+def _curve_band(
+    result: FitResult, channel: str, inputs: TireInputs, run: Values
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(force, low, high) of the fitted curve, each (m,).
 
     The band is that of the posterior draws if there are any, else it is linearised in z
@@ -84,7 +88,7 @@ def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):
 
     blocks = _elsewhere(result.problem, inputs, run)
 
-    def at(z):
+    def at(z: np.ndarray) -> np.ndarray:
         return _force_at(blocks, channel, z)[: len(run)]
 
     force = at(result.z)
@@ -99,7 +103,9 @@ def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):
     return force, force - half, force + half
 
 
-def _slip_part(result: FitResult, channel: str, inputs: TireInputs, run, force):
+def _slip_part(
+    result: FitResult, channel: str, inputs: TireInputs, run: Values, force: np.ndarray
+) -> np.ndarray:
     """Contribution of the slip noise to the noise of a force, (m,); zero without it."""
     problem = result.problem
     name = next(c.slip for c in problem.channels if c.name == channel)
@@ -113,7 +119,9 @@ def _slip_part(result: FitResult, channel: str, inputs: TireInputs, run, force):
     return slope * float(np.median(problem.slip_noise[name]))
 
 
-def force_band(result: FitResult, channel: str, inputs: TireInputs, run, noise: np.ndarray) -> Band:
+def force_band(
+    result: FitResult, channel: str, inputs: TireInputs, run: Values, noise: np.ndarray
+) -> Band:
     """The fitted curve at other inputs, with its bands.
 
     Args:

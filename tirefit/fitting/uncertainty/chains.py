@@ -9,6 +9,7 @@ drawn again identically.
 
 import io
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +33,7 @@ class Chain(NamedTuple):
     state: dict[str, np.ndarray]  # arrays of the sampler
 
 
-def identity_of(result: FitResult, sampler: str, seed: int, shape) -> str:
+def identity_of(result: FitResult, sampler: str, seed: int, shape: Sequence[int]) -> str:
     """A text that is equal for two chains only if one can continue the other."""
     parts = (
         result.model,
@@ -115,7 +116,13 @@ def load_chain(path: Path, identity: str) -> Chain | None:
         return Chain(file["samples"], file["log_density"], float(file["accepted"]), state)
 
 
-def extended(chain: Chain | None, samples, values, accepted, state) -> Chain:
+def extended(
+    chain: Chain | None,
+    samples: np.ndarray,
+    values: np.ndarray,
+    accepted: float,
+    state: dict[str, np.ndarray],
+) -> Chain:
     """The chain with a chunk added."""
     if chain is None or chain.samples.shape[1] == 0:
         return Chain(samples, values, accepted, state)

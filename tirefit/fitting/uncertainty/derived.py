@@ -9,14 +9,17 @@ held at different loads or speeds, like bins of a rig, it is evaluated at those 
 run; otherwise at those of the file, so that runs can be compared.
 """
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
+from tirefit.arrays import Numbers, Scalar
 from tirefit.compiled import BRIEF
 from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
@@ -25,8 +28,12 @@ from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.extremes import extreme
 from tirefit.fitting.uncertainty.profile import Profile
 from tirefit.models import TireInputs
+from tirefit.models.base import AbstractTire
 from tirefit.padding import pad_rows, padded_size
-from tirefit.params import with_values
+from tirefit.params import Values, with_values
+
+Evaluator = Callable[[np.ndarray], dict[str, np.ndarray]]
+"""z (m, p) -> quantity -> values (m,)."""
 
 _LARGEST_SLIP = 3.0
 _AT_ONCE = 8
@@ -91,10 +98,12 @@ def reference_points(problem: FitProblem) -> dict[str, float]:
     }
 
 
-def _curve(model, values, channel: str, fz, v):
+def _curve(
+    model: AbstractTire, values: Mapping[str, Numbers], channel: str, fz: Scalar, v: Scalar
+) -> Callable[[Array], Array]:
     tire, slip_name = with_values(model, values), CHANNEL_SLIP[channel]
 
-    def force(slip):
+    def force(slip: Array) -> Array:
         if slip_name == "alpha":
             slip = jnp.arctan(slip)
         inputs = TireInputs(fz=fz, v=v)._replace(**{slip_name: slip})
@@ -103,7 +112,7 @@ def _curve(model, values, channel: str, fz, v):
     return force
 
 
-def _start_and_peak(force):
+def _start_and_peak(force: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
     """Slope at zero slip; (slip, force) of the first maximum, by a grid, then slope.
 
     The beginning of a plateau is flat to the third order, so values would give its slip
@@ -111,14 +120,14 @@ def _start_and_peak(force):
     few slips at a time, so that the force is compiled only once.
     """
 
-    def with_slope(slip):
+    def with_slope(slip: Array) -> tuple[Array, Array]:
         return jax.jvp(force, (slip,), (jnp.ones_like(slip),))
 
     grid, last = jnp.asarray(_GRID), len(_GRID) - 1
     rounds = len(_GRID) // _AT_ONCE
     parts = jnp.arange(1, _AT_ONCE + 1) / (_AT_ONCE + 1)
 
-    def look(k, state):
+    def look(k: Array, state: Any) -> Any:
         values, start, (low, high, value) = state
         tabled = jax.lax.dynamic_slice(grid, (k * _AT_ONCE,), (_AT_ONCE,))
         slips = jnp.where(k < rounds, tabled, low + parts * (high - low))
@@ -150,7 +159,15 @@ def _start_and_peak(force):
 
 
 @partial(jax.jit, static_argnames=("layout", "channel"), compiler_options=BRIEF)
-def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
+def derived_values(
+    model: AbstractTire,
+    layout: Layout,
+    z: Float[Values, "n p"],
+    channel: str,
+    fz: Scalar,
+    v: Scalar,
+    run: Int[Values, ""] | int = 0,
+) -> dict[str, Float[Array, " n"]]:
     """Derived quantities of a batch of parameter vectors.
 
     Args:
@@ -165,14 +182,14 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
         is missing if the model has no static friction.
     """
 
-    def one(z):
+    def one(z: Array) -> dict[str, Scalar]:
         values = {
-            name: value[jnp.asarray(run)] if jnp.ndim(value) else value
+            name: jnp.asarray(value)[jnp.asarray(run)] if jnp.ndim(value) else value
             for name, value in layout.natural(z).items()
         }
         force = _curve(model, values, channel, fz, v)
         slope, slip, peak = _start_and_peak(force)
-        derived = {
+        derived: dict[str, Scalar] = {
             next(iter(quantities(channel))): slope,
             "F_max": peak,
             "F_max_over_fz": peak / fz,
@@ -186,7 +203,7 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
     return jax.lax.map(one, z, batch_size=64)
 
 
-def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Callable:
+def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Evaluator:
     """z (m, p) -> quantity -> values (m,) of a run at its reference point, in order.
 
     Vectors that differ only in elements of other runs are evaluated once.
@@ -194,7 +211,7 @@ def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Callable:
     at = reference_point(problem, run)
     own = problem.layout.elements_of(np.array([run or 0]))[0]
 
-    def evaluate(z):
+    def evaluate(z: np.ndarray) -> dict[str, np.ndarray]:
         _, first, code = np.unique(z[:, own], axis=0, return_index=True, return_inverse=True)
         derived = derived_values(
             problem.model,
@@ -211,7 +228,9 @@ def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Callable:
     return evaluate
 
 
-def _slope_of(evaluate: Callable, name: str, z, std):
+def _slope_of(
+    evaluate: Evaluator, name: str, z: np.ndarray, std: np.ndarray
+) -> tuple[float, np.ndarray]:
     """A quantity at z and its slope (p,), by central differences."""
     steps = np.diag(np.clip(1e-2 * std, 1e-4, 1e-2))
     values = evaluate(np.concatenate([z[None], z + steps, z - steps]))[name]
@@ -229,7 +248,7 @@ def _known(end: float) -> float | None:
     return float(end) if np.isfinite(end) else None
 
 
-def _says_something(ci95) -> bool:
+def _says_something(ci95: tuple[float | None, float | None]) -> bool:
     """Whether an interval is closed, and less than a factor of three wide."""
     low, high = ci95
     return low is not None and high is not None and 0 < low and high <= 3 * low
@@ -247,7 +266,9 @@ def _over_load(peak: Estimate, fz: float) -> Estimate:
     )
 
 
-def _moved(evaluate: Callable, z, low, high):
+def _moved(
+    evaluate: Evaluator, z: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> dict[str, tuple[float, np.ndarray]]:
     """Quantity -> (value at z, values (2, p) with one element moved to either end)."""
     size = len(z)
     batch = np.tile(z, (2 * size + 1, 1))
@@ -294,7 +315,13 @@ def derived_from_profile(
 
 
 def _of_run(
-    solved: Solved, channel: str, run: int | None, ends, estimates, own: np.ndarray, only
+    solved: Solved,
+    channel: str,
+    run: int | None,
+    ends: tuple[np.ndarray, np.ndarray] | None,
+    estimates: Sequence[Estimate],
+    own: np.ndarray,
+    only: Collection[str] | None,
 ) -> Iterator[tuple[str, Estimate]]:
     """(quantity, estimate) of the quantities that depend on a per-run element (``own``
     (p,)), or of the other quantities if ``run`` is None; ``ends`` (low, high) are those
@@ -326,7 +353,14 @@ def _of_run(
             yield "F_max_over_fz", _over_load(estimate, fz)
 
 
-def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Estimate:
+def _estimate(
+    solved: Solved,
+    evaluate: Evaluator,
+    name: str,
+    unit: str,
+    known: Sequence[Estimate],
+    ends: np.ndarray | None,
+) -> Estimate:
     """One quantity of the elements ``known``; ``ends`` if it depends on only one."""
     spread = np.sqrt(np.diag(solved.covariance))
     quantity = partial(_slope_of, evaluate, name, std=spread)
@@ -348,7 +382,7 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
     return Estimate(float(value), std if identified else None, unit, ci95, identified)
 
 
-def _by_noise(solved: Solved, value: float, slope) -> bool:
+def _by_noise(solved: Solved, value: float, slope: np.ndarray) -> bool:
     """Whether noise without misfit limits a quantity whose interval misfit widens."""
     noise = solved.of_noise
     if noise is None:
@@ -361,7 +395,7 @@ _BLOCK = 4096
 
 
 def derived_from_draws(
-    problem: FitProblem, z_draws, least_squares: dict[str, Estimate]
+    problem: FitProblem, z_draws: np.ndarray, least_squares: dict[str, Estimate]
 ) -> dict[str, Estimate]:
     """Derived quantities of posterior draws: median, spread and central 95 %.
 

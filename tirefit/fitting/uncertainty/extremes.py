@@ -9,8 +9,11 @@ from tirefit.fitting.solve.inference import REACH, deviance_at, inflation, linea
 from tirefit.fitting.solve.least_squares import Normal, NormalEquations, on_host
 from tirefit.fitting.solve.multistart import Solved
 
+Quantity = Callable[[np.ndarray], tuple[float, np.ndarray]]
+"""z (p,) -> a quantity and its slope (p,)."""
 
-def _bowl(solved: Solved, z):
+
+def _bowl(solved: Solved, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Deviance at z, half its slope (p,), and half its curvature (p, p)."""
     problem = solved.problem
     at = linearise(problem, z)
@@ -35,7 +38,9 @@ error is the whole range. The step then goes to a bound; without a floor, a dire
 no information would be left out, as if it were known exactly."""
 
 
-def _step(slope, pull, curvature, room: float, share):
+def _step(
+    slope: np.ndarray, pull: np.ndarray, curvature: np.ndarray, room: float, share: np.ndarray
+) -> np.ndarray:
     """The step (p,) of :func:`_stepped` from shares at (p,).
 
     An element that would cross its bound is held there.
@@ -53,11 +58,11 @@ def _step(slope, pull, curvature, room: float, share):
     return step
 
 
-def _inside(share):
+def _inside(share: np.ndarray) -> np.ndarray:
     return np.clip(share, _NEXT_TO_BOUND, 1 - _NEXT_TO_BOUND)
 
 
-def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
+def _stepped(solved: Solved, quantity: Quantity, sign: int) -> float:
     """Largest (sign 1) or smallest (-1) value of a quantity within the 95 % region.
 
     Venzon and Moolgavkar's iteration (Applied Statistics 37, 1988) for a function of
@@ -120,11 +125,13 @@ _SETTLED = 1e-7
 """Decrease of the deviance by one more step, over the level, at a point that has converged."""
 
 
-def _settled(solved: Solved, quantity: Callable, z, target: float, spread: float):
+def _settled(
+    solved: Solved, quantity: Quantity, z: np.ndarray, target: float, spread: float
+) -> tuple[np.ndarray, float, float]:
     """The minimum of deviance + ((quantity - target) / spread)^2, which has the smallest
     deviance for its value of the quantity: (z, value, deviance)."""
 
-    def at(z) -> Normal:
+    def at(z: np.ndarray) -> Normal:
         total, slope, curvature = _bowl(solved, z)
         value, pull = quantity(z)
         miss, pull = (value - target) / spread, pull / spread
@@ -136,7 +143,7 @@ def _settled(solved: Solved, quantity: Callable, z, target: float, spread: float
     return z, quantity(z)[0], _bowl(solved, z)[0]
 
 
-def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
+def _walked(solved: Solved, quantity: Quantity, sign: int) -> float:
     """As :func:`_stepped`, along the points of smallest deviance for each value of the
     quantity: slower, but reliable if the valley of the deviance is curved (redundant
     parameters). NaN if the quantity is unbounded."""
@@ -145,7 +152,7 @@ def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
     std = float(np.sqrt(pull @ solved.covariance @ pull))
     spread = float(np.clip(std, 1e-3 * abs(first), 0.1 * abs(first)))
 
-    def reached(z, target):
+    def reached(z: np.ndarray, target: float) -> tuple[np.ndarray, float, float]:
         """The point of convergence, its value, and the excess over the level, which is
         linear in the target if the deviance is quadratic."""
         z, value, total = _settled(solved, quantity, z, target, spread)
@@ -176,7 +183,7 @@ def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
     return float(value)
 
 
-def extreme(solved: Solved, quantity: Callable, sign: int) -> float:
+def extreme(solved: Solved, quantity: Quantity, sign: int) -> float:
     """Largest (sign 1) or smallest (-1) value of a quantity over all parameters whose
     deviance is below the level; NaN if there is none.
 

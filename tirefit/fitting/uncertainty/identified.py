@@ -14,7 +14,7 @@ def limited(spec: Spec, low: float, high: float) -> bool:
     return not not_identified(spec, low, high, low <= spec.lower, high >= spec.upper)
 
 
-def not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
+def not_identified(spec: Spec, low: float, high: float, open_low: bool, open_high: bool) -> bool:
     """Whether an interval does not really limit the parameter.
 
     That is the case if it is open on both sides; or open on one side and wider than half

@@ -18,6 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln
 
+from tirefit.params import Values
+
+Density = Callable[[Values], Values]
+"""Log density (n,) of points (n, p)."""
+
 LARGEST_K_HAT = 0.7
 """Above this, weighted means do not converge at any practical size (Vehtari et al.)."""
 
@@ -85,7 +90,7 @@ def smoothed(log_weights: np.ndarray) -> tuple[np.ndarray, float]:
     return weights / weights.sum(), shape
 
 
-def _resampled(weights: np.ndarray, count: int, generator) -> np.ndarray:
+def _resampled(weights: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
     """Indices (count,) of systematic resampling (Kitagawa 1996), in random order.
 
     Point i is drawn floor or ceil of count w_i times: where no weight exceeds
@@ -99,7 +104,9 @@ def _resampled(weights: np.ndarray, count: int, generator) -> np.ndarray:
     return generator.permutation(chosen)
 
 
-def _proposed(points: int, center, root, generator):
+def _proposed(
+    points: int, center: np.ndarray, root: np.ndarray, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, p) of the mixture and its log density (n,) at them.
 
     The wide part is logistic in z: evenly within the bounds, or over their logarithms.
@@ -119,7 +126,13 @@ def _proposed(points: int, center, root, generator):
     return u, np.logaddexp(np.log1p(-share) + student, np.log(share) + logistic)
 
 
-def _evaluated(density, points: int, center, root, generator):
+def _evaluated(
+    density: Density,
+    points: int,
+    center: np.ndarray,
+    root: np.ndarray,
+    generator: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, p) of the proposal and their log weights (n,), in whole blocks."""
     u, proposal = _proposed(points, center, root, generator)
     # All blocks are submitted before the first result is awaited.
@@ -132,7 +145,7 @@ def _blocks(points: float) -> int:
 
 
 def draw_weighted(
-    density: Callable[[np.ndarray], np.ndarray],
+    density: Density,
     center: np.ndarray,
     root: np.ndarray,
     seed: int,

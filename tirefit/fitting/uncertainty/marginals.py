@@ -1,5 +1,7 @@
 """Densities of posterior draws, and profiles, on grids for figures."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 _BINS = 36
@@ -40,7 +42,7 @@ def marginal_density(draws: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return counts / max(float(counts.max()), 1e-300)
 
 
-def joint_density(first, second, edges) -> np.ndarray:
+def joint_density(first: np.ndarray, second: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
     """Smoothed counts (bins, bins) of two parameters' draws (m,), one pair of edges."""
     return _smooth(np.histogram2d(first, second, edges)[0])
 
@@ -53,7 +55,7 @@ def enclosing(density: np.ndarray, shares: tuple[float, float]) -> tuple[float, 
     return outer, inner
 
 
-def near_level(deviance, level: float) -> np.ndarray:
+def near_level(deviance: np.ndarray, level: float) -> np.ndarray:
     """Which points (m,) of a profile are drawn: those up to a margin above a level."""
     near = np.flatnonzero(deviance <= _ABOVE * level)
     rows = np.zeros(len(deviance), bool)
@@ -61,7 +63,9 @@ def near_level(deviance, level: float) -> np.ndarray:
     return rows & np.isfinite(deviance)
 
 
-def dense_profile(value, deviance, best: float, logarithmic: bool):
+def dense_profile(
+    value: np.ndarray, deviance: np.ndarray, best: float, logarithmic: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """A profile on a dense grid, interpolated by its signed root (linear if quadratic)."""
     value, first = np.unique(value, return_index=True)
     root = np.sign(value - best) * np.sqrt(np.maximum(deviance[first], 0.0))

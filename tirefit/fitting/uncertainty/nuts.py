@@ -6,13 +6,17 @@ parameters, while that of an ensemble sampler grows fast. Step size and mass are
 adapted in discarded steps, pooled over all chains, and are then fixed.
 """
 
-from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
+
+from tirefit.fitting.uncertainty.importance import Density
+from tirefit.params import Values
 
 _MANY = 20
 """Parameters above which NUTS is the default. With 20 (10 runs of 300 rows) it takes 24
@@ -35,7 +39,9 @@ def sampler_of_chains(sampler: str | None, size: int) -> str:
     return sampler if sampler in ("emcee", "nuts") else default
 
 
-def nuts_start(density, size: int, ensembles: int, walkers: int, seed: int):
+def nuts_start(
+    density: Density, size: int, ensembles: int, walkers: int, seed: int
+) -> dict[str, np.ndarray]:
     """First state of ``ensembles x walkers`` independent chains."""
     key, first = jax.random.split(jax.random.key(seed))
     # Wider than the posterior, so that R-hat can see chains that disagree.
@@ -54,12 +60,12 @@ def nuts_start(density, size: int, ensembles: int, walkers: int, seed: int):
     }
 
 
-def _arrays(density: Callable) -> Callable:
+def _arrays(density: Density) -> Density:
     """The density as a pytree of its arrays: one program serves every data set."""
     if not isinstance(density, partial):
         return density
 
-    def array(leaf):
+    def array(leaf: Any) -> Any:
         return jnp.asarray(leaf) if isinstance(leaf, float | np.generic) else leaf
 
     arguments = jax.tree.map(array, (density.args, density.keywords))
@@ -67,7 +73,15 @@ def _arrays(density: Callable) -> Callable:
 
 
 @eqx.filter_jit
-def _scan(density, position, key, step_size, covariance, adapt, steps: int):
+def _scan(
+    density: Density,
+    position: Array,
+    key: Array,
+    step_size: Array,
+    covariance: Array,
+    adapt: Array,
+    steps: int,
+) -> tuple[Array, ...]:
     """(position, key, step size, positions, values, acceptance, divergences).
 
     ``adapt`` is an array: one program, costly to compile, for warm-up and sampling.
@@ -79,13 +93,13 @@ def _scan(density, position, key, step_size, covariance, adapt, steps: int):
     kernel = nuts.build_kernel()
     begin, update, final = dual_averaging_adaptation(_ACCEPTANCE)
 
-    def one(u):
+    def one(u: Array) -> Values:
         return density(u[None])[0]
 
-    def step(key, state, size):
+    def step(key: Array, state: Any, size: Array) -> tuple[Any, Any]:
         return kernel(key, state, one, size, covariance, max_num_doublings=_DOUBLINGS)
 
-    def transition(carry, key):
+    def transition(carry: tuple[Any, Any], key: Array) -> tuple[tuple[Any, Any], Any]:
         states, averaging = carry
         size = jnp.where(adapt, jnp.exp(averaging.log_step_size), step_size)
         keys = jax.random.split(key, len(position))
@@ -104,7 +118,9 @@ def _scan(density, position, key, step_size, covariance, adapt, steps: int):
     return (states.position, keys[0], size, positions, values, rates.mean(), divergent.sum())
 
 
-def _advanced(density, state: dict, steps: int, adapt: bool):
+def _advanced(
+    density: Density, state: dict[str, np.ndarray], steps: int, adapt: bool
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, float]:
     """(state, positions (steps, chains, p), values (steps, chains), acceptance)."""
     position, key, size, positions, values, rate, divergences = _scan(
         _arrays(density),
@@ -125,7 +141,7 @@ def _advanced(density, state: dict, steps: int, adapt: bool):
     return after, np.asarray(positions), np.asarray(values), float(rate)
 
 
-def _warmed_up(density, state: dict, steps: int) -> dict:
+def _warmed_up(density: Density, state: dict[str, np.ndarray], steps: int) -> dict[str, np.ndarray]:
     """The state with step size and mass adapted to its chains; the steps are discarded."""
     while (stage := int(state["stage"])) < _WARM_UP:
         state, positions, _, _ = _advanced(density, state, steps, adapt=True)
@@ -139,7 +155,9 @@ def _warmed_up(density, state: dict, steps: int) -> dict:
     return state
 
 
-def nuts_chunk(density, state: dict, steps: int):
+def nuts_chunk(
+    density: Density, state: dict[str, np.ndarray], steps: int
+) -> tuple[np.ndarray, np.ndarray, float, dict[str, np.ndarray]]:
     """Advance every chain: (samples, log density, acceptance, state), as emcee's.
 
     The state counts the divergent transitions among the samples, without the warm-up.

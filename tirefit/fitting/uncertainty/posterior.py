@@ -13,12 +13,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from tirefit.arrays import Scalar
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.problem.likelihood import FitProblem
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
@@ -27,9 +29,10 @@ from tirefit.fitting.solve.inference import REACH, deviance
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.chains import Chain, Keeper, extended, identity_of, load_chain
 from tirefit.fitting.uncertainty.derived import derived_from_draws
-from tirefit.fitting.uncertainty.importance import Weighted, draw_weighted
+from tirefit.fitting.uncertainty.importance import Density, Weighted, draw_weighted
 from tirefit.fitting.uncertainty.nuts import nuts_chunk, nuts_start, sampler_of_chains
 from tirefit.fitting.verdict.judge import judge
+from tirefit.params import Values
 from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
@@ -47,8 +50,14 @@ error, in standard deviations of the parameter."""
 
 
 @jax.jit
-def _log_density(u, problem: FitProblem, center, root, base):
-    def one(u):
+def _log_density(
+    u: Float[Values, "n p"],
+    problem: FitProblem,
+    center: Float[Values, " p"],
+    root: Float[Values, "p p"],
+    base: Scalar,
+) -> Float[Array, " n"]:
+    def one(u: Values) -> Array:
         z = center + root @ u
         value = deviance(problem, z) - base
         density = -value / 2 + problem.layout.log_volume(z)
@@ -69,7 +78,7 @@ def _whitening(solved: Solved) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(solved.z, -REACH / 2, REACH / 2), root
 
 
-def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
+def _density(solved: Solved) -> Density:
     """u (walkers, p) -> log density (walkers,) of the whitened posterior."""
     problem = solved.problem
     center, root = _whitening(solved)
@@ -77,18 +86,20 @@ def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
     return partial(_log_density, problem=problem, center=center, root=root, base=base)
 
 
-def _pack(state) -> np.ndarray:
+def _pack(state: Any) -> np.ndarray:
     """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
     _, keys, position, has_gauss, cached = state
     return np.concatenate([keys.astype(float), [position, has_gauss, cached]])
 
 
-def _unpack(packed: np.ndarray) -> tuple:
+def _unpack(packed: np.ndarray) -> tuple[Any, ...]:
     keys = packed[:624].astype(np.uint32)
     return "MT19937", keys, int(packed[624]), int(packed[625]), float(packed[626])
 
 
-def _emcee_start(density, size: int, ensembles: int, walkers: int, seed: int):
+def _emcee_start(
+    density: Density, size: int, ensembles: int, walkers: int, seed: int
+) -> dict[str, np.ndarray]:
     coordinates, packed, values = [], [], []
     # Full generator states: emcee silently ignores an integer seed.
     for child in np.random.SeedSequence(seed).spawn(ensembles):
@@ -106,7 +117,9 @@ def _emcee_start(density, size: int, ensembles: int, walkers: int, seed: int):
     }
 
 
-def _emcee_chunk(density, state: dict, steps: int):
+def _emcee_chunk(
+    density: Density, state: dict[str, np.ndarray], steps: int
+) -> tuple[np.ndarray, np.ndarray, float, dict[str, np.ndarray]]:
     """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
     import emcee  # here, because importance sampling and NUTS do not need it
 
@@ -139,7 +152,7 @@ def _emcee_chunk(density, state: dict, steps: int):
     return samples, values, accepted, after
 
 
-SAMPLERS: dict[str, tuple[Callable, Callable]] = {
+SAMPLERS: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
     "emcee": (_emcee_start, _emcee_chunk),
     "nuts": (nuts_start, nuts_chunk),
 }
@@ -209,7 +222,7 @@ def sample(
     effective_samples: int | None = None,
     max_steps: int = 5000,
     seed: int | None = None,
-    checkpoint: str | os.PathLike | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> FitResult:
@@ -320,7 +333,7 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     return _of_chain(result, chain, outcome, chained, run, weighted, notes)
 
 
-def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
+def _shape(sampler: str, size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
     """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
     if sampler == "nuts":
         if ensembles < 4:
@@ -335,7 +348,9 @@ def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
     return ensembles, walkers
 
 
-def _draw(density, sampler, size, run: _Run, chain, keeper: Keeper) -> tuple[Chain | None, Outcome]:
+def _draw(
+    density: Density, sampler: str, size: int, run: _Run, chain: Chain | None, keeper: Keeper
+) -> tuple[Chain | None, Outcome]:
     """Sample chunks until the chain converged, reached its limit or was interrupted."""
     begin, advance = SAMPLERS[sampler]
     outcome = Outcome.CHAIN_TOO_SHORT
@@ -372,9 +387,9 @@ def _of_chain(
     result: FitResult,
     chain: Chain,
     outcome: Outcome,
-    sampler,
+    sampler: str,
     run: _Run,
-    weighted,
+    weighted: Weighted | None,
     notes: list[str],
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""

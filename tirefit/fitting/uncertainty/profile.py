@@ -1,5 +1,6 @@
 """Profile likelihood of each parameter, maximized over the others."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -131,7 +132,16 @@ def profile_all(
     return [_joined(z[i], sides[2 * i], sides[2 * i + 1]) for i in range(size)]
 
 
-def _searched_again(problem, sides, ends: Minima, base, distance, inner, index, values):
+def _searched_again(
+    problem: FitProblem,
+    sides: Sequence[Side],
+    ends: Minima,
+    base: float,
+    distance: np.ndarray,
+    inner: np.ndarray,
+    index: np.ndarray,
+    values: np.ndarray,
+) -> Minima:
     """The ends; doubtful ones are searched again from the previous point."""
     rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
     every = zip(sides, distance, rise, strict=True)

@@ -8,6 +8,7 @@ files are within 0.6745 sqrt(s_i^2 + tau^2). A few outlying files change neither
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
 HUBER = 1.345
@@ -36,7 +37,7 @@ class AcrossFiles(NamedTuple):
     outlier: np.ndarray  # (n,)
 
 
-def across_files(value, std, when) -> AcrossFiles:
+def across_files(value: ArrayLike, std: ArrayLike, when: ArrayLike) -> AcrossFiles:
     """Middle, scatter, drift and outliers of a quantity.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
 from tirefit.files import listed
-from tirefit.fitting.problem.build import build, guess_from_curve
+from tirefit.fitting.problem.build import FitTask, build, guess_from_curve
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.problem.scatter import (
@@ -188,7 +188,14 @@ def identifiability(
 # --- the model --------------------------------------------------------------------
 
 
-def _gate(some: TireData, rows: int, curve, force: str, name: str, scatter: Scatter) -> ModelGate:
+def _gate(
+    some: TireData,
+    rows: int,
+    curve: tuple[float, float, float],
+    force: str,
+    name: str,
+    scatter: Scatter,
+) -> ModelGate:
     """Standard errors of a model's parameters, from ``some`` of the file's ``rows``."""
     config = parse_config({"force": force})
     try:
@@ -215,7 +222,7 @@ def _gate(some: TireData, rows: int, curve, force: str, name: str, scatter: Scat
     return ModelGate(name, force, parameters)
 
 
-def _points(task, curve) -> list[np.ndarray]:
+def _points(task: FitTask, curve: tuple[float, float, float]) -> list[np.ndarray]:
     """Unconstrained parameters, friction from the largest force upwards."""
     slope, peak, load = curve
     layout, points = task.problem.layout, []
@@ -231,7 +238,7 @@ def _points(task, curve) -> list[np.ndarray]:
     return points
 
 
-def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
+def _at(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (n,) and their slopes (n, p), without padding."""
     at = linearise(problem, z)
     name = problem.channels[0].name
@@ -241,7 +248,7 @@ def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
     return problem.used(at.values[name]), tame
 
 
-def _settled(problem: FitProblem, z):
+def _settled(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit the other parameters to the rows at a given friction.
 
     Returns:
@@ -286,7 +293,12 @@ def _grade(spec: Spec, value: float, std: float) -> str:
     return WELL if half <= _WELL * size else ROUGHLY
 
 
-def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
+def _parameter(
+    problem: FitProblem,
+    k: int,
+    likely: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    weight: np.ndarray,
+) -> ParameterGate:
     """The parameter at the likely point that determines it least."""
     gates = [_judged(problem, k, z, _information(slopes, weight)) for z, _, slopes in likely]
     worst = max(gates, key=_rank)
@@ -295,7 +307,7 @@ def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
     return worst._replace(remedy=_remedy(problem, k, likely, weight))
 
 
-def _information(slopes, weight) -> np.ndarray:
+def _information(slopes: np.ndarray, weight: np.ndarray) -> np.ndarray:
     weighted = slopes * weight[:, None]
     return weighted.T @ weighted
 
@@ -305,7 +317,7 @@ def _rank(gate: ParameterGate) -> tuple[int, float]:
     return (WELL, ROUGHLY, NOT).index(gate.grade), gate.std / scale
 
 
-def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
+def _judged(problem: FitProblem, k: int, z: np.ndarray, information: np.ndarray) -> ParameterGate:
     label, parameter = problem.layout.elements[k]
     spec = parameter.spec
     slope = float(np.exp(log_jacobian(z[k], spec)))
@@ -323,7 +335,12 @@ def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
     return ParameterGate(label, spec.unit, value, std, grade, _is_size(spec), beside)
 
 
-def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
+def _remedy(
+    problem: FitProblem,
+    k: int,
+    likely: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    weight: np.ndarray,
+) -> str:
     """The first wider test that would determine the parameter, in words; empty if none."""
     slip = problem.slip_name
     for words, name, times in (

@@ -1,5 +1,6 @@
 """The verdict on a fit: outcomes, and sentences that a user can act on."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.special import chdtr, chdtrc
 from tirefit.data.run_names import label_of_run
 from tirefit.data.table import CANONICAL
 from tirefit.fitting.result import FitResult, PeakRange, Verdict
+from tirefit.fitting.solve.far_rows import FarRow
 from tirefit.fitting.uncertainty.derived import quantity_of
 from tirefit.fitting.verdict.trials import SLIDING
 from tirefit.params import specs
@@ -245,7 +247,7 @@ def _far_rows(result: FitResult) -> list[str]:
     return messages
 
 
-def _row_numbers(rows, most: int = 8) -> str:
+def _row_numbers(rows: Sequence[FarRow], most: int = 8) -> str:
     """Numbers of rows, with their file where there are several."""
     several = len({row.file for row in rows}) > 1
     names = [f"{row.file} row {row.row}" if several else f"row {row.row}" for row in rows[:most]]

@@ -32,7 +32,7 @@ def standardised(result: FitResult, channel: str) -> np.ndarray:
     return (observed - mean[channel]) / np.sqrt(variance[channel])
 
 
-def means_over(x, residual, inflation: float) -> Means:
+def means_over(x: np.ndarray, residual: np.ndarray, inflation: float) -> Means:
     """Means at the settings of an input, or over bins of it, of at least three rows.
 
     Args:
@@ -51,7 +51,7 @@ def means_over(x, residual, inflation: float) -> Means:
     return Means(*(part[kept] for part in means))
 
 
-def means_by(codes, x, residual, inflation: float) -> Means:
+def means_by(codes: np.ndarray, x: np.ndarray, residual: np.ndarray, inflation: float) -> Means:
     """Means of each group of rows; ``codes`` (n,) number the groups from 0."""
     size = int(np.max(codes)) + 1
     count, mean, std = cells(codes, size, residual)
@@ -59,7 +59,9 @@ def means_by(codes, x, residual, inflation: float) -> Means:
     return Means(cells(codes, size, x)[1], mean, half)
 
 
-def ordered_correlation(residual, run, time) -> np.ndarray:
+def ordered_correlation(
+    residual: np.ndarray, run: np.ndarray, time: np.ndarray | None
+) -> np.ndarray:
     """Autocorrelation at lags 0, 1, ... in time order, runs pooled.
 
     Args:

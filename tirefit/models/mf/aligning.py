@@ -2,7 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Scalar
 from tirefit.models.brush import resultant
 from tirefit.models.magic_formula import bent
 from tirefit.models.mf.fields import Curve, Nominal, Point, Scaling, coefficient, cos_arctan, ratio
@@ -46,7 +48,7 @@ class Aligning(eqx.Module):
     SSZ3: float = coefficient("s_{sz3}", "the arm with camber", "4.E76")
     SSZ4: float = coefficient("s_{sz4}", "the same, with load", "4.E76")
 
-    def trail(self, at: Point, scale: Scaling, nominal: Nominal, slip):
+    def trail(self, at: Point, scale: Scaling, nominal: Nominal, slip: Scalar) -> Scalar:
         r"""Pneumatic trail [m], (4.E33) and (4.E40) to (4.E44).
 
         ``slip`` is :math:`(K_{x\kappa} / K_{y\alpha}) \kappa`. The peak is over FNOMIN
@@ -63,7 +65,7 @@ class Aligning(eqx.Module):
         angle = self.QCZ1 * bent(*self.curve(at, scale, slip))
         return peak * jnp.cos(angle) * at.cos_alpha
 
-    def curve(self, at: Point, scale: Scaling, slip) -> Curve:
+    def curve(self, at: Point, scale: Scaling, slip: Scalar) -> Curve:
         """B_t alpha_t of both slips and E_t, (4.E35), (4.E40) and (4.E44)."""
         gamma = at.gamma * scale.LGAZ
         alpha = (
@@ -80,7 +82,9 @@ class Aligning(eqx.Module):
         )
         return Curve(slope * _equivalent(alpha, slip), curvature)
 
-    def residual(self, at: Point, scale: Scaling, nominal: Nominal, side: PureLateral, slip):
+    def residual(
+        self, at: Point, scale: Scaling, nominal: Nominal, side: PureLateral, slip: Scalar
+    ) -> Scalar:
         """M_zr / F_z [m], (4.E36) to (4.E38) and (4.E45) to (4.E47)."""
         gamma = at.gamma * scale.LGAZ
         alpha = at.alpha + side.offset + ratio(side.shift, side.stiffness)
@@ -92,7 +96,7 @@ class Aligning(eqx.Module):
         peak = peak * nominal.UNLOADED_RADIUS
         return peak * cos_arctan(slope * _equivalent(alpha, slip)) * at.cos_alpha
 
-    def arm(self, at: Point, scale: Scaling, nominal: Nominal, fy):
+    def arm(self, at: Point, scale: Scaling, nominal: Nominal, fy: Scalar) -> Scalar:
         """Lever s [m] of F_x about the vertical axis, (4.E76), also over FNOMIN."""
         relative = (
             self.SSZ1
@@ -102,7 +106,7 @@ class Aligning(eqx.Module):
         return nominal.UNLOADED_RADIUS * relative * scale.LS
 
 
-def _equivalent(alpha, slip):
+def _equivalent(alpha: Scalar, slip: Scalar) -> Array:
     """Slip angle equivalent to both slips, without its sign, (4.E77) and (4.E78).
 
     The tangent and its inverse are those of Besselink et al. (2010). The curves that use

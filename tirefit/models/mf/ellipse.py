@@ -15,7 +15,9 @@ slip. The aligning moment follows from these forces as with weighting functions.
 """
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Scalar
 from tirefit.models.mf.fields import Point, Scaling, ratio
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
@@ -25,7 +27,9 @@ _REST = 1e-9
 shift is rounding there."""
 
 
-def elliptic_forces(along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0):
+def elliptic_forces(
+    along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0: Scalar
+) -> tuple[Scalar, ...]:
     """F_x / F_z and F_y / F_z in combined slip, from the two pure curves.
 
     Args:
@@ -44,11 +48,11 @@ def elliptic_forces(along: Longitudinal, across: Lateral, at: Point, scale: Scal
     )
 
 
-def _secant(force, slip, stiffness):
+def _secant(force: Scalar, slip: Scalar, stiffness: Scalar) -> Array:
     """The force over the slip; the stiffness at rest."""
-    return jnp.where(abs(slip) < _REST, stiffness, ratio(force, slip))
+    return jnp.where(jnp.abs(slip) < _REST, stiffness, ratio(force, slip))
 
 
-def _length(x):
+def _length(x: Scalar) -> Array:
     """The hypotenuse of 1 and x."""
     return jnp.sqrt(1 + x * x)

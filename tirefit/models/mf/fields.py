@@ -4,7 +4,9 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Scalar
 from tirefit.models.magic_formula import bent
 from tirefit.params import par
 
@@ -16,25 +18,25 @@ class Point(NamedTuple):
 
     kappa: Any  # > 0 driving
     alpha: Any  # alpha*: the angle or its tangent
-    cos_alpha: Any
+    cos_alpha: Scalar
     gamma: Any  # gamma*: the angle or its sine
     camber: Any  # the angle gamma
     fz: Any  # > 0
     dfz: Any  # normalised change of load (4.E2)
     dpi: Any  # normalised change of pressure (4.E2)
     friction_x: Any  # scales the friction, lambda*_mu (4.E7)
-    friction_y: Any
+    friction_y: Scalar
     shift_x: Any  # scales the vertical shift, lambda'_mu (4.E8)
-    shift_y: Any
+    shift_y: Scalar
     camber_stiffness: bool  # camber acts as in MF 6 (PKY6), or as in 5.2 (PHY3)
     starred: bool  # alpha* is tan alpha
 
     @property
-    def tan_alpha(self):
+    def tan_alpha(self) -> Scalar:
         """Tangent of the slip angle."""
         return self.alpha if self.starred else jnp.tan(self.alpha)
 
-    def turned(self, tan_alpha) -> "Point":
+    def turned(self, tan_alpha: Scalar) -> "Point":
         """The same point at another slip angle."""
         alpha = tan_alpha if self.starred else jnp.arctan(tan_alpha)
         return self._replace(alpha=alpha, cos_alpha=cos_arctan(tan_alpha))
@@ -51,16 +53,16 @@ class Weight(NamedTuple):
     """Weighting curve at a slip; ``x`` of it at zero slip; ``shape`` C."""
 
     curve: Curve
-    x_at_rest: Any
-    shape: Any
+    x_at_rest: Scalar
+    shape: Scalar
 
 
-def coefficient(symbol: str, meaning: str, equation: str, default: float = 0.0):
+def coefficient(symbol: str, meaning: str, equation: str, default: float = 0.0) -> Any:
     """The field of a dimensionless coefficient, zero (no effect) unless given."""
     return par(default, (-1e6, 1e6), "-", meaning, f"P({equation})", symbol)
 
 
-def _scale(symbol: str, of: str, equation: str, default: float = 1.0):
+def _scale(symbol: str, of: str, equation: str, default: float = 1.0) -> Any:
     """The field of a scaling factor, which is never estimated, as the coefficients are."""
     return par(
         default,
@@ -73,7 +75,9 @@ def _scale(symbol: str, of: str, equation: str, default: float = 1.0):
     )
 
 
-def _stated(default: float, bounds: tuple, unit: str, meaning: str, equation: str, symbol: str):
+def _stated(
+    default: float, bounds: tuple[float, float], unit: str, meaning: str, equation: str, symbol: str
+) -> Any:
     """The field of a positive number of the tire or its measurement, which is never estimated."""
     return par(default, bounds, unit, meaning, f"P({equation})", symbol, free=False, scale="log")
 
@@ -127,18 +131,18 @@ class Scaling(eqx.Module):
     LMY: float = _scale("My", "the rolling resistance moment", "4.E70")
 
 
-def ratio(numerator, denominator):
+def ratio(numerator: Scalar, denominator: Scalar) -> Array:
     """Quotient that is finite, with its gradient, also at a zero denominator."""
     small = jnp.where(denominator < 0, -_TINY, _TINY)
-    return numerator / jnp.where(abs(denominator) < _TINY, small, denominator)
+    return jnp.asarray(numerator) / jnp.where(jnp.abs(denominator) < _TINY, small, denominator)
 
 
-def cos_arctan(x):
+def cos_arctan(x: Scalar) -> Array:
     """cos(arctan x), computed without either function."""
     return 1 / jnp.sqrt(1 + x * x)
 
 
-def weighting(weight: Weight):
+def weighting(weight: Weight) -> Array:
     r"""How one slip weakens the force of the other, (4.E51) and (4.E59).
 
     .. math::

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from tirefit.arrays import Scalar
 from tirefit.models.magic_formula import bent
 from tirefit.models.mf.fields import Curve, Point, Scaling, Weight, coefficient, cos_arctan, ratio
 
@@ -68,7 +69,7 @@ class Lateral(eqx.Module):
     RVY5: float = coefficient("r_{Vy5}", "the same, with kappa", "4.E66")
     RVY6: float = coefficient("r_{Vy6}", "the same, with arctan kappa", "4.E66")
 
-    def pure(self, at: Point, scale: Scaling, fz0) -> PureLateral:
+    def pure(self, at: Point, scale: Scaling, fz0: Scalar) -> PureLateral:
         """F_y at zero kappa and nominal load fz0 [N], (4.E19) to (4.E30)."""
         gamma = at.gamma * scale.LGAY
         shape = self.PCY1 * scale.LCY
@@ -101,14 +102,14 @@ class Lateral(eqx.Module):
         force = mu * jnp.sin(shape * bent(*curve)) + shift
         return PureLateral(force, stiffness, slope * shape, offset, shift, mu, curve)
 
-    def _stiffness(self, at: Point, gamma, fz0):
+    def _stiffness(self, at: Point, gamma: Scalar, fz0: Scalar) -> Scalar:
         """K_ya / F_z, (4.E25)."""
         peak = (self.PKY2 + self.PKY5 * gamma**2) * (1 + self.PPY2 * at.dpi)
         return (
             self.PKY1
             * (fz0 / at.fz)
             * (1 + self.PPY1 * at.dpi)
-            * (1 - self.PKY3 * abs(gamma))
+            * (1 - self.PKY3 * jnp.abs(gamma))
             * jnp.sin(self.PKY4 * jnp.arctan(ratio(at.fz / fz0, peak)))
         )
 
@@ -120,7 +121,7 @@ class Lateral(eqx.Module):
         curve = Curve(slope * (at.kappa + shift), self.REY1 + self.REY2 * at.dfz)
         return Weight(curve, slope * shift, self.RCY1)
 
-    def induced(self, at: Point, scale: Scaling, mu):
+    def induced(self, at: Point, scale: Scaling, mu: Scalar) -> Scalar:
         """S_Vyk / F_z: the lateral force that kappa induces, (4.E66) and (4.E67)."""
         largest = mu * (self.RVY1 + self.RVY2 * at.dfz + self.RVY3 * at.gamma)
         turning = jnp.sin(self.RVY5 * jnp.arctan(self.RVY6 * at.kappa))

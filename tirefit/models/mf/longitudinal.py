@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from tirefit.arrays import Scalar
 from tirefit.models.magic_formula import bent
 from tirefit.models.mf.fields import Curve, Point, Scaling, Weight, coefficient, cos_arctan, ratio
 
@@ -37,21 +38,21 @@ class Longitudinal(eqx.Module):
     REX2: float = coefficient("r_{Ex2}", "the curvature with load", "4.E56")
     RHX1: float = coefficient("r_{Hx1}", "shift of the weighting of F_x", "4.E57")
 
-    def pure(self, at: Point, scale: Scaling):
+    def pure(self, at: Point, scale: Scaling) -> tuple[Scalar, Scalar]:
         """F_x0 / F_z and K_xk / F_z at zero slip angle, (4.E9) to (4.E18)."""
         mu, stiffness = self.friction(at, scale), self.stiffness(at, scale)
         angle = self.PCX1 * scale.LCX * bent(*self.curve(at, scale))
         return mu * jnp.sin(angle) + self.shift(at, scale), stiffness
 
-    def shift(self, at: Point, scale: Scaling):
+    def shift(self, at: Point, scale: Scaling) -> Scalar:
         """S_Vx / F_z, (4.E18)."""
         return (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.shift_x
 
-    def offset(self, at: Point, scale: Scaling):
+    def offset(self, at: Point, scale: Scaling) -> Scalar:
         """S_Hx, (4.E17)."""
         return (self.PHX1 + self.PHX2 * at.dfz) * scale.LHX
 
-    def friction(self, at: Point, scale: Scaling):
+    def friction(self, at: Point, scale: Scaling) -> Scalar:
         """mu_x, (4.E13)."""
         return (
             (self.PDX1 + self.PDX2 * at.dfz)
@@ -60,7 +61,7 @@ class Longitudinal(eqx.Module):
             * at.friction_x
         )
 
-    def stiffness(self, at: Point, scale: Scaling):
+    def stiffness(self, at: Point, scale: Scaling) -> Scalar:
         """K_xk / F_z, (4.E15)."""
         return (
             (self.PKX1 + self.PKX2 * at.dfz)

@@ -7,7 +7,9 @@ place of FNOMIN, and the opposite sign. FNOMIN, not LFZO FNOMIN, normalises load
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from tirefit.arrays import Scalar
 from tirefit.models.mf.fields import Nominal, Point, Scaling, coefficient
 
 
@@ -33,7 +35,7 @@ class Overturning(eqx.Module):
     QSX14: float = coefficient("q_{sx14}", "the same, with |camber|", "4.E69")
     PPMX1: float = coefficient("p_{pMx1}", "QSX2 with pressure", "4.E69")
 
-    def moment(self, at: Point, scale: Scaling, nominal: Nominal, load, fy):
+    def moment(self, at: Point, scale: Scaling, nominal: Nominal, load: Array, fy: Array) -> Array:
         """M_x [N m] for a load [N] and the F_y [N] of the model, (4.E69)."""
         gamma, side, share = at.camber, fy / nominal.FNOMIN, at.fz / nominal.FNOMIN
         mixed = jnp.cos(self.QSX5 * jnp.arctan((self.QSX6 * share) ** 2)) * jnp.sin(
@@ -63,7 +65,9 @@ class Rolling(eqx.Module):
     QSY7: float = coefficient("q_{sy7}", "exponent of the load", "4.E70", 1.0)
     QSY8: float = coefficient("q_{sy8}", "exponent of the pressure", "4.E70")
 
-    def moment(self, at: Point, scale: Scaling, nominal: Nominal, load, fx, v):
+    def moment(
+        self, at: Point, scale: Scaling, nominal: Nominal, load: Array, fx: Array, v: Scalar
+    ) -> Array:
         """M_y [N m] of a wheel that rolls forward at v [m/s], for a load [N] and the
         F_x [N] of the model. Where v is 0, the speed is the nominal one."""
         share = at.fz / nominal.FNOMIN

@@ -19,14 +19,19 @@ two largest pure forces.
 """
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
 
+from tirefit.arrays import Scalar
 from tirefit.models.combined import blend, turned
 from tirefit.models.mf.fields import Point, Scaling, ratio
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 
 
-def similar_forces(along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0):
+def similar_forces(
+    along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0: Scalar
+) -> tuple[Scalar, ...]:
     """F_x / F_z and F_y / F_z in combined slip, from the two pure curves.
 
     Args:
@@ -44,10 +49,10 @@ def similar_forces(along: Longitudinal, across: Lateral, at: Point, scale: Scali
         for one, other in zip(stuck, slips, strict=True)
     ]
 
-    def fx(slip):
+    def fx(slip: Array) -> Scalar:
         return along.pure(at._replace(kappa=slip * limit_x), scale)[0]
 
-    def fy(slip):
+    def fy(slip: Array) -> Scalar:
         return across.pure(at.turned(slip * limit_y), scale, fz0).force
 
     return tuple(
@@ -57,7 +62,7 @@ def similar_forces(along: Longitudinal, across: Lateral, at: Point, scale: Scali
     )
 
 
-def _length(x, y):
+def _length(x: Scalar, y: Scalar) -> Array:
     """Resultant; positive at rest, where its derivative must exist."""
-    square = x**2 + y**2
-    return jnp.sqrt(square + jnp.finfo(square.dtype).eps)
+    square = jnp.asarray(x**2 + y**2)
+    return jnp.sqrt(square + np.finfo(square.dtype).eps)

@@ -10,11 +10,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tirefit.arrays import Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
 from tirefit.models.mf.aligning import Aligning
 from tirefit.models.mf.ellipse import elliptic_forces
-from tirefit.models.mf.fields import Curve, Nominal, Point, Scaling, cos_arctan, ratio, weighting
+from tirefit.models.mf.fields import (
+    Curve,
+    Nominal,
+    Point,
+    Scaling,
+    Weight,
+    cos_arctan,
+    ratio,
+    weighting,
+)
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.models.mf.moments import Overturning, Rolling
@@ -79,15 +89,15 @@ class MFTire(AbstractTire):
         side = self.lateral.pure(at, scale, fz0)
         side_weight = weighting(self.lateral.weight(at, scale))
         load = jnp.where(inputs.fz > 0, at.fz, 0.0)
-        fx = weighting(self.longitudinal.weight(at, scale)) * along
-        fy = side_weight * side.force + self.lateral.induced(at, scale, side.mu)
+        fx: Scalar = weighting(self.longitudinal.weight(at, scale)) * along
+        fy: Scalar = side_weight * side.force + self.lateral.induced(at, scale, side.mu)
         # The trail acts on the lateral force without the part induced by kappa
         # (4.E74), in MF 6 on that of an upright wheel.
         upright, upright_at = side, at
         if at.camber_stiffness:
             upright_at = at._replace(gamma=0.0 * at.gamma)
             upright = self.lateral.pure(upright_at, scale, fz0)
-        turned = side_weight * upright.force
+        turned: Scalar = side_weight * upright.force
         if self.unweighted:
             method = elliptic_forces if self.ellipse else similar_forces
             combined = partial(method, self.longitudinal, self.lateral)
@@ -130,7 +140,7 @@ class MFTire(AbstractTire):
         friction_x, friction_y = scale.LMUX * fall, scale.LMUY * fall
         digression = 1.0 if is_52 else self.digression
 
-        def shift(friction):
+        def shift(friction: Scalar) -> Scalar:
             return digression * friction / (1 + (digression - 1) * friction)
 
         return Point(
@@ -159,8 +169,8 @@ def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
 
 
 @jax.jit
-def _frictions(tire: MFTire, inputs: TireInputs) -> dict:
-    def one(sample):
+def _frictions(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
+    def one(sample: TireInputs) -> dict[str, Scalar]:
         at, fz0 = tire.point(sample), tire.nominal.FNOMIN * tire.scaling.LFZO
         side = tire.lateral.pure(at, tire.scaling, fz0)
         return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
@@ -295,11 +305,11 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
 
 
 @jax.jit
-def _all_largest(tire: MFTire, inputs: TireInputs) -> dict:
+def _all_largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     return jax.vmap(lambda sample: _largest(tire, sample))(inputs)
 
 
-def _largest(tire: MFTire, inputs: TireInputs) -> dict:
+def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     """:func:`curvatures` of one sample."""
     at, scale = tire.point(inputs), tire.scaling
     fz0 = tire.nominal.FNOMIN * scale.LFZO
@@ -307,11 +317,11 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
     _, stiffness = tire.longitudinal.pure(at, scale)
     slip = ratio(stiffness, side.stiffness) * at.kappa
 
-    def acting(curve: Curve, shape=1.0):
+    def acting(curve: Curve, shape: Scalar = 1.0) -> Array:
         acts = (curve.x * shape != 0) & (inputs.fz > 0)
         return jnp.where(acts, curve.curvature, 0.0)
 
-    def weighting(force, weight):
+    def weighting(force: str, weight: Weight) -> Scalar:
         if force in tire.unweighted:
             return 0.0
         # Without the other slip the weight is one for any E.
