@@ -53,7 +53,7 @@ def diagnose(
     *,
     sim: TireLike | Given | Mapping[str, Values] | Values | bool | None = None,
     signs: str | None = None,
-    rig: Rig | str | PathLike | None = None,
+    rig: Rig | str | PathLike[str] | None = None,
     forces: str | Sequence[str] | None = None,
     effects: Sequence[Effect] | None = None,
     without: str | Sequence[str] = (),
@@ -218,7 +218,7 @@ def a_model(given: object) -> str | None:
     raise UsageError(f"model is of type {type(given).__name__}", remedy)
 
 
-def several(given: object) -> list:
+def several(given: object) -> list[Any]:
     """The data of several held-out sets, of one, or of none."""
     every = given if isinstance(given, list | tuple) else [given]
     return [one for one in every if one is not None]

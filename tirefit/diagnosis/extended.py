@@ -143,7 +143,7 @@ class Extended(AbstractTire):
     tire: AbstractTire
     effects: tuple[tuple[Atom, float], ...] = eqx.field(static=True)
     to: Extension = eqx.field(static=True)
-    usual: Callable = eqx.field(static=True)
+    usual: Callable[..., Any] = eqx.field(static=True)
     peak: float = eqx.field(static=True)
 
     def __call__(self, inputs: TireInputs) -> TireForces:
@@ -163,7 +163,7 @@ class Extended(AbstractTire):
             at_rest = inputs._replace(sigma_x=0.0, alpha=0.0)
             stiffness = slope_at_rest(tire, at_rest, to.mode) / 2
             carrier = stiffness, self.peak, arm_of(tire)
-        across = lateral_slip(across, along)
+        across = jnp.asarray(lateral_slip(across, along))
         found = force_of_state(tire, carrier, state, along, across, inputs)
         found = with_offsets(found, state, to.mode)
         own: TireForces = tire(inputs)
@@ -234,7 +234,7 @@ Parsed = TypeVar("Parsed", bound=BaseModel)
 
 
 def read_checked(
-    source: Record | str | PathLike, kind: type[Parsed], name: str, command: str
+    source: Record | str | PathLike[str], kind: type[Parsed], name: str, command: str
 ) -> Parsed:
     """The parts of a diagnosis or its document.
 
@@ -266,7 +266,7 @@ def parsed(text: str, kind: type[Parsed]) -> Parsed:
     return kind.model_validate(content)
 
 
-def read_document(source: Record | str | PathLike) -> Document:
+def read_document(source: Record | str | PathLike[str]) -> Document:
     """The document of a diagnosis of forces; raises DataError as :func:`read_checked`."""
     return read_checked(source, Document, "NAME.json", "tirefit diagnose")
 
@@ -287,7 +287,7 @@ class Report(NamedTuple):
     sentences: tuple[str, ...]
 
 
-def extend(tire: AbstractTire, name: str, document: Document, finish: Callable) -> Report:
+def extend(tire: AbstractTire, name: str, document: Document, finish: Callable[..., Any]) -> Report:
     """A tire with the named effects of a diagnosis.
 
     Args:

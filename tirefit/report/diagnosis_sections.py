@@ -386,7 +386,7 @@ def first_screen(result: Diagnosis) -> list[Section]:
     sections = [_ladder(result)]
     if result.simulator and result.simulator.readings:
         sections.insert(0, readings_section(result.simulator.readings, result.unit))
-    if not is_described(result):
+    if not (is_described(result) and result.simulator and result.simulator.readings):
         return [*sections, *of_effects(result)]
     names = listing([name_of(effect) for effect in result.verdict.helping])
     lines = [f"what the simulator acts like if it is changed ({names}): --full"] * bool(names)

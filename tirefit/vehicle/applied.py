@@ -89,7 +89,9 @@ class Applied:
 
         return jax.vmap(one)(jax.tree.map(jnp.asarray, samples))
 
-    def corrected(self, state: Mapping, v_x: np.ndarray, vehicle: Vehicle) -> dict:
+    def corrected(
+        self, state: Mapping[str, Any], v_x: np.ndarray, vehicle: Vehicle
+    ) -> dict[str, Any]:
         """The states of a log (n,) without the errors of its channels."""
         wheelbase = vehicle.l_f + vehicle.l_r
         none = Samples(*[0.0] * len(Samples._fields))._replace(wheelbase=wheelbase)
@@ -105,7 +107,7 @@ class Applied:
         return found
 
 
-def applied(source: Diagnosis | str | os.PathLike) -> Applied:
+def applied(source: Diagnosis | str | os.PathLike[str]) -> Applied:
     """The effects named by a diagnosis of a car, or by its ``vehicle_diagnosis.json``.
 
     Raises:

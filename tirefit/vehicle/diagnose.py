@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -129,7 +130,7 @@ def diagnose_vehicle(
 
 
 def studied(
-    found: Mapping[str, CutLog],
+    found: Mapping[str, CutLog[Any]],
     vehicle: Vehicle,
     tires: Sequence[GivenTire],
     library: Sequence[Effect],
@@ -194,7 +195,7 @@ def check_effects(vehicle: Vehicle, effects: Sequence[Effect], without: Sequence
 
 
 def subject_of(
-    found: Mapping[str, CutLog],
+    found: Mapping[str, CutLog[Any]],
     vehicle: Vehicle,
     tires: Sequence[GivenTire],
     library: Sequence[Effect],

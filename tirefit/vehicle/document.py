@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import PositiveFloat
@@ -29,6 +29,7 @@ from tirefit.diagnosis.summary.forecast import confusion, manoeuvres
 from tirefit.diagnosis.summary.result import (
     Diagnosis,
     Gap,
+    HeldOut,
     NoiseSummary,
     Part,
     Settings,
@@ -55,8 +56,8 @@ class CarExtension(NamedTuple):
 
 def document_of(
     case: Concluded,
-    found: Mapping[str, CutLog],
-    others: tuple[Mapping[str, CutLog], Windows] | None,
+    found: Mapping[str, CutLog[Any]],
+    others: tuple[Mapping[str, CutLog[Any]], Windows] | None,
     vehicle: str | Path,
     model: str,
     notes: Sequence[str],
@@ -125,7 +126,7 @@ def document_of(
     )
 
 
-def _data(base: Windows, found: Mapping[str, CutLog], notes: Sequence[str]) -> DataSummary:
+def _data(base: Windows, found: Mapping[str, CutLog[Any]], notes: Sequence[str]) -> DataSummary:
     """The logs, and what was assumed."""
     count, length = len(base.cut.log), (base.cut.data.v_x.shape[1] - 1) * base.step
     of_windows = f"{count} windows of {length:g} s, each from the start state that fits best"
@@ -164,10 +165,10 @@ def _closure(
 def _held_out(
     case: Concluded,
     ladder: Ladder,
-    logs: Mapping[str, CutLog],
+    logs: Mapping[str, CutLog[Any]],
     other: Windows,
     generator: np.random.Generator,
-):
+) -> tuple[HeldOut, Ladder]:
     """Closure on held-out logs, and the ladder with the closure of each step there."""
     null = case.weighed.best_of[()]
     other = other.following(replace(null, state=other.cut.data.start))

@@ -235,7 +235,7 @@ class Model(NamedTuple):
         for k, name in enumerate(("stiffness", "friction")):
             setting = scaled_axles(setting, name, factors[:, k])
         for k, atom in enumerate(self.atoms):
-            change: Callable = atom.effect.change
+            change: Callable[..., Any] = atom.effect.change
             setting = change(setting, self.scales[k] * z[TIRES + k], atom.constants, rows)
         return setting
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -64,6 +64,10 @@ from tirefit.vehicle.windows import (
     steering_problems,
     stretches,
 )
+
+if TYPE_CHECKING:
+    import pandas
+
 
 SCHEMA = "tirefit.replay/1"
 
@@ -123,7 +127,7 @@ class Replay(Record):
         off = [f"{h:g} s" for h, n in zip(self.horizons, self.windows, strict=True) if not n]
         return {Outcome.INCOMPLETE: f"no log has {' or '.join(off)} without a gap" if off else ""}
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """The numbers, as in ``replay.json``."""
         return {
             "schema": SCHEMA,
@@ -137,7 +141,7 @@ class Replay(Record):
             "notes": self.notes,
         }
 
-    def to_frame(self):
+    def to_frame(self) -> "pandas.DataFrame":
         """The rms errors as a pandas data frame: columns kind (the model), name (the
         quantity and the horizon in s), value, unit."""
         rows = [
@@ -355,7 +359,7 @@ def _windows(
     return [cut(motion), *map(cut, noisy), cut(motion, apply)]
 
 
-def _channels(motion: Motion, vehicle: Vehicle) -> tuple:
+def _channels(motion: Motion, vehicle: Vehicle) -> tuple[Any, ...]:
     """Speed, lateral acceleration, road wheel angle and the state, (n,) each."""
     heading, x, y = motion.heading, motion.x, motion.y
     if vehicle.columns.motion != POSE:
@@ -428,7 +432,9 @@ def _held(
     return held
 
 
-def _fans(found: Mapping[str, CutLog], predictions: tuple[State, np.ndarray]) -> dict[str, Fans]:
+def _fans(
+    found: Mapping[str, CutLog[Any]], predictions: tuple[State, np.ndarray]
+) -> dict[str, Fans]:
     """The windows of the figures, for each log."""
     (states, lateral), fans, first = predictions, {}, 0
     for name, log in found.items():

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -157,7 +158,7 @@ def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Pat
     return path
 
 
-def _noisy(found: Mapping, noise: np.ndarray) -> dict:
+def _noisy(found: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
     """Cut logs with a little noise on their channels."""
     generator, noisy = np.random.default_rng(0), {}
     for name, log in found.items():

@@ -153,7 +153,7 @@ class TrajectoryFit(Record):
             Outcome.NOT_IDENTIFIED: loose and f"these logs do not determine {loose}",
         }
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """The numbers, as in ``trajectory.json``."""
         return json_safe(
             {
@@ -374,7 +374,11 @@ class _Problem:
         found = {}
 
         def add(
-            name: str, unit: str, k: int, natural: Callable, identified: Callable[..., Any]
+            name: str,
+            unit: str,
+            k: int,
+            natural: Callable[..., Any],
+            identified: Callable[..., Any],
         ) -> None:
             low, high = sorted(float(natural(end)) for end in ends[:, k])
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6

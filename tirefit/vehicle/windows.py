@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -261,7 +261,7 @@ class Cut(NamedTuple):
 
 
 def joined_windows(
-    found: Mapping[str, CutLog], vehicle: Vehicle, tires: Sequence[GivenTire]
+    found: Mapping[str, CutLog[Any]], vehicle: Vehicle, tires: Sequence[GivenTire]
 ) -> tuple[Cut, set[str]]:
     """The windows of all logs, and the needs of effects that they meet."""
     data, rows, log = [], [], []
@@ -324,15 +324,15 @@ def _sliding(axle: GivenTire, load: float, speed: float) -> float:
     return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)
 
 
-def derived_rows(found: Mapping[str, CutLog], vehicle: Vehicle, axle: str) -> TireData:
+def derived_rows(found: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle: str) -> TireData:
     """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
-    columns: dict[str, list] = {"alpha": [], "fy": [], "v": [], "run": []}
+    columns: dict[str, list[Any]] = {"alpha": [], "fy": [], "v": [], "run": []}
     for log in found.values():
         motion, (name, *_) = log.motion, log.runs
         alpha, force, speed = slip_and_force(motion, vehicle, axle)
         good = motion.settled & (motion.v_x > vehicle.v_min)
         good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
-        each = alpha[good], force[good], speed[good]
+        each: tuple[Any, ...] = alpha[good], force[good], speed[good]
         for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
             columns[key].extend(values)
     step = max(len(columns["run"]) // _START_ROWS, 1)

@@ -213,7 +213,7 @@ def atoms_of(effects: Sequence[Effect]) -> tuple[Atom, ...]:
     return tuple(Atom(e, k) for e in effects for k in range(len(e.variants)))
 
 
-def effects_by_id(effects: Sequence[Effect | NoiseEffect]) -> dict:
+def effects_by_id(effects: Sequence[Effect | NoiseEffect]) -> dict[str, Any]:
     """Records by id."""
     return {effect.id: effect for effect in effects}
 

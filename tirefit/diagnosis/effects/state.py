@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 
+from tirefit.arrays import Numbers
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
 from tirefit.models.base import AbstractTire, largest
 from tirefit.models.friction import Friction
@@ -98,23 +99,23 @@ class _Shaped(AbstractPressure):
     skew: Values | float
     flat: Values | float
 
-    def _mix(self, name: str, u: jax.Array) -> jax.Array:
+    def _mix(self, name: str, u: Numbers) -> jax.Array:
         # Users give a number; here it is a traced value of a hypothesis.
         leaning = Asymmetric(self.skew)  # type: ignore[arg-type]
         skewed = getattr(leaning, name)(u)
         return (1 - self.flat) * skewed + self.flat * getattr(Quartic(), name)(u)
 
-    def density(self, u: jax.Array) -> jax.Array:
+    def density(self, u: Numbers) -> jax.Array:
         return self._mix("density", u)
 
-    def cdf(self, u: jax.Array) -> jax.Array:
+    def cdf(self, u: Numbers) -> jax.Array:
         return self._mix("cdf", u)
 
-    def moment(self, u: jax.Array) -> jax.Array:
+    def moment(self, u: Numbers) -> jax.Array:
         return self._mix("moment", u)
 
-    def breakaway(self, rho: jax.Array) -> jax.Array:
-        return _breakaway(rho, self.skew, self.flat)
+    def breakaway(self, rho: Numbers) -> jax.Array:
+        return _breakaway(jnp.asarray(rho), self.skew, self.flat)
 
 
 _NEWTON, _LEAST_SLOPE = 7, 0.05
@@ -175,10 +176,10 @@ class _TwoFrictions(Friction):
     excess: Values | float = 0.0
     factor: Values | float = 1.0
 
-    def static(self, mu: jax.Array, v_s: float) -> jax.Array:
+    def static(self, mu: Numbers, v_s: Numbers) -> Numbers:
         return mu * (1 + self.excess)
 
-    def kinetic(self, mu: jax.Array, v_s: float) -> jax.Array:
+    def kinetic(self, mu: Numbers, v_s: Numbers) -> Numbers:
         return mu * self.factor
 
 

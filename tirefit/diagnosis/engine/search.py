@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain, combinations
 from math import factorial
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, softmax
@@ -56,7 +57,10 @@ _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
 amplitude of an effect with one sign."""
 
 
-def parts_of(key: tuple) -> list[tuple]:
+Item = TypeVar("Item")
+
+
+def parts_of(key: tuple[Item, ...]) -> list[tuple[Item, ...]]:
     """A set of effects and its subsets, the largest first."""
     sizes = range(len(key), 0, -1)
     return list(chain.from_iterable(combinations(key, size) for size in sizes))
@@ -145,7 +149,9 @@ class Search:
             total += self.subject.priors.odds[k] - np.log(self.variants[self.ids[k]])
         return float(total + np.log(factorial(len(atoms))))
 
-    def refit(self, sets: Sequence[tuple[int, ...]], starts: dict) -> None:
+    def refit(
+        self, sets: Sequence[tuple[int, ...]], starts: dict[tuple[int, ...], list[Any]]
+    ) -> None:
         """Refit sets of atoms from their starts, by set; the better one of several counts."""
         sets = [s for s in dict.fromkeys(sets) if s and s not in self.fits]
         begin = [start for s in sets for start in starts[s]]

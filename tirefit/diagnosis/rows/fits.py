@@ -117,7 +117,7 @@ def refit(
 
 
 def minimised(
-    at: Callable,
+    at: Callable[..., Any],
     starts: np.ndarray,
     bounds: Sequence[np.ndarray],
     solver: NormalEquations,
@@ -255,7 +255,7 @@ def missed_share(prepared: Prepared, channel: str, values: Values) -> float:
     return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
 
 
-def check_followed(prepared: Prepared, missed: dict, name: str) -> None:
+def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> None:
     """Raises DataError if the stand-in ``name`` does not follow the simulated forces;
     ``missed`` is its error (n,) by channel."""
     for c, values in missed.items():

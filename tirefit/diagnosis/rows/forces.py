@@ -106,7 +106,9 @@ def _reference(
     return stiffness, peak_ratio(tire, *where.reference), arm_of(tire)
 
 
-def _mean_and_spread(model: AbstractTire, layout: Layout, mode: str, where: _Where) -> Callable:
+def _mean_and_spread(
+    model: AbstractTire, layout: Layout, mode: str, where: _Where
+) -> Callable[..., Any]:
     """(z, reference, state, slips, weights, second, inputs) of one row -> mean and
     variance of each force over the latent slip, without offset: two tuples."""
 
@@ -150,7 +152,7 @@ def _carrier(
 
 
 def _each(
-    count: jax.Array, one: Callable, z: jax.Array, states: jax.Array
+    count: jax.Array, one: Callable[..., Any], z: jax.Array, states: jax.Array
 ) -> tuple[jax.Array, ...]:
     """``one`` for each of the first ``count`` fits in turn; zero for the others."""
     shapes = jax.eval_shape(one, z[0], states[0])
@@ -247,7 +249,7 @@ class Tire:
 
     def _run(
         self, program: Callable[..., Any], points: np.ndarray, states: Iterator[Any], design: Design
-    ) -> Iterator:
+    ) -> Iterator[tuple[np.ndarray, ...]]:
         """Results of a program for z (h, p) and the states (F, n) of fits, one by one;
         the next states are computed while JAX evaluates the last ones."""
         size, where, waiting = len(design.keep), _Where.of(design), None
@@ -269,7 +271,7 @@ class Tire:
 
     def forces(
         self, fits: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]], design: Design
-    ) -> Iterator:
+    ) -> Iterator[tuple[np.ndarray, ...]]:
         """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
         variances over the slip."""
         points = np.array([z for z, _ in fits])
@@ -315,7 +317,7 @@ class Tire:
 
     def slopes(
         self, points: np.ndarray, sets: Sequence[tuple[Any, ...]], design: Design
-    ) -> Iterator:
+    ) -> Iterator[tuple[np.ndarray, ...]]:
         """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z, amplitudes, ...),
         and slopes (p + k, C, n) by z and amplitudes in prior scales."""
         p, scale, by_amplitude = self.layout.size, design.prior_scale, []
@@ -344,7 +346,9 @@ def _present(amplitudes: np.ndarray | tuple[Any, ...]) -> list[tuple[int, float]
     return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
 
 
-def _one_by_one(found: tuple[jax.Array, jax.Array, jax.Array], count: int) -> Iterator:
+def _one_by_one(
+    found: tuple[jax.Array, jax.Array, jax.Array], count: int
+) -> Iterator[tuple[np.ndarray, ...]]:
     """Results of a program for each of the first ``count`` fits."""
     parts = [np.asarray(part) for part in found]
     yield from (tuple(part[k] for part in parts) for k in range(count))

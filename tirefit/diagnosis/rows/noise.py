@@ -342,7 +342,11 @@ def _growth(white: np.ndarray, values: np.ndarray, keep: np.ndarray) -> float:
 
 
 def slip_scatter(
-    residual: np.ndarray, steepness: np.ndarray, fz: np.ndarray, alike: Sequence, in_time: Sequence
+    residual: np.ndarray,
+    steepness: np.ndarray,
+    fz: np.ndarray,
+    alike: Sequence[Any],
+    in_time: Sequence[Any],
 ) -> float:
     """Standard deviation of the slip noise from the forces, zero if not significant.
 

@@ -195,7 +195,7 @@ def load_rig(path: str | Path | None) -> Rig:
         raise UsageError(problems) from None
 
 
-def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
+def _of_others(content: dict[str, Any], kind: type[Section]) -> tuple[dict[str, Any], list[str]]:
     """The content without keys that resemble no key of the section, and those keys, which
     may be for other programs."""
     kept, others = {}, []

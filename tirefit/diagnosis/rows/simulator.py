@@ -156,7 +156,7 @@ class Given:
                 config = parse_config({"parameters": held})
                 own = choose_layout(tire, config, ("run",), prepared.channels)
                 tire, layout = own[:2]
-            z = layout.unconstrained(values)
+            z = np.asarray(layout.unconstrained(values))
         z = np.asarray(z)
         return Tire(tire, layout, tuple(effects), prepared.mode), z, z
 
@@ -217,7 +217,7 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
     return Given(kind="columns", source="arrays", forces=lambda _: arrays)
 
 
-def _arrays(sim: Mapping, n: int) -> dict[str, np.ndarray]:
+def _arrays(sim: Mapping[str, Any], n: int) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     for name, values in sim.items():
         channel, reason = str(name).removesuffix("_sim"), ""
@@ -301,7 +301,7 @@ def simulator_at(
     return _of_tire(with_values(template, whole), "model", text)
 
 
-def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
+def _at_tir(text: str, values: dict[str, float], of_tir: dict[str, Any]) -> Given:
     tir, signs = read_tir(text), of_tir.get("signs")
     tire = tire_of(tir, values=values, **of_tir)
     check_values(tire, text, values)

@@ -97,7 +97,7 @@ class Concluded:
         taken a part of either."""
         each, weighed = self.verdict.each, self.weighed
         stands_for = {name: e for e, one in each.items() for name in (e, *one.twins)}
-        sets: dict[frozenset, list[Key]] = {}
+        sets: dict[frozenset[str | None], list[Key]] = {}
         for key in weighed.best_of:
             claim = frozenset(stands_for.get(effect) for effect in key)
             if None not in claim and len(claim) == len(key):

@@ -54,7 +54,7 @@ def plausible_forces(case: Case, generator: np.random.Generator) -> dict[str, np
     likely = sorted(total, key=lambda key: -total[key])[:_SETS]
     chances = np.array([total[key] for key in likely])
     counts = generator.multinomial(DRAWS, chances / chances.sum())
-    drawn: dict[str, list] = {channel: [] for channel in base.rows.channels}
+    drawn: dict[str, list[Any]] = {channel: [] for channel in base.rows.channels}
     for key, count in zip(likely, counts, strict=True):
         if not count:
             continue
@@ -233,7 +233,7 @@ def of_the_ladder(ladder: Ladder) -> HeldOut | None:
 
 
 def held_out(
-    case: Case, holdout: Sequence, rig: Rig, generator: np.random.Generator
+    case: Case, holdout: Sequence[Any], rig: Rig, generator: np.random.Generator
 ) -> tuple[HeldOut | None, Ladder]:
     """Closure by the effects that help on data left out, and the ladder with the closure of
     each step there.
@@ -314,13 +314,13 @@ _HELD = 1e4
 """Stiffness that holds parameters z: they move by 1e-8 of the gradient."""
 
 
-def subsets(players: tuple) -> list[tuple]:
+def subsets(players: tuple[Any, ...]) -> list[tuple[Any, ...]]:
     """All subsets of the players, the empty one first, each in the order of players."""
     sizes = range(len(players) + 1)
     return [chosen for size in sizes for chosen in combinations(players, size)]
 
 
-def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
+def shapley(players: tuple[Any, ...], worth: Callable[[tuple[Any, ...]], float]) -> dict[Any, Any]:
     """Shapley value of every player: its mean gain over all orders. ``worth`` takes
     each of the :func:`subsets`."""
     count, known = len(players), {chosen: worth(chosen) for chosen in subsets(players)}
@@ -401,7 +401,7 @@ def _energies(means: np.ndarray) -> np.ndarray:
     return np.concatenate([parts, rest], axis=-1)
 
 
-def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple, np.ndarray]]:
+def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple[Any, ...], np.ndarray]]:
     """Residual (n,) of every channel for each subset of the players. All subsets are
     refitted; the parameters of the simulator are held unless they are in the subset."""
     atoms, sets = chosen.atoms, subsets(chosen.atoms)
@@ -409,13 +409,15 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple, np.ndarray]]:
     freed = refit(base.tire, [(chosen.z, a) for a in guess], sets, base.design)
     free = dict(zip(sets, zip(freed.z, freed.amplitude, strict=True), strict=True))
     free[atoms] = chosen.z, chosen.amplitude
-    fits: dict[tuple, tuple] = {**free}
+    fits: dict[tuple[Any, ...], tuple[Any, ...]] = {**free}
     if base.simulator is not None:
         start, held = base.simulator.z, base.design._replace(hold=np.array(_HELD))
         stuck = refit(base.tire, [(start, a) for a in guess], sets, held)
         fits = {(PARAMETERS, *s): fit for s, fit in free.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
-    missed: dict[str, dict] = {channel: {} for channel in base.rows.channels}
+    missed: dict[str, dict[tuple[Any, ...], np.ndarray]] = {
+        channel: {} for channel in base.rows.channels
+    }
     for subset, (z, amplitude) in fits.items():
         index = [k for k in subset if not isinstance(k, str)]
         forces = base.forces(z, base.amplitudes(index, amplitude))

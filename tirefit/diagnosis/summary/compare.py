@@ -69,7 +69,7 @@ class Source(NamedTuple):
     tire: GivenTire | None = None
     content: Mapping[str, Any] = {}
 
-    def as_json(self) -> Mapping:
+    def as_json(self) -> Mapping[str, Any]:
         """Without the document."""
         return {k: getattr(self, k) for k in ("name", "kind", "file", "model", "standing")}
 
@@ -161,7 +161,7 @@ class Comparison(Record):
 
 
 def compare(
-    sources: "Iterable[Record | GivenTire | str | PathLike]", names: Sequence[str] = ()
+    sources: "Iterable[Record | GivenTire | str | PathLike[str]]", names: Sequence[str] = ()
 ) -> Comparison:
     """Compare fits, ``.tir`` files or diagnoses: what differs beyond its standard error.
 

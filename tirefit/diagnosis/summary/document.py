@@ -247,7 +247,7 @@ def candidates_of(case: Concluded, closure: Callable[[Fit], Shrinkage]) -> tuple
     return tuple(listed)
 
 
-def _chances(case: Concluded) -> dict:
+def _chances(case: Concluded) -> dict[tuple[str, ...], float]:
     """Probability of every refitted set: that of the verdict; others by evidence."""
     verdict, listed = case.verdict, case.weighed.listed
     named = bool(verdict.key)

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy.special import logit, ndtr
@@ -107,9 +108,9 @@ def confusion(search: Search) -> list[Forecast]:
     return forecasts
 
 
-def _changes(prepared: Prepared) -> dict[str, dict]:
+def _changes(prepared: Prepared) -> dict[str, dict[str, Any]]:
     """Further measurements: name -> the changed conditions."""
-    options: dict[str, dict] = {_SAME_AGAIN: {}}
+    options: dict[str, dict[str, Any]] = {_SAME_AGAIN: {}}
     if "signs" not in prepared.has:
         options["the opposite sign of slip"] = {"slip": -1.0}
     spread = "other loads" if "loads" in prepared.has else "two more loads"
@@ -122,11 +123,11 @@ def _changes(prepared: Prepared) -> dict[str, dict]:
     return options
 
 
-def _changed(base: Base, change: dict) -> Base:
+def _changed(base: Base, change: dict[str, Any]) -> Base:
     """The design under other conditions; of two conditions, in turn from row to row."""
     design, n, size = base.design, base.rows.n, len(base.design.keep)
     inputs, rows, slip = design.inputs, design.rows, change.get("slip", 1.0)
-    scaled = {k: np.resize(change[k], size) for k in ("fz", "v") if k in change}
+    scaled: dict[str, Any] = {k: np.resize(change[k], size) for k in ("fz", "v") if k in change}
     inputs = inputs._replace(**{k: getattr(inputs, k) * f for k, f in scaled.items()})
     if "v" in scaled:
         scaled |= dict.fromkeys(("pace", "sliding", "step"), scaled["v"])

@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import Outcome
 
+if TYPE_CHECKING:
+    import pandas
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSummary:
@@ -52,7 +55,7 @@ class NoiseSummary:
     outliers: int = 0  # number of excluded rows
     excess: float = 1.0  # over the stated noise, 1 where none was stated
 
-    def as_json(self) -> Mapping:
+    def as_json(self) -> Mapping[str, Any]:
         """Each level under the name of its column."""
         slip = {self.slip_name: self.slip, f"{self.slip_name}_source": self.slip_source}
         return {
@@ -299,7 +302,7 @@ class Diagnosis(Record):
     runs: Mapping[str, RunOffsets] = field(default_factory=dict)
     base_parameters: Mapping[str, float]
     extended_parameters: Mapping[str, float]
-    extension: tuple
+    extension: tuple[Any, ...]
     settings: Settings
     seed: int
     version: str
@@ -329,7 +332,7 @@ class Diagnosis(Record):
         helping = {*self.verdict.helping}
         return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
 
-    def to_frame(self):
+    def to_frame(self) -> "pandas.DataFrame":
         """The base parameters, the gap and the sizes of the effects that help as a pandas data
         frame: columns kind, name, value, std, unit."""
         return frame(record_of(self.to_dict()).rows).drop(columns=["low", "high", "identified"])
