@@ -33,8 +33,8 @@ def test_the_page_of_a_fit_is_linked_to_its_sliders_beside_it(run, unrendered):
     link = '<a href="my%20tire.html">sliders of load, camber, speed and slip</a>'
     assert link in page.read_text() and "tirefit explore" not in page.read_text()
     assert len(page.read_text()) == pytest.approx(len(before), abs=100)
-    page.write_text(f"mine: {before.partition('<script')[0]}")
-    mine = page.read_text()
+    mine = "sliders of load, camber, speed and slip: run tirefit explore fit.json in this folder"
+    page.write_text(mine)  # not written by tirefit
     run("explore", "out/fit.json", "--out", "out/my tire.html")
     assert page.read_text() == mine
 
