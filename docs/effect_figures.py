@@ -1,4 +1,4 @@
-"""A figure for each effect: the curve without and with it, and the change.
+"""A figure for each effect of an axle's forces: without it, with it, and the difference.
 
 The forces are those of the diagnosis itself, on two simulated records: sweeps of a
 rig at three loads and two speeds, and a drive of a car.
@@ -8,6 +8,7 @@ import io
 
 import jax
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from fits.withheld.car import Car, drive
@@ -17,6 +18,7 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.models import MODELS, TireInputs, forces
+from tirefit.report.canvas import BLUE, GREEN, GREY, PURPLE, RED
 from tirefit.report.diagnosis_words import name_of
 
 RIG = Rig(
@@ -28,6 +30,10 @@ SWEEPS = [(fz, v) for v in (10.0, 20.0) for fz in (2000.0, 4000.0, 6000.0)]
 ROWS, STEP, PERIOD = 160, 0.0125, 2.0
 """Rows of a sweep; time between two rows [s]; length of a sweep, and of the pause
 after it [s]."""
+STRETCH = 12.0
+"""Time [s] of the drive that a figure shows."""
+MOST_SETTINGS = 3
+"""Number of values of a quantity up to which each has a curve over the slip."""
 SHOWN, LARGEST = 0.12, 3.0
 """Change of the force (rms, over that of the force) that a figure aims at, and its
 largest amplitude in standard deviations of the prior."""
@@ -125,23 +131,57 @@ def _figure(frame, channel, base, k):
 
 
 def _draw(effect, columns, slip, plain, changed):
-    side = "tan(alpha)" if "alpha" in columns and "sigma_x" not in columns else "slip"
-    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for force, color, label in (
-        (plain, "0.6", "without"),
-        (changed, "tab:blue", f"with {name_of(effect.id)}"),
-    ):
-        left.plot(slip, force / columns["fz"], ".", ms=2, color=color, label=label)
-    left.set(xlabel=f"{side} [-]", ylabel="force / load [-]")
-    figure.legend(loc="outside upper center", ncols=2, markerscale=4, frameon=False)
-    column, label = OVER.get(effect.family.rpartition(" x ")[2], (None, f"{side} [-]"))
+    on_a_rig = "sigma_x" in columns
+    side = "slip [-]" if on_a_rig else "tan(alpha) [-]"
+    time, change = columns["time"], changed - plain
+    pieces = (time // (PERIOD if on_a_rig else STRETCH)).astype(int)
+    shown = pieces == max(set(pieces), key=lambda k: np.mean(change[pieces == k] ** 2))
+    x, label = (slip, side) if on_a_rig else (time, "time [s]")
+    column, quantity = OVER.get(effect.family.rpartition(" x ")[2], (None, side))
     over = slip if column is None else columns[column]
-    right.plot(over, changed - plain, ".", ms=2, color="tab:blue")
-    right.axhline(0, color="0.6", lw=0.8)
-    right.set(xlabel=label, ylabel="change of the force [N]")
-    for axes in (left, right):
-        axes.margins(0.06, 0.08)
+    lower = [(over, change, "")]
+    if len(set(over)) <= MOST_SETTINGS:  # a curve over the slip for each setting
+        quantity, unit = side, quantity.replace("]", "").rpartition(" [")
+        settings = [(f"{unit[0]} {x:g} {unit[2]}" if unit[0] else f"run {x:g}", over == x)
+                    for x in sorted(set(over))]  # fmt: skip
+        lower = [(slip[at], change[at], label) for label, at in settings]
+    return picture(
+        name_of(effect.id),
+        [(x[shown], force[shown] / columns["fz"][shown]) for force in (plain, changed)],
+        (label, "force / load [-]"),
+        lower,
+        (quantity, "difference [N]"),
+    )
+
+
+def picture(name, upper, labels, lower, below, line="."):
+    """PNG of a quantity without and with an effect, above the difference.
+
+    Args:
+        upper: (x, y) without and with the effect; ``labels``: of the axes.
+        lower: (x, difference, name in a legend) of each setting; ``below``: labels of the axes.
+        line: how the difference is drawn.
+    """
     file = io.BytesIO()
-    figure.savefig(file, dpi=110)
+    with rc_context({"font.size": 11}):
+        figure = Figure(figsize=(4.6, 4.9), layout="constrained")
+        above, beneath = figure.subplots(2, 1)
+        above.plot(*upper[0], color=GREY, lw=3, label="without")
+        above.plot(*upper[1], color=BLUE, lw=1.6, label=f"with {name}")
+        figure.legend(loc="outside upper left", ncols=1 + (len(name) < 26), frameon=False)
+        beneath.axhline(0, color=GREY, lw=1)
+        for (x, y, label), color in zip(lower, (RED, GREEN, PURPLE), strict=False):
+            beneath.plot(x, y, line, ms=3, lw=1.6, color=color, label=label)
+        if len(lower) > 1:
+            beneath.legend(
+                loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=9, frameon=False,
+                markerscale=3, handletextpad=0, columnspacing=1, borderpad=0,
+            )  # fmt: skip
+        for axes, (under, left) in ((above, labels), (beneath, below)):
+            axes.set(xlabel=under, ylabel=left)
+            axes.margins(0.04, 0.08)
+            axes.spines[["top", "right"]].set_visible(False)
+            axes.locator_params("x", nbins=6)
+        figure.align_ylabels()
+        figure.savefig(file, dpi=130)
     return file.getvalue()

@@ -1,9 +1,11 @@
 """A page for each effect of the diagnosis, from its record, with a figure."""
 
-from effect_figures import figures
+import car_figures
+import effect_figures
 
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
 from tirefit.report.diagnosis_words import name_of, needs_text
+from tirefit.vehicle.effects import CAR_EFFECTS
 
 FOLDER = "docs/effects"
 KNOWN = effects_by_id(EFFECTS)
@@ -35,31 +37,67 @@ PER = {
 """What a prior is relative to, by the name of the size of the file that is its unit."""
 
 
+_OF_MOTION = {"yaw_rate", "yaw_acceleration", "heading", "a_x", "a_y", "steering"}
+_NEEDS = {
+    "acceleration": "an acceleration that varies",
+    "speeds": "speeds that vary",
+    "heading": "a log with the pose",
+    "rates": "a log with the yaw rate",
+}
+"""Needs of the effects of a car, in words."""
+_FORCES = """Above: force over load without (grey) and with the effect (blue), on the sweep or
+stretch of a simulated record that it changes most. Below: the difference, in the whole record."""
+_CAR = """Above: the motion of a simulated car without (grey) and with the effect (blue), at the
+same steering and speed. Below: the difference."""
+
+
 def pages():
     """Path -> content of every page and figure."""
     found = {}
-    for effect, (figure, amplitude) in figures().items():
-        found[f"{FOLDER}/{effect}.md"] = _page(KNOWN[effect], amplitude)
-        found[f"{FOLDER}/{effect}.png"] = figure
+    for folder, library, shown, text in (
+        (FOLDER, KNOWN, effect_figures.figures(), _FORCES),
+        (f"{FOLDER}/car", effects_by_id(CAR_EFFECTS), car_figures.figures(), _CAR),
+    ):
+        for effect, (figure, amplitude) in shown.items():
+            page = _page(library[effect], amplitude, text, "car" in folder)
+            found[f"{folder}/{effect}.md"] = page
+            found[f"{folder}/{effect}.png"] = figure
     return found
 
 
-def table():
-    """The table of all effects, and of the laws of the noise."""
-    heads = ["| effect | family | cause |", "|---|---|---|"]
-    rows = [f"| {_link(e.id)} | {e.family} | {e.means} |" for e in EFFECTS]
-    rows += [f"| {name_of(e.id)} | {e.family} | {e.means} |" for e in NOISE_EFFECTS]
-    return "\n".join(heads + rows)
+def group_of(effect):
+    """Title of the group of an effect of an axle's forces."""
+    if effect.of == "vehicle" or _OF_MOTION & {*effect.needs}:
+        return "Motion"
+    return effect.of.capitalize()
 
 
-def _link(effect):
-    return f"[{name_of(effect)}]({effect}.md)"
+def _table(effects, folder=""):
+    rows = [f"| {_link(e.id, folder)} | {e.means} |" for e in effects]
+    return "\n".join(["| effect | cause |", "|---|---|", *rows])
 
 
-def _page(effect, amplitude):
+def table(group):
+    """The table of the effects of a group."""
+    if group == "Car":
+        return _table(CAR_EFFECTS, "car/")
+    if group == "Noise":
+        rows = [f"| {name_of(e.id)} | {e.means} |" for e in NOISE_EFFECTS]
+        return "\n".join(["| law of the noise | meaning |", "|---|---|", *rows])
+    return _table([e for e in EFFECTS if group_of(e) == group])
+
+
+def _link(effect, folder=""):
+    return f"[{name_of(effect)}]({folder}{effect}.md)"
+
+
+def _page(effect, amplitude, text, of_car):
     name, unit = name_of(effect.id), effect.unit.removeprefix("-")
     unit = f" {unit.strip()}" if unit else ""
     relative = PER.get(effect.per[0], unit.strip())
+    decides = effect.told_apart_by if of_car else DECIDES.get(effect.told_apart_by)
+    command = "tirefit diagnose --vehicle" if of_car else "tirefit diagnose"
+    needs = ", ".join(_NEEDS[one] for one in effect.needs) if of_car else needs_text(effect.needs)
     rows = {
         "id": f"`{effect.id}`",
         "family": effect.family,
@@ -67,25 +105,25 @@ def _page(effect, amplitude):
         "prior of the amplitude": f"standard deviation {effect.scale:g} {relative}",
         "variants tried": f"{len(effect.variants)} of the formula",
         "forces that change": ", ".join(f"`{c}`" for c in effect.channels) or "all",
-        "needs": needs_text(effect.needs) or "slip, force, load",
+        "needs": needs or ("a log and `vehicle.toml`" if of_car else "slip, force, load"),
         "resembles": ", ".join(map(_link, effect.looks_like)) or "none of the others",
-        "measure to decide": DECIDES.get(effect.told_apart_by, "no single measurement"),
+        "measure to decide": decides or "no single measurement",
     }
+    if of_car:
+        del rows["forces that change"]
     cells = "\n".join(f"| {head} | {cell} |" for head, cell in rows.items())
-    return f"""# {name.capitalize()}
+    return f"""# {name.capitalize()}{" of a car" * of_car}
 
-What it means that `tirefit diagnose` names **{name}**, and what to do.
+What it means that `{command}` names **{name}**, and what to do.
 
 - **Cause**: {effect.means}.
 - **What to do**: {effect.remedy}.
 
-![force without and with {name}]({effect.id}.png)
+![without and with {name}, and the difference]({effect.id}.png)
 
-Left: force over load against slip, without (grey) and with the effect (blue), on a
-simulated record; the amplitude is {amplitude:.3g}{unit}. Right: the change that it
-makes.
+{text} The amplitude is {amplitude:.3g}{unit}.
 
-| | |
+| property | of {name} |
 |---|---|
 {cells}
 """

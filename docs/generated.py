@@ -6,24 +6,28 @@ import textwrap
 from pathlib import Path
 
 import effect_pages
+import gallery
+import notebooks
 import typer
 
 import tirefit
 from tirefit.cli.commands import app
+from tirefit.display import Record
 from tirefit.models import MODELS
 from tirefit.report.model_tables import methods_table, models_table
 
-MARKER = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+MARKER = re.compile(r"^<!-- generated: (\w+) ?(\w*) -->$", re.MULTILINE)
 
 
 def pages():
     """Path in the repository -> content, of every page and figure that is generated."""
-    return effect_pages.pages()
+    return effect_pages.pages() | notebooks.pages()
 
 
 def fill(markdown):
     """The Markdown with every marker replaced by the text that it names."""
-    return MARKER.sub(lambda found: TEXTS[found[1]](), markdown)
+    markdown = MARKER.sub(lambda found: TEXTS[found[1]](*filter(None, [found[2]])), markdown)
+    return notebooks.with_links(markdown)
 
 
 def _module_of(name):
@@ -42,7 +46,7 @@ def _api():
 def _described(name, shown):
     called = f"from {tirefit.__name__}.{_module_of(name)}"
     if not callable(shown):
-        return f"`tirefit.{name}`, {called}."
+        return f"`tirefit.{name}`, {called}: {LISTED[name]}."
     given = [
         f"    {one.replace(annotation=one.empty)},"
         for one in inspect.signature(shown).parameters.values()
@@ -51,6 +55,30 @@ def _described(name, shown):
     return f"```python\n{call}\n```\n\n{as_markdown(inspect.getdoc(shown) or '')}"
 
 
+def _record():
+    """The base of all results: its docstring, and the first lines of its methods."""
+    rows = []
+    for name in RECORD:
+        shown = getattr(Record, name)
+        text = as_markdown(inspect.getdoc(shown)).partition("\n\n")[0].replace("\n", " ")
+        given = "" if isinstance(shown, property) else str(inspect.signature(shown))
+        given = re.sub(r": .*?(?=[,)=])|^\(self(, )?| ->.*", "", given).rstrip(")")
+        called = name if isinstance(shown, property) else f"{name}({given})"
+        rows.append(f"| `{called}` | {text} |")
+    return (
+        "\n".join(["| of a result | is |", "|---|---|", *rows])
+        + "\n\n"
+        + as_markdown(inspect.getdoc(Record))
+    )
+
+
+RECORD = ("status", "outcomes", "warnings", "summary", "plot", "save", "to_dict", "to_json")
+"""Properties and methods of all results that the reference lists."""
+LISTED = {
+    "EFFECTS": "the [effects of a diagnosis](../effects/README.md)",
+    "METHODS": "the [methods of `estimate`](../how-to/estimate.md), by name",
+    "MODELS": "the [tire models](../choosing-a-model.md), by name",
+}
 ROLE = re.compile(r":\w+:`~?([^`]+)`")
 SECTION = re.compile(r"^([A-Z]\w+):\n((?:    .*(?:\n|$)|\n(?=\n*    ))+)", re.MULTILINE)
 ITEM = re.compile(r"^(\S[^\n:]*): ?", re.MULTILINE)
@@ -91,7 +119,9 @@ def _literal(text):
 TEXTS = {
     "api": _api,
     "commands": _commands,
+    "record": _record,
     "effects": effect_pages.table,
+    "gallery": gallery.text,
     "models": lambda: _literal(models_table(MODELS)),
     "methods": lambda: _literal(methods_table(tirefit.METHODS)),
     "sources": lambda: tirefit.__doc__.partition("Cited elsewhere:\n")[2],

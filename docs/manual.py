@@ -5,6 +5,8 @@ the manual and where the repository is read. Pages and texts that come from the 
 written as files too, so any program that builds a site from Markdown builds this folder.
 """
 
+import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -24,9 +26,11 @@ ALONE = (
     "tirefit/diagnosis/calibration.json",
 )
 FOLDERS = ("docs", "fits")
-KINDS = {".md", ".png", ".csv", ".toml", ".json", ".ipynb", ".py"}
+KINDS = {".md", ".png", ".css", ".csv", ".toml", ".json", ".ipynb", ".py"}
 KINDS |= {".dat", ".tdx", ".mat", ".parquet", ".xlsx", ".mf4", ".mcap"}
 """Files of the folders that a page may link to, samples among them."""
+IMAGE, WIDE = re.compile(r"!\[[^\]]*\]\(([^)]+\.png)\)"), 740
+"""An image in Markdown; width in pixels above which its letters are small on a phone."""
 
 
 def sources():
@@ -40,17 +44,23 @@ def sources():
 def write(folder=FOLDER):
     """Delete the folder, and write all pages and the files that they link to into it."""
     shutil.rmtree(folder, ignore_errors=True)
-    for path in sources():
-        target = folder / path.relative_to(ROOT)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix == ".md":
-            text = generated.fill(path.read_text(encoding="utf-8"))
-            target.write_text(text, encoding="utf-8")
-        else:
-            shutil.copyfile(path, target)
+    files = {str(path.relative_to(ROOT)): path.read_bytes() for path in sources()}
     for name, content in generated.pages().items():
-        data = content if isinstance(content, bytes) else content.encode()
-        (folder / name).write_bytes(data)
+        files[name] = content if isinstance(content, bytes) else content.encode()
+    for name, content in files.items():
+        if name.endswith(".md"):
+            text = generated.fill(content.decode())
+            content = IMAGE.sub(lambda found, at=name: _sized(found, at, files), text).encode()
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+
+
+def _sized(image, page, files):
+    """An image of a page, marked if its letters are small on a phone."""
+    path = os.path.normpath(Path(page).parent / image[1])
+    width = int.from_bytes(files[path][16:20]) if path in files else 0
+    return image[0] + "{.wide}" * (width > WIDE)
 
 
 if __name__ == "__main__":

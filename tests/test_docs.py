@@ -6,13 +6,17 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import tomllib
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 import yaml
 
 import tirefit
+from tests.report.pages import browse, in_browser
 from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.display import Record
@@ -20,10 +24,18 @@ from tirefit.fitting.problem.config import load_config
 from tirefit.names import effect_names
 from tirefit.results import Outcome, exit_code
 from tirefit.sim.brake_result import UNITS
+from tirefit.vehicle.effects import CAR_EFFECTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+sys.path.insert(0, str(DOCS))
+
+import effect_pages  # noqa: E402  the programs of the manual
+import gallery  # noqa: E402
+import notebooks  # noqa: E402
+
 PAGES = sorted(DOCS.rglob("*.md"))
+CODE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LOADED = re.compile(r"<(?:link|script|img|iframe)\b[^>]*?(?:href|src)=\"?(https?:)?//")
 
 
@@ -66,10 +78,122 @@ def test_nothing_is_loaded_from_the_network(site):
 
 @pytest.mark.long
 def test_every_effect_has_a_page_and_a_figure(site):
-    for effect in effect_names():
-        page = (site / "docs" / "effects" / effect / "index.html").read_text(encoding="utf-8")
-        assert f"{effect}.png" in page
-        assert (site / "docs" / "effects" / f"{effect}.png").read_bytes()[:4] == b"\x89PNG"
+    names = [*effect_names(), *(f"car/{effect.id}" for effect in CAR_EFFECTS)]
+    for name in names:
+        page = (site / "docs" / "effects" / name / "index.html").read_text(encoding="utf-8")
+        assert f"{name.rpartition('/')[2]}.png" in page
+        assert (site / "docs" / "effects" / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_catalogue_has_every_effect_in_one_group():
+    page = (DOCS / "effects" / "README.md").read_text(encoding="utf-8")
+    groups = re.findall(r"^## (\w+)$", page, re.MULTILINE)
+    assert re.findall(r"^<!-- generated: effects (\w+) -->$", page, re.MULTILINE) == groups
+    text = "\n".join(effect_pages.table(group) for group in groups)
+    listed = re.findall(r"\]\(([\w/]+)\.md\)", text)
+    assert sorted(listed) == sorted([*effect_names(), *(f"car/{e.id}" for e in CAR_EFFECTS)])
+    assert all(f"(car/{effect.id}.md) | {effect.means} |" in text for effect in CAR_EFFECTS)
+
+
+def test_the_pages_of_notebooks_have_their_text_code_and_pictures():
+    pages = notebooks.pages()
+    for path in (ROOT / "fits" / "notebooks").glob("*.ipynb"):
+        name = path.stem
+        page, stored = pages[f"fits/notebooks/{name}.md"], path.read_text(encoding="utf-8")
+        assert page.startswith("# ") and f"]({name}.ipynb)" in page
+        assert "$" not in CODE.sub("", page) and "base64" not in page
+        assert page.count("```python\n") == stored.count('"cell_type": "code"')
+        shown = re.findall(rf"{name}_\d+\.png", page)
+        assert sorted(f"fits/notebooks/{one}" for one in shown) == sorted(
+            one for one in pages if re.fullmatch(rf".*/{name}_\d+\.png", one)
+        )
+        assert len(shown) == len(re.findall(r'image/png": "iV|png;base64,iV', stored)) > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        (r"F_y > 0", "<i>F<sub>y</sub> &gt; 0</i>"),
+        (r"2 c_p a^2", "<i>2 c<sub>p</sub> a<sup>2</sup></i>"),
+        (r"v_{sx}/(\Omega R_e)", "<i>v<sub>sx</sub>/(Ω R<sub>e</sub>)</i>"),
+    ],
+)
+def test_a_formula_of_a_notebook_becomes_html(text, shown):
+    assert notebooks.formula(text) == shown
+
+
+def test_an_unknown_command_in_a_formula_is_refused():
+    with pytest.raises(ValueError, match=r"frac\{a\}.*LETTERS"):
+        notebooks.formula(r"\frac{a}{b}")
+
+
+def test_every_figure_of_the_gallery_is_there_and_its_page_states_the_command():
+    pages = notebooks.pages()
+    for _, figure, page, command in gallery.FIGURES:
+        made = figure in pages or figure.startswith("docs/effects/")
+        assert made or (ROOT / figure).read_bytes()[:4] == b"\x89PNG", figure
+        text = pages.get(page) or (ROOT / page).read_text(encoding="utf-8")
+        assert command in text, (page, command)
+
+
+@pytest.mark.long
+def test_a_name_is_once_in_the_api_without_markup(site):
+    page = (site / "docs" / "reference" / "api" / "index.html").read_text(encoding="utf-8")
+    names = ["Record", *tirefit.__all__]
+    assert [n for n in names if page.count(f'id="{n.lower()}"') != 1] == []
+    text = re.sub(r"<(code|pre)\b.*?</\1>", "", page, flags=re.DOTALL)
+    assert [mark for mark in (":::", "``", ":func:", "&gt;&gt;&gt;") if mark in text] == []
+
+
+WATCH = """<img src="/searched" hidden><script>
+const wait = setInterval(() => {
+  const found = document.querySelector(".md-search-result__link");
+  if (found) { clearInterval(wait); fetch("/found?" + found.getAttribute("href")); }
+}, 50);
+</script>"""
+"""Delays the end of loading, which Chromium waits for, until the search has shown a result."""
+
+
+class Searched(SimpleHTTPRequestHandler):
+    """A server of the site that stores the first result of a search."""
+
+    def do_GET(self):
+        if self.path.startswith("/found?"):
+            self.server.first = self.path.partition("?")[2]
+            self.server.came.set()
+        elif self.path == "/searched":
+            self.server.came.wait(60)
+        else:
+            return super().do_GET()
+        self.send_response(204)
+        self.end_headers()
+
+    def log_message(self, *_):
+        """Print nothing."""
+
+
+@in_browser
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [
+        ("relaxation length", "docs/effects/"),
+        ("gallery", "docs/gallery/"),
+        ("fit_trajectory", "docs/reference/api/"),
+        ("vehicle.toml", "VEHICLE/"),
+    ],
+)
+def test_the_search_finds_a_page(words, page, site, tmp_path):
+    start = site / "search.html"
+    text = (site / "index.html").read_text(encoding="utf-8")
+    start.write_text(text.replace("</body>", f"{WATCH}</body>"), encoding="utf-8")
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Searched, directory=site)) as server:
+        server.came, server.first = threading.Event(), ""
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/search.html?q={words.replace(' ', '+')}"
+        browse(address, tmp_path, "--dump-dom")
+        server.shutdown()
+    assert page in server.first
 
 
 @pytest.mark.long
@@ -109,7 +233,7 @@ def test_a_broken_link_fails(tmp_path, text, faults):
 def test_links_work_in_the_markdown():
     """Without a build: no link points to a generated page."""
     for page in (*PAGES, *ROOT.glob("*.md")):
-        text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
+        text = CODE.sub("", page.read_text("utf-8"))
         links = re.findall(r"\]\((?!\w+:)([^)# ]+)[^)]*\)", text)
         assert [x for x in links if not (page.parent / x).exists()] == [], page
 

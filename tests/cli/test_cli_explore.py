@@ -19,6 +19,26 @@ def test_a_page_of_two_tires_and_rows(run):
     assert sorted(path.name for path in Path().iterdir()) == ["explore.html", "tire.html"]
 
 
+def test_the_page_of_a_fit_is_linked_to_its_sliders_beside_it(run, unrendered):
+    pytest.importorskip("plotly")
+    run("fit", CIRCLES, "--no-posterior", "--html", "--out", "out")
+    page = Path("out/fit.html")
+    before = page.read_text()
+    assert "tirefit explore fit.json" in before
+    run("explore", "brush", "--out", "out/brush.html")  # of another tire
+    run("explore", "out", "--out", "elsewhere.html")  # in another folder
+    assert page.read_text() == before
+    said = run("explore", "out/fit.json", "--out", "out/my tire.html").stdout
+    assert said.endswith("linked from out/fit.html\n")
+    link = '<a href="my%20tire.html">sliders of load, camber, speed and slip</a>'
+    assert link in page.read_text() and "tirefit explore" not in page.read_text()
+    assert len(page.read_text()) == pytest.approx(len(before), abs=100)
+    mine = "sliders of load, camber, speed and slip: run tirefit explore fit.json in this folder"
+    page.write_text(mine)  # not written by tirefit
+    run("explore", "out/fit.json", "--out", "out/my tire.html")
+    assert page.read_text() == mine
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "reason"),
     [

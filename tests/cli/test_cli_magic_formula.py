@@ -41,7 +41,9 @@ def test_a_fit_writes_a_tir_that_predicts(run, unrendered, sweeps, monkeypatch):
     said = run(*command).stdout
     assert "VERDICT: converged" in said and "GUARDS" in said
     assert "camber squared" not in said and len(said.splitlines()) <= 45
-    assert {"fx.png", "residuals.png"} <= {path.name for path in Path("out").iterdir()}
+    made = sorted(path.name for path in Path("out").iterdir())
+    assert {"fx.png", "residuals.png"} <= {*made}
+    assert sorted(re.search(r"^wrote to out: (.*)$", said, re.M)[1].split(", ")) == made
     said = run(*command, "--full").stdout
     assert "camber squared" in said and "held" in said
     written = read_tir("out/fit.tir")

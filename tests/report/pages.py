@@ -89,15 +89,16 @@ in_browser = pytest.mark.skipif(
 
 
 def browse(page, folder, *options):
-    """Chromium's result for a page, and every request that the page made."""
+    """Chromium's result for a page (a file or an address of this machine), and every request
+    that the page made."""
     log = folder / "net.json"
     done = subprocess.run(
         [
             BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
             "--disable-background-networking", "--disable-component-update",
-            "--host-resolver-rules=MAP * ~NOTFOUND", f"--log-net-log={log}",
+            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", f"--log-net-log={log}",
             f"--user-data-dir={folder / 'profile'}", "--window-size=1200,900", *options,
-            page.as_uri(),
+            page if isinstance(page, str) else page.as_uri(),
         ],
         capture_output=True, text=True, timeout=120, cwd=folder,
     )  # fmt: skip

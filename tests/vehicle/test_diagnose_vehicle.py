@@ -3,7 +3,6 @@ independent program (fits/withheld_vehicle/drives.py)."""
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -360,13 +359,6 @@ def test_wheels_turn_by_ratio_and_offset_and_yield_to_the_side_force():
 
 def test_every_withheld_effect_is_one_of_the_library():
     assert {*LISTED} <= {effect.id for effect in CAR_EFFECTS}
-
-
-def test_the_manual_lists_every_effect():
-    page = Path(__file__).parents[2] / "docs/how-to/diagnose-a-car.md"
-    text = page.read_text(encoding="utf-8")
-    for effect in CAR_EFFECTS:
-        assert f"| `{effect.id}` | {effect.means} |" in text, effect.id
 
 
 def test_a_delayed_cubic_is_exact():

@@ -30,7 +30,7 @@ def main() -> None:
         came.append(number)
         raise KeyboardInterrupt
 
-    def unheard(what: sys.UnraisableHookArgs) -> None:
+    def unheard(what: "sys.UnraisableHookArgs") -> None:
         # Python ignores exceptions within a callback of the garbage collector, which JAX
         # has, so raise an interrupt that comes then again after its end.
         if issubclass(what.exc_type, KeyboardInterrupt) and came:

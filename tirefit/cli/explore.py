@@ -2,9 +2,11 @@
 
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import quote
 
 import typer
 
+from tirefit.cli.fit_one import PAGE
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -15,8 +17,9 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_results
+from tirefit.cli.output import check_results, is_page
 from tirefit.data.write import output_problems
+from tirefit.files import write_texts
 from tirefit.results import UsageError
 
 _TIRES = "fits, .tir files, names of models, or folders of them; several over each other"
@@ -33,7 +36,8 @@ def explore(
 ) -> None:
     """Write a page with sliders: forces, friction ellipse, stiffness and peak of tires.
 
-    The page needs no other file and no network, and evaluates the model itself. Options
+    The page needs no other file and no network, and evaluates the model itself. The fit.html
+    of a tire in the folder of the page is linked to it. Options
     that describe the file (--column, --unit, ...) are those of DATA.csv.
     """
     UsageError.raise_for(output_problems(out, ".html"))
@@ -48,3 +52,17 @@ def explore(
     found.save(out)
     say(found.summary())
     say(f"wrote {out}: open it in a browser")
+    _link(out.parent / PAGE, tires, out.name)
+
+
+def _link(page: Path, tires: list[str], to: str) -> None:
+    """Link the page of a fit to a page with sliders of this fit in its folder."""
+    from tirefit.report.fit_report import EXPLORE
+
+    own = {page.parent.resolve(), page.with_suffix(".json").resolve()}
+    if is_page(page) and not own.isdisjoint(Path(one).resolve() for one in tires):
+        text = page.read_text(encoding="utf-8")
+        link = f'<a href="{quote(to)}">{EXPLORE.partition(":")[0]}</a>'
+        if EXPLORE in text:
+            write_texts({page: text.replace(EXPLORE, link)})
+            say(f"linked from {page}")

@@ -141,6 +141,6 @@ def _write(
             save_magic_formula(result, folder, also.svg)
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
-    known = [path.name for path in _files(out) if path.name != CHAIN]
+    known = [*dict.fromkeys(path.name for path in _files(out) if path.name != CHAIN)]
     text = result.summary(full=also is not None and also.full).replace(_ADVICE, advice)
     write_result(result, out, known, draw, PAGE if also and also.html else "", text=text)

@@ -120,7 +120,7 @@ def axes_panel(
         tidy(axes, x_label, y_label)
         panel_title(axes, title, note)
         if axes.get_legend_handles_labels()[1]:
-            axes.legend(frameon=False, fontsize=7.5)
+            axes.legend(framealpha=0.85, edgecolor="none", fontsize=7.5)
 
     return Panel(on_figure, title, (WIDE, 3.0))
 

@@ -41,7 +41,8 @@ _FAR_ROWS = 8  # outliers that the full report lists one by one
 _MASKED = 5  # masked rows that are listed one by one
 _PAIRS = 10  # correlations that are listed
 _MANY = 8  # largest number of parameters whose profiles a page shows at once
-_EXPLORE = "sliders of load, camber, speed and slip: tirefit explore fit.json"
+EXPLORE = "sliders of load, camber, speed and slip: run tirefit explore fit.json in this folder"
+"""Line of a page; `tirefit explore` puts a link in its place."""
 _AS_NAMED = re.compile(
     r"(?:\d+ files: )?column '(.+)' read as (\w+)( in (.+?))?( \(stated in the file\))?"
 )
@@ -174,7 +175,7 @@ def fit_page(result: FitResult) -> str:
     pictures = page_pictures(result)
     data = _data(result, full=True)
     sections = [
-        Section("", [_EXPLORE], pictures=pictures["fit"]),
+        Section("", [EXPLORE], pictures=pictures["fit"]),
         *(
             one._replace(pictures=[x for name in one.pictures for x in pictures.get(name, ())])
             for one in sections_of(result, full=True)

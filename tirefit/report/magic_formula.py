@@ -5,7 +5,7 @@ from math import isnan, log, sqrt
 from tirefit.fitting.mf.parts import PARTS
 from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
-from tirefit.report.fit_report import assumption_lines
+from tirefit.report.fit_report import EXPLORE, assumption_lines
 from tirefit.report.fit_tables import FORCE_UNIT, fit_files
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, named_lines, page, report_text, verdict_of
@@ -36,7 +36,11 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
     """The fit as one self-contained HTML page: verdict, figures, tables, data and record."""
     from tirefit.report.mf_figures import page_pictures, title_of  # Matplotlib
 
-    sections = [Section("", pictures=page_pictures(fit)), *_sections(fit, full=True), _data(fit)]
+    sections = [
+        Section("", [EXPLORE], pictures=page_pictures(fit)),
+        *_sections(fit, full=True),
+        _data(fit),
+    ]
     sentence, lines = _verdict(fit)
     verdict = verdict_of(f"Verdict: {sentence}", lines, not fit.outcomes)
     return page(title_of(fit), sections, verdict, f"tirefit {fit.version}", fit.to_json())
