@@ -4,14 +4,16 @@ Units are exact factors in a table. A leading minus (``-N``) declares a column w
 opposite to the convention of the file.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tirefit.arrays import Kept
 from tirefit.data.table import CANONICAL
 from tirefit.results import DataError, did_you_mean
 from tirefit.slip import CONVENTIONS, GRAVITY, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
+
+if TYPE_CHECKING:  # it imports JAX
+    from tirefit.arrays import Kept
 
 MEANING_OF_SLIP = {
     "sigma_x": "v_sx / (Omega R_e)",
@@ -32,11 +34,11 @@ class Unit(NamedTuple):
     scale: float
     offset: float = 0.0
 
-    def to_si(self, values: Kept, is_std: bool = False) -> Kept:
+    def to_si(self, values: "Kept", is_std: bool = False) -> "Kept":
         """Convert file values to SI; a standard deviation has no sign and no offset."""
         return abs(self.scale) * values if is_std else self.scale * values + self.offset
 
-    def from_si(self, values: Kept, is_std: bool = False) -> Kept:
+    def from_si(self, values: "Kept", is_std: bool = False) -> "Kept":
         """Inverse of :meth:`to_si`."""
         if is_std:
             return values / abs(self.scale)
