@@ -303,6 +303,14 @@ def test_unusable_log_is_refused(tmp_path, text, message):
     assert str(path) in str(caught.value)
 
 
+def test_a_header_that_says_none_has_no_unit(tmp_path):
+    columns = pose_log()
+    columns = {"(None) x" if name == "x" else name: values for name, values in columns.items()}
+    settings = vehicle(tmp_path, CAR + POSE.replace('x = "x"', 'x = "(None) x"') + KEEP)
+    log = derive(write_log(tmp_path / "a.csv", columns), settings)
+    assert "column '(None) x' read as x in m (no unit stated)" in log.assumptions
+
+
 def test_a_text_cell_is_reported_with_row_and_column(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log())
     lines = path.read_text().splitlines()
