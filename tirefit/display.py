@@ -8,13 +8,10 @@ import importlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 from tirefit.files import json_text, write_texts
 from tirefit.results import Outcome, did_you_mean
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def _made_by(place: str, *given: Any, **named: Any) -> Any:
@@ -102,7 +99,7 @@ class Record(Displayed):
         """
         return _made_by(self.text_by, self, **how)
 
-    def plot(self, what: str = "", **how: Any) -> "Figure":
+    def plot(self, what: str = "", **how: Any) -> Any:
         """The matplotlib figure.
 
         Args:

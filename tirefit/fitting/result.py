@@ -25,7 +25,6 @@ from tirefit.results import Outcome, UsageError
 if TYPE_CHECKING:
     import pandas
     import xarray
-    from matplotlib.figure import Figure
 
 
 SCHEMA = "tirefit.fit/1"
@@ -296,7 +295,7 @@ class FitResult(Record):
 
         return frame(record_of_fit(self.to_dict(), "").rows)
 
-    def plot(self, what: str = "fit", **how: Any) -> "Figure":
+    def plot(self, what: str = "fit", **how: Any) -> Any:
         """Return a figure of the measured points with the fitted curve, or another one.
 
         Args:

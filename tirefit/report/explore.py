@@ -1,7 +1,7 @@
 """The page on which a reader moves sliders and sees the forces of tires."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import Any, NoReturn
 
 from markupsafe import Markup
 
@@ -12,15 +12,11 @@ from tirefit.report.page import template
 from tirefit.results import UsageError
 from tirefit.slip import CONVENTIONS
 
-if TYPE_CHECKING:
-    from tirefit.targets.explore import Explored
-
-
 PAGE = "explore.html"
 """Name of the page in a folder."""
 
 
-def _facts(found: "Explored") -> list[str]:
+def _facts(found: Any) -> list[str]:
     """What a reader has to know of the numbers: signs, loads, errors, version."""
     facts = [f"Signs {found.convention}: {CONVENTIONS[found.convention].description}"]
     for one in found.tires:
@@ -31,18 +27,18 @@ def _facts(found: "Explored") -> list[str]:
     return [*facts, f"tirefit {__version__}"]
 
 
-def explore_text(found: "Explored") -> str:
+def explore_text(found: Any) -> str:
     """The tires, the signs and the rows of a :class:`tirefit.targets.explore.Explored`."""
     lines = [f"{one.label}: {'; '.join(one.origin)}" for one in found.tires]
     return "\n".join([*lines, *_facts(found), f"measured rows: {found.data or 'none (--data)'}"])
 
 
-def explore_figure(found: "Explored") -> NoReturn:
+def explore_figure(found: Any) -> NoReturn:
     """Raise UsageError: the curves depend on the sliders."""
     raise UsageError("these tires have no figure", "write the page: .save('tire.html')")
 
 
-def explore_page(found: "Explored") -> str:
+def explore_page(found: Any) -> str:
     """One HTML document with its scripts; it fetches nothing.
 
     Raises:
@@ -62,7 +58,7 @@ def explore_page(found: "Explored") -> str:
     )
 
 
-def save_page(found: "Explored", folder: Path, name: str = "") -> list[Path]:
+def save_page(found: Any, folder: Path, name: str = "") -> list[Path]:
     """Write the page into a folder."""
     path = folder / (f"{name}.html" if name else PAGE)
     write_texts({path: explore_page(found)})

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from tirefit.report.canvas import BLUE, GREY, Picture, axes_panel, drawn, togeth
 from tirefit.report.numbers import format_number
 from tirefit.report.page import table
 from tirefit.sim.braking import SimulatedLog
-
-if TYPE_CHECKING:
-    from tirefit.targets.export import Exported
 
 
 def _quantiles(values: Mapping[str, np.ndarray], first: str) -> list[str]:
@@ -67,13 +64,13 @@ def log_figure(log: SimulatedLog) -> Picture:
     return together(panels, "Simulated log", "grey: measured; blue: truth", "")
 
 
-def export_text(done: "Exported") -> str:
+def export_text(done: Any) -> str:
     """Checks of the tire of a :class:`tirefit.targets.export.Exported`, and notes."""
     notes = (n if n.startswith("warning") else f"note: {n}" for n in done.notes)
     return "\n".join([f"{done.target}: {done.path}", *done.shape.sentences, *notes])
 
 
-def export_figure(done: "Exported") -> Picture:
+def export_figure(done: Any) -> Picture:
     """Each pure force of the written tire over its slip."""
 
     def draw(axes: Any, curve: tuple[np.ndarray, np.ndarray]) -> None:

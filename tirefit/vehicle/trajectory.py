@@ -373,13 +373,9 @@ class _Problem:
         ends (2, p) of the intervals."""
         found = {}
 
-        def add(
-            name: str,
-            unit: str,
-            k: int,
-            natural: Callable[..., Any],
-            identified: Callable[..., Any],
-        ) -> None:
+        Of = Callable[..., Any]
+
+        def add(name: str, unit: str, k: int, natural: Of, identified: Of) -> None:
             low, high = sorted(float(natural(end)) for end in ends[:, k])
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
             value, error = float(natural(z[k])), float(slope * std[k])

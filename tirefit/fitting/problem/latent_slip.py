@@ -22,6 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tirefit.params import Values
+
 _HALF = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.25, 4.5, 6.5])
 OFFSETS = np.concatenate([-_HALF[::-1], [0.0], _HALF])
 """Nodes around the measured slip, in slip standard deviations: a row beyond the last one is
@@ -88,13 +90,13 @@ def unbent(
     return force.at[:, 1:-1].add(-off)
 
 
-def _erfcx(x: Array) -> Array:
+def _erfcx(x: Values) -> Array:
     """exp(x^2) erfc(x) for x >= 0 within 1e-8 of itself."""
     t = 2.5 / (2.5 + x)
     power = jnp.full_like(t, _ERFCX[-1])
     for coefficient in _ERFCX[-2::-1]:
         power = power * t + coefficient
-    return t * power
+    return power * t
 
 
 def integrals(
@@ -140,7 +142,7 @@ def integrals(
     return most + jnp.log(jnp.sum(part * mean, axis=1)), weight
 
 
-def _normal_part(low: Array, high: Array) -> tuple[Array, Array, Array]:
+def _normal_part(low: Values, high: Values) -> tuple[Array, Array, Array]:
     """Integrals of exp(-x^2/2) and x exp(-x^2/2) from low to high, and the log of a factor
     of both, which keeps them finite far from zero."""
     mirrored = low + high < 0
