@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.arrays import Numbers
+from tirefit.arrays import Numbers, Scalar
 from tirefit.online.controller import AbstractController, Measurement, Truth
 from tirefit.sim.brake_vehicle import Hydraulics, Road, RoadTire, Slips, Vehicle, wheel_slips
 
@@ -127,7 +127,7 @@ def accelerations(plant: Plant, fx: Array, fy: Array) -> tuple[Array, Array, Arr
     return -forward / car.mass, left / car.mass, moment / car.yaw_inertia
 
 
-def _rate(since: Numbers, s: Motion, args: tuple[Plant, Drive, Array, Array]) -> Motion:
+def _rate(since: Numbers, s: Motion, args: tuple[Plant, Drive, Scalar, Scalar]) -> Motion:
     plant, drive, start, period = args
     car = plant.vehicle
     now = contacts(plant, s)

@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 
 from tirefit.models import LuGre, TireForces
 from tirefit.models.brush import resultant
+from tirefit.params import Values
 
 _POINTS = 4
 
@@ -69,19 +70,19 @@ class Contact(NamedTuple):
     fz: Float[Array, "*n"]  # [N]
 
 
-def _give(tire: LuGre, z: Array, now: Contact) -> Array:
+def _give(tire: LuGre, z: Values, now: Contact) -> Array:
     """Rate of deflection (n, 2) [m/s] of travelling bristles, S(17a)."""
     speed = resultant(*now.sliding)
     return now.sliding[None] - tire.sigma0 * speed / tire.level(speed) * z
 
 
-def bristle_rate(tire: LuGre, bristles: Bristles, z: Array, now: Contact) -> Array:
+def bristle_rate(tire: LuGre, bristles: Bristles, z: Values, now: Contact) -> Array:
     """Time derivative (n, 2) [m/s] of the deflections z (n, 2) [m] at their places."""
     carried = now.rolling / tire.length * (jnp.asarray(bristles.transport) @ z)
     return _give(tire, z, now) - carried
 
 
-def bristle_forces(tire: LuGre, bristles: Bristles, z: Array, now: Contact) -> TireForces:
+def bristle_forces(tire: LuGre, bristles: Bristles, z: Values, now: Contact) -> TireForces:
     """Force [N] of the deflections z (n, 2) [m], S(17b) averaged over the patch."""
     each = tire.sigma0 * z + tire.sigma1 * _give(tire, z, now)
     mean = jnp.asarray(bristles.weight) @ each + tire.sigma2 * now.sliding
