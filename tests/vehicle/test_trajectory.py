@@ -20,6 +20,7 @@ from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.models import Brush
 from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of
+from tirefit.vehicle.windows import cut_in_windows
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
 TRUE = {
@@ -84,6 +85,29 @@ def test_the_tires_and_the_steering_are_recovered(found):
     assert found.noise["x"] == pytest.approx(1e-3, rel=0.15)
     text = found.summary()
     assert "steering_delay" in text and "NOT IDENTIFIED" not in text
+
+
+def stating(drive, delay):
+    """The vehicle with a stated delay."""
+    vehicle = load_vehicle(drive / "vehicle.toml")
+    steering = vehicle.steering.model_copy(update={"delay": delay})
+    return vehicle.model_copy(update={"steering": steering})
+
+
+def test_the_steering_of_windows_has_the_stated_delay(drive):
+    (cut,) = cut_in_windows([drive / "drive.csv"], stating(drive, DELAY), 0.5).values()
+    data, rows = cut.windows
+    angle = np.asarray(data.steering)[:, -rows.shape[1] :]
+    np.testing.assert_allclose(angle, steer(cut.motion.time[rows] - DELAY), atol=1e-8)
+
+
+@pytest.mark.long
+def test_a_stated_delay_does_not_change_the_estimate(drive, found):
+    tires = found.axles.values()
+    again = fit_trajectory([drive / "drive.csv"], stating(drive, DELAY), *tires)
+    for name in ("steering_delay", "steering_offset"):
+        one = found.parameters[name]
+        assert again.parameters[name].value == pytest.approx(one.value, abs=0.1 * one.std)
 
 
 def test_a_friction_above_all_slip_angles_rests_on_the_shape_of_the_model(found):

@@ -315,8 +315,9 @@ class _Problem:
         """Predicted - logged (k, c) of one window."""
         step, count = 1 / self.rate, window.v_x.shape[0]
         lead = window.steering.shape[0] - count
-        delay = self.unknown(z, "steering_delay", self.steering.delay)
-        steering = delayed(window.steering, delay / step)[lead:]
+        # The steering of a window has the stated delay.
+        further = self.unknown(z, "steering_delay", self.steering.delay) - self.steering.delay
+        steering = delayed(window.steering, further / step)[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
