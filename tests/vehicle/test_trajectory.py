@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.special import stdtrit
 from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
@@ -247,6 +248,12 @@ def test_the_command_writes_files_that_other_commands_read(drive, tmp_path):
     assert content["schema"] == "tirefit.trajectory/1"
     assert set(content["parameters"]) == set(TRUE)
     assert (tmp_path / "out" / "trajectory.png").stat().st_size > 10_000
+    line_of = ["export", f"{tmp_path}/out/trajectory.json", "--to", "autoware"]
+    done = CliRunner().invoke(app, [*line_of, "--out", f"{tmp_path}/car.yaml"])
+    of_autoware = yaml.safe_load((tmp_path / "car.yaml").read_text())["/**"]["ros__parameters"]
+    delay, bias = (content["parameters"][f"steering_{n}"]["value"] for n in ("delay", "offset"))
+    assert of_autoware["steer_time_delay"] == pytest.approx(delay)
+    assert of_autoware["steer_bias"] == pytest.approx(-bias)
     bad = CliRunner().invoke(app, [*line, "--joint", "--slip", "s"])
     assert bad.exit_code == 2 and "--joint, --slip with --vehicle" in bad.stderr
     bad = CliRunner().invoke(app, [*line[:2], "--window", "1"])
