@@ -252,8 +252,7 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     absent = [f for f in modelled(given.tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it follows from the model" for f in absent)
     load = content["reference"]["fz"]
-    ends = {k: (one.get("ci95") or (None,)) for k, one in fitted.items() if k in spread}
-    ends = {k: pair for k, pair in ends.items() if None not in pair}
+    ends = {k: fitted[k]["ci95"] for k in spread if None not in fitted[k].get("ci95", (None,))}
     forces = tuple(content["forces"])
     return Tire(given.tire, model, origin, load, spread, ranges, notes, fitted=forces, ends=ends)
 

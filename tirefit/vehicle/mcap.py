@@ -4,7 +4,7 @@ import io
 import json
 import re
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ _SCHEMA = {
 _NANO = 1e9
 
 
-def writers():
+def writers() -> tuple[Any, Any]:
     """The modules ``mcap.writer`` and ``mcap.well_known``; UsageError if they are not installed."""
     try:
         from mcap import well_known, writer
