@@ -1,6 +1,9 @@
 """The wheel contains everything the package needs, and its demo runs with it."""
 
 import csv
+import os
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -11,9 +14,6 @@ from typer.testing import CliRunner
 
 from tirefit.cli.commands import app
 from tirefit.data.vehicle.vehicle import load_vehicle
-from tirefit.diagnosis import diagnose as engine
-from tirefit.diagnosis.effects import EFFECTS
-from tirefit.names import effect_names
 from tirefit.sim.drive import Car
 
 ROOT = Path(__file__).parents[1]
@@ -73,23 +73,39 @@ def test_the_sample_of_a_drive_is_what_simulate_gives(tmp_path):
         assert getattr(car, name) == getattr(ours, name)
 
 
+ONE_EFFECT = """
+import sys
+from tirefit.cli import main
+from tirefit.diagnosis import diagnose as engine
+from tirefit.diagnosis.effects import EFFECTS
+whole, few = engine.diagnose, list(EFFECTS)[:1]
+engine.diagnose = lambda data, **how: whole(data, **how | {"effects": few})
+print(engine.__file__)
+main()
+"""
+
+
 @pytest.mark.long
-def test_the_demo_prints_its_commands_and_where_the_results_are(tmp_path, monkeypatch):
-    """It tries one effect here; ``docs/tutorials/simulator.md`` has all of them."""
-    few = [effect for effect in EFFECTS if effect.id == effect_names()[0]]
-    whole = engine.diagnose
-    monkeypatch.setattr(
-        engine, "diagnose", lambda data, **how: whole(data, **how | {"effects": few})
+def test_the_demo_of_the_wheel_prints_its_commands_and_where_the_results_are(wheel, tmp_path):
+    """It runs without the repository, as by uvx or pipx, and tries one effect here;
+    ``docs/tutorials/simulator.md`` has all of them."""
+    wheel.extractall(tmp_path / "wheel")
+    command = [sys.executable, "-c", ONE_EFFECT, "demo", "--out", "first"]
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "wheel")},
+        capture_output=True,
+        text=True,
     )
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(app, ["demo", "--out", "first"])
-    assert result.exit_code == 0, result.output
-    commands = [line for line in result.stdout.splitlines() if line.startswith("$ ")]
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(tmp_path / "wheel"))
+    commands = [line for line in done.stdout.splitlines() if line.startswith("$ ")]
     assert [line.split()[2] for line in commands] == ["fit", "diagnose"]
-    named = [word.rstrip(":") for word in result.stdout.split() if "first/" in word]
+    named = [word.rstrip(":") for word in done.stdout.split() if "first/" in word]
     assert {"first/samples", "first/fit/fit.png"} <= set(named)
     assert "first/gap/free_driving.html" in named
-    assert [path for path in named if not Path(path.rstrip(",")).exists()] == []
+    assert [path for path in named if not (tmp_path / path.rstrip(",")).exists()] == []
 
 
 def test_the_demo_reports_an_unwritable_directory(tmp_path, monkeypatch):

@@ -22,7 +22,7 @@ WHEEL = {
     ),
     "tir": {"radius": 0.3},
 }  # fmt: skip
-REFUSED = {"slipx": "SlipX is for 1:10 cars"}
+REFUSED = {"slipx": "SlipX is for 1:10 cars", "autoware": "describes a car's steering"}
 
 
 def fit_of(name, load=MIDDLE, **ranges):

@@ -72,6 +72,12 @@ def test_a_steering_delay_is_named_with_its_size(found):
     assert unit == "s" and abs(value - DELAY) < 4 * std + 1e-3
 
 
+def test_a_named_delay_is_exported_to_autoware(found, late, tmp_path):
+    done = tirefit.export(found, "autoware", tmp_path / "car.yaml", vehicle=late[1])
+    value = found.amplitudes["steering_delay: amplitude"].value
+    assert f"steer_time_delay: {value:.12g}" in done.path.read_text()
+
+
 def test_the_effect_reduces_the_error_to_the_noise(found):
     for channel, noise in found.noise.forces.items():
         gap = found.gap.channels[channel]

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.special import stdtrit
 from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
@@ -20,6 +21,7 @@ from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.models import Brush
 from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of
+from tirefit.vehicle.windows import cut_in_windows
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
 TRUE = {
@@ -84,6 +86,29 @@ def test_the_tires_and_the_steering_are_recovered(found):
     assert found.noise["x"] == pytest.approx(1e-3, rel=0.15)
     text = found.summary()
     assert "steering_delay" in text and "NOT IDENTIFIED" not in text
+
+
+def stating(drive, delay):
+    """The vehicle with a stated delay."""
+    vehicle = load_vehicle(drive / "vehicle.toml")
+    steering = vehicle.steering.model_copy(update={"delay": delay})
+    return vehicle.model_copy(update={"steering": steering})
+
+
+def test_the_steering_of_windows_has_the_stated_delay(drive):
+    (cut,) = cut_in_windows([drive / "drive.csv"], stating(drive, DELAY), 0.5).values()
+    data, rows = cut.windows
+    angle = np.asarray(data.steering)[:, -rows.shape[1] :]
+    np.testing.assert_allclose(angle, steer(cut.motion.time[rows] - DELAY), atol=1e-8)
+
+
+@pytest.mark.long
+def test_a_stated_delay_does_not_change_the_estimate(drive, found):
+    tires = found.axles.values()
+    again = fit_trajectory([drive / "drive.csv"], stating(drive, DELAY), *tires)
+    for name in ("steering_delay", "steering_offset"):
+        one = found.parameters[name]
+        assert again.parameters[name].value == pytest.approx(one.value, abs=0.1 * one.std)
 
 
 def test_a_friction_above_all_slip_angles_rests_on_the_shape_of_the_model(found):
@@ -223,6 +248,12 @@ def test_the_command_writes_files_that_other_commands_read(drive, tmp_path):
     assert content["schema"] == "tirefit.trajectory/1"
     assert set(content["parameters"]) == set(TRUE)
     assert (tmp_path / "out" / "trajectory.png").stat().st_size > 10_000
+    line_of = ["export", f"{tmp_path}/out/trajectory.json", "--to", "autoware"]
+    done = CliRunner().invoke(app, [*line_of, "--out", f"{tmp_path}/car.yaml"])
+    of_autoware = yaml.safe_load((tmp_path / "car.yaml").read_text())["/**"]["ros__parameters"]
+    delay, bias = (content["parameters"][f"steering_{n}"]["value"] for n in ("delay", "offset"))
+    assert of_autoware["steer_time_delay"] == pytest.approx(delay)
+    assert of_autoware["steer_bias"] == pytest.approx(-bias)
     bad = CliRunner().invoke(app, [*line, "--joint", "--slip", "s"])
     assert bad.exit_code == 2 and "--joint, --slip with --vehicle" in bad.stderr
     bad = CliRunner().invoke(app, [*line[:2], "--window", "1"])

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import Folder, Html, Seed, progress_bar, start_jax
+from tirefit.cli.options import Folder, Html, Seed, path_option, progress_bar, say, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.readers.remote import file_at
+from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 
 _TIRE = "FIT.json|FILE.tir|MODEL"
@@ -45,6 +46,12 @@ def replay(
             metavar="S", help="delay of the road wheels after the log [s]; default steering.delay"
         ),
     ] = None,
+    mcap: Annotated[
+        Path | None,
+        path_option(
+            "FILE.mcap", "also write measured and predicted motion for Foxglove, PlotJuggler"
+        ),
+    ] = None,
     seed: Seed = 0,
     html: Html = False,
 ) -> None:
@@ -57,11 +64,16 @@ def replay(
     if not logs:
         reason, remedy = "a log is missing", "name one log or more"
         raise UsageError(InputProblem(reason, remedy))
-    check_results([out / name for name in FILES])
+    if mcap and mcap.suffix.lower() != ".mcap":
+        raise UsageError(InputProblem("the output is MCAP", "end it in .mcap", str(mcap)))
+    check_results([*(out / name for name in FILES), *([mcap] if mcap else [])])
     start_jax()
+    from tirefit.vehicle.mcap import writers
     from tirefit.vehicle.replay import HORIZONS
     from tirefit.vehicle.replay import replay as predicted
 
+    if mcap:
+        writers()  # fails before the work if the library is missing
     with claimed(out):
         with progress_bar("replay", soon=0.0) as progress:
             result = predicted(
@@ -76,3 +88,7 @@ def replay(
                 progress=progress,
             )
         write_result(result, out, FILES, FIGURES, PAGE if html else "")
+        if mcap:
+            mcap.parent.mkdir(parents=True, exist_ok=True)
+            write_texts({mcap: result.to_mcap()})
+            say(f"wrote {mcap}")

@@ -234,9 +234,13 @@ Parsed = TypeVar("Parsed", bound=BaseModel)
 
 
 def read_checked(
-    source: Record | str | PathLike[str], kind: type[Parsed], name: str, command: str
+    source: Record | str | PathLike[str],
+    kind: type[Parsed],
+    name: str,
+    command: str,
+    schema: str = SCHEMA,
 ) -> Parsed:
-    """The parts of a diagnosis or its document.
+    """The parts of a diagnosis, or of another result with a schema, or of its document.
 
     Args:
         kind: of the parts.
@@ -250,17 +254,18 @@ def read_checked(
     remedy = f"give {what}; run it again for an older file"
     try:
         if isinstance(source, Record):
-            return parsed(source.to_json(), kind)
-        return parsed(content_of(Path(source), RECORD, DataError, remedy).decode("utf-8"), kind)
+            return parsed(source.to_json(), kind, schema)
+        text = content_of(Path(source), RECORD, DataError, remedy).decode("utf-8")
+        return parsed(text, kind, schema)
     except (ValueError, RecursionError) as error:
         raise DataError(InputProblem(f"not {what}: {faults_in(error)}", remedy, file)) from None
 
 
-def parsed(text: str, kind: type[Parsed]) -> Parsed:
+def parsed(text: str, kind: type[Parsed], schema: str = SCHEMA) -> Parsed:
     """:func:`read_checked` of a text; ValueError if it is no such document."""
     content = json.loads(text)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ValueError(f"its schema is not {SCHEMA}")
+    if not isinstance(content, dict) or content.get("schema") != schema:
+        raise ValueError(f"its schema is not {schema}")
     if odd := outrageous(content, 0.0):
         raise ValueError(": ".join(odd))
     return kind.model_validate(content)

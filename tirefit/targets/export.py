@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 from tirefit import __version__
 from tirefit.data.write import output_problems
@@ -15,6 +15,7 @@ from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import DataError, InputProblem, Outcome, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS
+from tirefit.targets.autoware import AUTOWARE, CarFile
 from tirefit.targets.code import (
     Draft,
     c_source,
@@ -33,6 +34,7 @@ from tirefit.targets.tire import Tire, tire_of
 
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
+    from tirefit.vehicle.trajectory import TrajectoryFit
 
 
 class Target(NamedTuple):
@@ -56,7 +58,7 @@ class Target(NamedTuple):
     beside: tuple[str, ...] = ()
 
 
-TARGETS: dict[str, Target | ParameterFile] = {
+TARGETS: dict[str, Target | ParameterFile | CarFile] = {
     "casadi": Target(
         ".py", "Python module with a casadi.Function and its Jacobian; needs casadi",
         "every model, exactly", casadi_source,
@@ -91,6 +93,7 @@ TARGETS: dict[str, Target | ParameterFile] = {
         "every model, exactly; peak friction for sysid", mujoco_source,
     ),
     **PARAMETER_FILES,
+    "autoware": AUTOWARE,
 }  # fmt: skip
 """Name of a target -> its record."""
 
@@ -145,7 +148,7 @@ class Exported(Record):
 
 
 def export(
-    source: TireLike | None,
+    source: "TireLike | TrajectoryFit | Diagnosis | None",
     target: str,
     path: str | os.PathLike[str],
     *,
@@ -170,7 +173,8 @@ def export(
 
     Args:
         source: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
-            None with ``front`` or ``rear``.
+            None with ``front`` or ``rear``. For ``autoware``: a fit by trajectory or its
+            ``trajectory.json``, a diagnosis of a car or its ``vehicle_diagnosis.json``.
         target: a key of :data:`TARGETS`.
         path: the file to write.
         front: tire of the front axle; it and ``rear`` replace ``source``.
@@ -216,6 +220,7 @@ def export(
         problems.append(InputProblem("no tire is given", remedy))
     chosen = TARGETS.get(target)
     single = chosen if isinstance(chosen, Target) else None
+    of_car = isinstance(chosen, CarFile)
     is_code = chosen is None or single is not None and single.prepare is None
     name = name if name is not None and is_code else path.stem
     problems += over_problems(over or {})
@@ -225,6 +230,7 @@ def export(
         ("--convention", convention != TIR_SIGNS, is_code),
         ("--forces", forces, is_code),
         ("--front, --rear, --vehicle or --over", vehicle or over or "" not in given, not single),
+        ("--over, --set or --diagnosis", over or values or diagnosis, not of_car),
     ):
         if chosen and value and not is_used:
             reason = f"{option} with --to {target}, which does not use it"
@@ -243,8 +249,11 @@ def export(
     assert chosen is not None
     read = {"the tire": given.values(), "--vehicle": [vehicle], "--diagnosis": [diagnosis]}
     DataError.raise_for(replaced_inputs([*made], read))
-    tires = {axle: tire_of(one, values, diagnosis) for axle, one in given.items()}
     first = f"written by tirefit export, {UNSEALED}, tirefit {__version__}: "
+    if isinstance(chosen, CarFile):
+        text, notes = chosen.write(source, vehicle, f"{first}a car for {target}")
+        return _written(target, path, Shape((), (), {}), notes, {path: text})
+    tires = {axle: tire_of(cast(TireLike, one), values, diagnosis) for axle, one in given.items()}
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
         found = parameter_text(target, tires, path, first, vehicle, over, force)

@@ -278,7 +278,7 @@ def _lost(tire: Tire, formula: Formula) -> list[str]:
 # --- texts --------------------------------------------------------------------------
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
     """A number in YAML 1.1, which would read 1e-05 as a text."""
     text = f"{float(value):.12g}" if abs(value) > 1e-12 else "0.0"
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
@@ -293,9 +293,9 @@ def _yaml(content: Mapping[str, Any], indent: str = "") -> list[str]:
             if isinstance(value, str):
                 text = json.dumps(value, ensure_ascii=False)
             elif isinstance(value, list):
-                text = f"[{', '.join(map(_number, value))}]"
+                text = f"[{', '.join(map(number, value))}]"
             else:
-                text = _number(value)
+                text = number(value)
             lines.append(f"{indent}{key}: {text}")
     return lines
 
@@ -388,7 +388,7 @@ _GAZEBO = """\
 def _gazebo(sheet: Sheet) -> str:
     values = sheet.values | sheet.car("radius=wheel_radius")
     values["wheel_normal_force"] /= sheet.axles[0].wheels
-    numbers = {name: _number(value) for name, value in values.items()}
+    numbers = {name: number(value) for name, value in values.items()}
     # An XML comment must not contain two hyphens.
     above = "\n".join(sheet.above).replace("--", "- -")
     text = _GAZEBO.format(**{"radius": "RADIUS in m", **numbers})

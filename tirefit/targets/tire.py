@@ -1,7 +1,7 @@
 """The tire to export: its function, its origin and the measured ranges."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -77,6 +77,7 @@ class Tire:
         relaxation: relaxation length [m], which is not in the forces; None without.
         asked: forces and moments to export; empty for all.
         fitted: forces that were fitted to the measured range; empty without a fit.
+        ends: of the 95 % intervals of the fitted parameters.
     """
 
     model: AbstractTire
@@ -91,6 +92,7 @@ class Tire:
     relaxation: float | None = None
     asked: tuple[str, ...] = ()
     fitted: tuple[str, ...] = ()
+    ends: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     @property
     def speed(self) -> float:
@@ -104,11 +106,13 @@ class Tire:
         return modelled(self.model)
 
     def parameters(self) -> list[str]:
-        """Name, value, standard error and unit of every parameter, one per line."""
+        """Name, value, standard error, unit and interval of every parameter, one per line."""
         known, lines = specs(self.model), []
         for name, value in parameter_values(self.model).items():
             error = f" +- {self.spread[name]:.2g}" if name in self.spread else ""
-            lines.append(f"{name} = {value:.8g}{error} {known[name].unit}")
+            ends = self.ends.get(name) if error else None
+            between = "" if ends is None else ", 95 %: {:.4g} to {:.4g}".format(*ends)
+            lines.append(f"{name} = {value:.8g}{error} {known[name].unit}{between}")
         return lines
 
     def ranges(self, convention: str) -> str:
@@ -234,8 +238,8 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     """The tire of a fit, from its file if ``path`` is not empty."""
     content = given.content
     data, model = content["data"], given.name
-    origin = f"fit of {model} to {data['file']} (sha256 {str(data['sha256'])[:12]}),"
-    origin += f" {data['used']} rows"
+    origin = f"fit of {model} to {data['file']}, {data['used']} rows"
+    origin += f", sha256 {str(data['sha256'])[:12]}" if data["sha256"] else ""
     origin += f", seed {content['seed']}" if "seed" in content else ""
     origin += f", {path}" if path else ""
     fitted = content.get("parameters") or content["coefficients"]
@@ -248,8 +252,9 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     absent = [f for f in modelled(given.tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it follows from the model" for f in absent)
     load = content["reference"]["fz"]
-    fitted = tuple(content["forces"])
-    return Tire(given.tire, model, origin, load, spread, ranges, notes, fitted=fitted)
+    ends = {k: fitted[k]["ci95"] for k in spread if None not in fitted[k].get("ci95", (None,))}
+    forces = tuple(content["forces"])
+    return Tire(given.tire, model, origin, load, spread, ranges, notes, fitted=forces, ends=ends)
 
 
 def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:

@@ -54,6 +54,7 @@ from tirefit.vehicle.errors import (
     errors_without_slip,
     floor_of,
 )
+from tirefit.vehicle.mcap import recorded
 from tirefit.vehicle.windows import (
     CutLog,
     cut_logs,
@@ -151,6 +152,11 @@ class Replay(Record):
             for horizon, value in zip(self.horizons, values, strict=True)
         ]
         return frame(rows)[["kind", "name", "value", "unit"]]
+
+    def to_mcap(self) -> bytes:
+        """The content of an MCAP file with the measured and the predicted motion of each log, for
+        Foxglove and PlotJuggler; see :func:`tirefit.vehicle.mcap.recorded`."""
+        return recorded(self)
 
     def files(self, name: str = "") -> dict[str, str]:
         """``replay.json``."""

@@ -313,10 +313,10 @@ class _Problem:
 
     def missed(self, z: jax.Array, start: jax.Array, window: Data, parts: int) -> jax.Array:
         """Predicted - logged (k, c) of one window."""
-        step, count = 1 / self.rate, window.v_x.shape[0]
-        lead = window.steering.shape[0] - count
-        delay = self.unknown(z, "steering_delay", self.steering.delay)
-        steering = delayed(window.steering, delay / step)[lead:]
+        step = 1 / self.rate
+        lead = window.steering.shape[0] - window.v_x.shape[0]
+        late = self.unknown(z, "steering_delay", self.steering.delay) - self.steering.delay
+        steering = delayed(window.steering, late / step)[lead:]  # which has the stated delay
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])

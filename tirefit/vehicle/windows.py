@@ -218,10 +218,13 @@ def logged_channels(
     track: Track, motion: Motion, vehicle: Vehicle
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values of the log for the centre of gravity, on the grid, unfiltered: channels
-    (n, c), start states (n, s), and the steering command (n,)."""
+    (n, c), start states (n, s), and the steering command (n,), as late as the vehicle states."""
     names = [channel.quantity for channel in track.channels]
+    late = {"steering": vehicle.steering.delay} if vehicle.steering else {}
     raw = {
-        name: np.interp(motion.time, track.time, track.signals[:, k])
+        name: np.interp(
+            motion.time - late.get(name, 0.0), track.time, track.signals[:, k], np.nan, np.nan
+        )
         for k, name in enumerate(names)
         if np.isfinite(track.signals[:, k]).all()
     }

@@ -1,0 +1,201 @@
+"""Parameters of Autoware from what tirefit found of a car's steering: :data:`AUTOWARE`.
+
+Its simulator (simple_planning_simulator, models DELAY_STEER_*) turns the wheels by
+
+    steer' = -(steer + steer_bias - debug_steer_scaling_factor * command) / steer_time_constant
+
+with the command ``steer_time_delay`` ago and no motion within ``steer_dead_band``, and the
+car by speed * tan(steer) / wheel_base. Its controller (MPC) compensates ``input_delay`` and
+``vehicle_model_steer_tau``. Angles are in rad, left positive, as here.
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, PositiveFloat
+
+from tirefit.diagnosis.extended import AnyDocument, read_checked
+from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.display import Record
+from tirefit.door import RECORD, content_of
+from tirefit.fitting.result import TRAJECTORY
+from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.targets.parameters import number, one_line, vehicle_of
+from tirefit.vehicle.trajectory import TrajectoryFit
+
+
+class CarFile(NamedTuple):
+    """A target for what was found of a car, without its tires.
+
+    Attributes:
+        ending: of the file.
+        what: description of the file.
+        holds: what it holds.
+        write: (source, vehicle.toml or None, first line) -> text of the file, and notes.
+    """
+
+    ending: str
+    what: str
+    holds: str
+    write: Any
+
+
+class _Key(NamedTuple):
+    """The keys of Autoware for a quantity, and when it is written.
+
+    Attributes:
+        names: keys of Autoware.
+        most: largest standard error of a value that is written, in the unit of the quantity.
+        why: reason of this limit.
+        sign: of Autoware's value.
+        at_least_zero: whether Autoware's value cannot be negative.
+    """
+
+    names: tuple[str, ...]
+    most: float
+    why: str
+    sign: float = 1.0
+    at_least_zero: bool = False
+
+
+_STEP = "half a step of Autoware's simulator, 0.025 s"
+_LIMIT = "a quarter of the MPC's steering_offset_limit, 0.02 rad"
+_KEYS = {
+    "steering_delay": _Key(("steer_time_delay", "input_delay"), 0.0125, _STEP, 1.0, True),
+    "steering_lag": _Key(
+        ("steer_time_constant", "vehicle_model_steer_tau"), 0.0125, _STEP, 1.0, True
+    ),
+    "steering_offset": _Key(("steer_bias",), 0.005, _LIMIT, -1.0),
+    "steering_play": _Key(("steer_dead_band",), 0.005, _LIMIT, 1.0, True),
+    "steering_ratio": _Key(("debug_steer_scaling_factor",), 0.025, "95 % within 5 %"),
+}
+"""Quantity -> its keys. The names are those of the parameters that the nodes declare, in
+``simulator_model.param.yaml`` and ``mpc.param.yaml``."""
+
+_SURE = 2.0
+"""A negative value within as many standard errors of zero is written as zero."""
+
+
+class _Size(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+    value: float
+    std: float
+    unit: str
+    identified: bool = True
+
+
+class _Car(BaseModel):
+    wheelbase: PositiveFloat
+    wheel_radius: PositiveFloat | None = None
+
+
+class _Trajectory(BaseModel):
+    """The parts of ``trajectory.json`` that are read."""
+
+    logs: list[str]
+    parameters: dict[str, _Size]
+    vehicle: _Car
+
+
+def _is_trajectory(source: Any) -> bool:
+    """Whether a source or file is a fit by trajectory."""
+    if isinstance(source, Record):
+        return isinstance(source, TrajectoryFit)
+    remedy = "give trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
+    return TRAJECTORY.encode() in content_of(Path(source), RECORD, DataError, remedy)
+
+
+def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any]:
+    """Where the numbers come from, the quantities with their errors, and the car."""
+    if not isinstance(source, str | os.PathLike | TrajectoryFit | Diagnosis):
+        reason = "--to autoware describes a car's steering, not a tire"
+        remedy = "give trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
+        raise UsageError(InputProblem(reason, remedy))
+    if _is_trajectory(source):
+        name, command = "trajectory.json", "tirefit fit --vehicle"
+        fit = read_checked(source, _Trajectory, name, command, TRAJECTORY)
+        if vehicle is not None:
+            reason = "--vehicle together with trajectory.json, which contains the car"
+            raise UsageError(InputProblem(reason, "leave it out"))
+        return f"fitted to trajectories of {', '.join(fit.logs)}", fit.parameters, fit.vehicle
+    name = "trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
+    document = read_checked(source, AnyDocument, name, "tirefit diagnose --vehicle")
+    if vehicle is None:
+        remedy = "give the vehicle.toml that was diagnosed: --vehicle"
+        raise UsageError(InputProblem("a diagnosis does not contain the car", remedy))
+    car = vehicle_of(vehicle, "autoware", ())
+    sizes = {
+        whole.partition(": ")[0]: _Size(**size.model_dump())
+        for whole, size in document.amplitudes.items()
+    }
+    # The amplitudes are changes of what vehicle.toml states.
+    stated = {"steering_delay": car.steering.delay if car.steering else 0.0, "steering_ratio": 1.0}
+    for key, value in stated.items():
+        if key in sizes:
+            sizes[key].value += value
+    return f"named by the diagnosis of {document.data.name}", sizes, car
+
+
+def _judged(name: str, key: _Key, one: _Size) -> tuple[float | None, str]:
+    """The value in Autoware, None if it is not written, and the reason or the estimate."""
+    value = key.sign * one.value
+    said = f"{value:.4g} +- {one.std:.2g} {one.unit.removeprefix('-')}".strip()
+    if not one.identified:
+        return None, f"{said}: the logs do not determine it"
+    if not one.std <= key.most:
+        return None, f"{said}: its standard error is above {key.most:g} ({key.why})"
+    if key.at_least_zero and value < 0:
+        if value < -_SURE * one.std:
+            return None, f"{said}: less than zero, which Autoware does not have; check the clock"
+        return 0.0, f"{said}; zero, as Autoware has no negative one"
+    return value, said
+
+
+def _real(value: float) -> str:
+    """A number that ROS reads as a double: with a decimal point."""
+    text = number(value)
+    return text if "." in text else f"{text}.0"
+
+
+def _lines(sizes: Mapping[str, _Size], notes: list[str]) -> Iterator[str]:
+    """Lines of the parameters; what is not written is added to the notes."""
+    for name, key in _KEYS.items():
+        if name not in sizes:
+            notes.append(f"{', '.join(key.names)}: not written, as no {name} was estimated")
+            continue
+        value, said = _judged(name, key, sizes[name])
+        if value is None:
+            notes.append(f"{', '.join(key.names)}: not written: {said}")
+            continue
+        for one in key.names:
+            yield f"    {one}: {_real(value)}  # {said}"
+
+
+def _autoware(source: Any, vehicle: Any, first: str) -> tuple[str, tuple[str, ...]]:
+    """The text of the parameter file, and notes."""
+    where, sizes, car = _found(source, vehicle)
+    notes: list[str] = []
+    lines = [f"    wheel_base: {_real(car.wheelbase)}  # m, stated in vehicle.toml, not estimated"]
+    if car.wheel_radius:
+        lines.append(f"    wheel_radius: {_real(car.wheel_radius)}  # m, likewise")
+    lines += _lines(sizes, notes)
+    if "steering_lag" not in sizes and "steering_delay" in sizes:
+        notes.append(
+            "the delay includes that of a lag: set steer_time_constant to the least of the"
+            " simulator, 0.03, or the lag counts twice"
+        )
+    notes.append("the simulator's car has no tire slip: it turns by speed tan(steer) / wheel_base")
+    above = one_line([first, f"car: {where}; value +- standard error", *notes])
+    text = "\n".join([*(f"# {line}" for line in above), "/**:", "  ros__parameters:", *lines, ""])
+    return text, tuple(notes)
+
+
+AUTOWARE = CarFile(
+    ".yaml",
+    "ROS parameters of Autoware's planning simulator, vehicle_info and MPC, from"
+    " trajectory.json of `fit --vehicle`, or vehicle_diagnosis.json with --vehicle",
+    "steering delay, lag, offset, ratio and play whose standard errors allow it; wheelbase",
+    _autoware,
+)
