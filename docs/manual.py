@@ -29,8 +29,9 @@ FOLDERS = ("docs", "fits")
 KINDS = {".md", ".png", ".css", ".csv", ".toml", ".json", ".ipynb", ".py"}
 KINDS |= {".dat", ".tdx", ".mat", ".parquet", ".xlsx", ".mf4", ".mcap"}
 """Files of the folders that a page may link to, samples among them."""
-IMAGE, WIDE = re.compile(r"!\[[^\]]*\]\(([^)]+\.png)\)"), 740
-"""An image in Markdown; width in pixels above which its letters are small on a phone."""
+IMAGE, WIDE, FLAT = re.compile(r"!\[[^\]]*\]\(([^)]+\.png)\)"), 740, 1.7
+"""An image in Markdown; width in pixels, and over the height, above which its letters are small
+on a phone."""
 
 
 def sources():
@@ -59,8 +60,9 @@ def write(folder=FOLDER):
 def _sized(image, page, files):
     """An image of a page, marked if its letters are small on a phone."""
     path = os.path.normpath(Path(page).parent / image[1])
-    width = int.from_bytes(files[path][16:20]) if path in files else 0
-    return image[0] + "{.wide}" * (width > WIDE)
+    head = files.get(path, bytes(24))
+    width, height = int.from_bytes(head[16:20]), int.from_bytes(head[20:24])
+    return image[0] + "{.wide}" * (width > min(WIDE, FLAT * height))
 
 
 if __name__ == "__main__":
