@@ -97,6 +97,26 @@ def test_an_own_lag_is_found():
     assert list(found) == ["own_lag"] and "150 ms" in found["own_lag"].means
 
 
+@pytest.mark.parametrize("late", ["delay", "lag"])
+def test_rows_too_far_apart_for_an_own_delay_are_told(late):
+    """Every 8th row (0.4 s), of a delay or lag of 0.15 s; every row shows the lag of slips on
+    ramps (the other test has steps)."""
+    fine = np.arange(0, TIME[-1], 1e-3)
+    slip = np.interp(fine, TIME, SLIP)
+    if late == "delay":
+        moved = np.interp(fine - 0.15, fine, slip)
+    else:
+        moved = 0 * slip
+        for k in range(1, len(fine)):
+            moved[k] = moved[k - 1] + 1e-3 / 0.15 * (slip[k] - moved[k - 1])
+    force = brush(np.interp(TIME, fine, moved))
+    assert list(shown(force)) == [f"own_{late}"]
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP), "fy_sim": force}
+    table = as_data({name: x[::8] for name, x in data.items()})
+    (found,) = structures_of(prepare(table, Rig(), ("fy",)))
+    assert found.id == "own_time" and "rows 400 ms apart are too far apart" in found.means
+
+
 def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
     noise = np.random.default_rng(3).normal(0, 40, len(SLIP))
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}

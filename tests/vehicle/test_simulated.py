@@ -102,11 +102,49 @@ def test_a_simulator_without_a_fault_does_not_differ(car, tmp_path):
     assert not any(one.differs for one in (*found.numbers, *found.effects))
 
 
+def with_states(car, folder, **factors):
+    """A simulated log of the car without a fault, its states multiplied."""
+    path = simulated(one_of(), folder)
+    t, v_y, yaw_rate = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
+    states = {"v_y": v_y, "yaw_rate": yaw_rate}
+    states = {name: factors.get(name, 1.0) * x for name, x in states.items() if name in factors}
+    table = np.stack([t, *states.values()], axis=1)
+    np.savetxt(path, table, "%.9g", ",", header=",".join(["t", *states]), comments="")
+    log, vehicle, _ = car
+    return lambda: tirefit.compare_with_simulator([log], [path], vehicle, effects=LIBRARY)
+
+
+@pytest.mark.parametrize(
+    ("factors", "told"),
+    [
+        ({"v_y": -1, "yaw_rate": 1}, r"sim\.csv, column 'v_y': v_y is -[01].*of the other sign"),
+        ({"v_y": 3.6, "yaw_rate": 1}, "v_y is 3.[56].*in another unit, as km/h.*give a_y"),
+        ({"v_y": 1, "yaw_rate": -1}, "yaw_rate is -[01].*of the other sign"),
+        ({"v_y": 1, "yaw_rate": np.rad2deg(1)}, "yaw_rate is 57.*in another unit, as deg/s"),
+        ({"v_y": 1}, "it lacks yaw_rate, which the simulator has to predict"),
+    ],
+)
+def test_states_in_other_units_or_missing_are_refused(factors, told, car, tmp_path):
+    with pytest.raises(DataError, match=f"(?s){told}"):
+        with_states(car, tmp_path, **factors)()
+
+
+def test_the_measured_acceleration_does_not_check_a_simulator(car, tmp_path, monkeypatch):
+    """Twice the lateral speed contradicts the a_y of the car."""
+
+    def begun(*_):
+        raise RuntimeError("begun")
+
+    monkeypatch.setattr("tirefit.vehicle.simulated.studied", begun)
+    with pytest.raises(RuntimeError, match="begun"):
+        with_states(car, tmp_path, v_y=2.0, yaw_rate=1.0)()
+
+
 def test_a_simulated_log_without_inputs_needs_the_rows_of_the_log(car, tmp_path):
     log, vehicle, _ = car
     path = simulated(one_of(), tmp_path)
     path.write_text("".join(path.read_text().splitlines(True)[:-5]))
-    with pytest.raises(DataError, match=r"(?s)lacks v_x, a_y, steer.*row for each row of the log"):
+    with pytest.raises(DataError, match=r"(?s)lacks v_x, steer.*row for each row of the log"):
         tirefit.compare_with_simulator([log], [path], vehicle)
     line = ["diagnose", str(log), "--vehicle", str(vehicle), "--sim-log", str(path)]
     done = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "o")])

@@ -2,6 +2,7 @@
 explains them does so to their last digits."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ _RATHER = 0.1
 """Scatter of a simulated force about a curve, over that without the own delay, lag or load of
 a structure, below which the simulator has that structure."""
 
+_PARTLY = 0.8
+"""The same, below which it may have a delay or lag that the rows are too far apart to show."""
+
 _AT_TOP, _BELOW_TOP = 0.999, 0.9
 """Force over its largest above which it is clipped, and below which it is surely not."""
 
@@ -30,6 +34,9 @@ _NEAR_LIMIT, _NEARLY_ALL = 0.95, 0.8
 simulator always slides."""
 
 _LOADS = 0.05  # standard deviation over mean of a load that varies
+
+_ROWS_PER_DELAY = 4.0
+"""Rows in an own delay or time constant that always show it."""
 
 _LOG_DELAYS = np.linspace(np.log(0.005), np.log(0.5), 25)
 """Logarithms of the own delays and time constants that are tried [s]."""
@@ -152,30 +159,42 @@ def _own_time(
     """A delay or a time constant by which the force follows the slip."""
     if "time" not in prepared.data:
         return
-    time = prepared.column("time")
-    plain, best = _scatter(slip, share), None
-    for kind, moved in (("own_delay", _delayed), ("own_lag", _lagged)):
+    time, run = prepared.column("time"), prepared.run
+    tried = []
+    for kind, moved in (("own_delay", _delayed), ("own_lag", _lagged), ("own_lag", _ramped)):
 
         def left(log: float, moved: Callable[..., Any] = moved) -> float:
-            return _scatter(moved(slip, time, prepared.run, np.exp(log)), share)
+            return _scatter(moved(slip, time, run, np.exp(log)), share)
 
         near = min(_LOG_DELAYS, key=left)
         step = _LOG_DELAYS[1] - _LOG_DELAYS[0]
         found = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
-        if found.fun < _RATHER * plain and (best is None or found.fun < best[0]):
-            best = found.fun, kind, float(np.exp(found.x))
-    if best is None:
-        return
-    _, kind, constant = best
-    late = f"{1000 * constant:.0f} ms"
-    how = f"{late} late" if kind == "own_delay" else f"with a time constant of about {late}"
-    yield Structure(
-        kind,
-        channel,
-        f"it follows the slip {how}",
-        "take this delay out of the simulator, unless the car has it too"
-        " (see channel delay and relaxation length among the effects)",
-    )
+        tried.append((found.fun, kind, float(np.exp(found.x))))
+    least, kind, constant = min(tried)
+    plain = _scatter(slip, share)
+    apart = float(np.median(np.concatenate([np.diff(time[rows]) for rows in _runs(run, time)])))
+    if least < _RATHER * plain:
+        late = f"{1000 * constant:.0f} ms"
+        how = f"{late} late" if kind == "own_delay" else f"with a time constant of about {late}"
+        yield Structure(
+            kind,
+            channel,
+            f"it follows the slip {how}",
+            "take this delay out of the simulator, unless the car has it too"
+            " (see channel delay and relaxation length among the effects)",
+        )
+    elif (
+        least < _PARTLY * plain
+        and plain > _EXPLAINED * _rms(share)
+        and constant < _ROWS_PER_DELAY * apart
+    ):
+        yield Structure(
+            "own_time",
+            channel,
+            "it may follow the slip with a delay or a lag, which rows"
+            f" {1000 * apart:.0f} ms apart are too far apart to show",
+            "give more rows per second: all of the log and of the simulator",
+        )
 
 
 def _runs(run: np.ndarray, time: np.ndarray) -> Iterator[np.ndarray]:
@@ -191,13 +210,23 @@ def _delayed(slip: np.ndarray, time: np.ndarray, run: np.ndarray, delay: float) 
     return moved
 
 
-def _lagged(slip: np.ndarray, time: np.ndarray, run: np.ndarray, constant: float) -> np.ndarray:
+def _lagged(
+    slip: np.ndarray, time: np.ndarray, run: np.ndarray, constant: float, ramp: bool = False
+) -> np.ndarray:
+    """The slip after a first-order lag: from row to row constant, or on a ``ramp``."""
     moved = np.array(slip, float)
     for rows in _runs(run, time):
-        decay = np.exp(-np.diff(time[rows]) / constant)
-        for before, row, keep in zip(rows[:-1], rows[1:], decay, strict=True):
-            moved[row] = keep * moved[before] + (1 - keep) * slip[row]
+        step, rise = np.diff(time[rows]), np.diff(slip[rows])
+        decay = np.exp(-step / constant)
+        added = (1 - decay) * slip[rows[1:]]
+        if ramp:
+            added += rise * (decay - (1 - decay) * constant / np.maximum(step, NONZERO))
+        for before, row, keep, more in zip(rows[:-1], rows[1:], decay, added, strict=True):
+            moved[row] = keep * moved[before] + more
     return moved
+
+
+_ramped = partial(_lagged, ramp=True)
 
 
 def _scatter(slip: np.ndarray, force: np.ndarray) -> float:
