@@ -8,10 +8,12 @@ from typer.testing import CliRunner
 import tirefit
 from fits.withheld_vehicle.drives import STEP, Trial, drive, trial, written
 from tirefit.cli.commands import app
+from tirefit.diagnosis.summary.compare import Apart, Number
 from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
 from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.simulated import _meanings
 
 FEW = (
     "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
@@ -19,6 +21,7 @@ FEW = (
 )  # fmt: skip
 LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
 NUMBER, SECONDS = 5, 24.0
+BOTH = "simulator", "car"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -138,6 +141,30 @@ def test_the_measured_acceleration_does_not_check_a_simulator(car, tmp_path, mon
     monkeypatch.setattr("tirefit.vehicle.simulated.studied", begun)
     with pytest.raises(RuntimeError, match="begun"):
         with_states(car, tmp_path, v_y=2.0, yaw_rate=1.0)()
+
+
+def meanings(**pairs):
+    """What differences mean of quantities of a simulator and of a car."""
+    found = {
+        name: Apart(
+            name, "-", {k: Number(x, 0.01 * x, "-") for k, x in zip(BOTH, pair, strict=True)}
+        )
+        for name, pair in pairs.items()
+    }
+    return [*_meanings({k: x._replace(differs=len({*pairs[k]}) > 1) for k, x in found.items()})]
+
+
+def test_a_common_factor_is_told_as_a_mass_and_a_far_friction_as_no_limit():
+    same = {"front.friction": (0.9, 0.9), "rear.friction": (0.9, 0.9)}
+    soft = {"front.stiffness": (0.5, 0.65), "rear.stiffness": (1.0, 1.31)}
+    inertia = "yaw_inertia: yaw_inertia"
+    (said,) = meanings(**same, **soft, **{inertia: (2000, 2590)})
+    assert "the mass of the simulator is 1.3 times that of the car" in said
+    assert meanings(**same, **soft, **{inertia: (2000, 2200)}) == []
+    assert meanings(**same, **soft, **{inertia: (2000, 2000)}) == []
+    far = {"front.friction": (4.4, 0.9), "rear.friction": (0.9, 1.2)}
+    (said,) = meanings(**far, **soft)
+    assert said.startswith("the front tires of the simulator do not saturate")
 
 
 def test_a_simulated_log_without_inputs_needs_the_rows_of_the_log(car, tmp_path):

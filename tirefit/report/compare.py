@@ -29,7 +29,7 @@ def answer(found: Comparison) -> list[str]:
     said = _numbers_said(found)
     for one in found.forces:
         said += [_force_said(one, name, x) for name, x in one.curves.items() if x.slip is not None]
-    said += _effects_said(found)
+    said += [*_effects_said(found), *found.meanings]
     said.sort(key=lambda text: " not differ" in text)  # what differs is told first
     return said or ["the sources have nothing in common to compare"]
 

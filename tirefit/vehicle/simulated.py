@@ -23,7 +23,14 @@ from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.diagnosis.summary.case import Concluded
-from tirefit.diagnosis.summary.compare import Comparison, Number, Source, compared, standing_of
+from tirefit.diagnosis.summary.compare import (
+    Apart,
+    Comparison,
+    Number,
+    Source,
+    compared,
+    standing_of,
+)
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
@@ -42,6 +49,12 @@ _STEPS = 80  # usual number of refits of both searches
 
 _FACTORS = {"yaw_rate": {"deg/s": math.degrees(1.0)}, "v_y": {"km/h": 3.6}}
 """State of a simulator -> its unit that is often confused with the SI unit, and the factor."""
+
+_UNLIMITED = 3.0
+"""Friction of one over that of the other, above which its tires do not reach their limit."""
+
+_ALIKE = 9.21
+"""Chi-square of three factors about their mean that one of 100 equal ones exceeds."""
 
 _RELATED, _NEAR = 0.95, 0.15
 """Least correlation of a state with that of the log, and largest distance [log] of its factor
@@ -149,7 +162,34 @@ def compare_with_simulator(
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
-    return replace(result, notes=(*result.notes, note))
+    meanings = tuple(_meanings({one.name: one for one in (*result.numbers, *result.effects)}))
+    return replace(result, notes=(*result.notes, note), meanings=meanings)
+
+
+def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
+    """What differences mean: tires without a friction limit, or another mass."""
+    for axle in ("front", "rear"):
+        if (one := found[f"{axle}.friction"]).differs:
+            low, high = sorted(one.values, key=lambda name: one.values[name].value)
+            if one.values[high].value > _UNLIMITED * one.values[low].value:
+                yield (
+                    f"the {axle} tires of the {high} do not saturate in these logs: they have no"
+                    " friction limit, or a far higher one"
+                )
+    three = [
+        found.get(x) for x in ("front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia")
+    ]
+    if not all(one is not None and one.differs for one in three):
+        return
+    pairs = [(one.values["car"], one.values["simulator"]) for one in three if one]
+    logs = np.log([ours.value / theirs.value for ours, theirs in pairs])
+    weight = [1 / sum(((x.std or 0) / x.value) ** 2 for x in pair) for pair in pairs]
+    mean = np.average(logs, weights=weight)
+    if weight @ (logs - mean) ** 2 < _ALIKE:
+        yield (
+            "yaw inertia and the stiffness of both axles differ by the same factor: so they do if"
+            f" the mass of the simulator is {math.exp(mean):.3g} times that of the car"
+        )
 
 
 def _own_vehicle(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
