@@ -36,8 +36,8 @@ RANGES = {
     "friction": (0.15, 0.4), "lateral_load_transfer": (0.3, 0.6), "tracked_point": (0.1, 0.4),
 }  # fmt: skip
 SIGNED = "centre_of_gravity", "mass", "yaw_inertia", "steering_ratio", "stiffness", "friction"
-SECONDS = 30.0
-OTHER = 77  # added to the seed of the drive that is left out
+SECONDS, LEFT_OUT = 30.0, 12.0  # of the drive, and of the one that is left out
+OTHER = 77  # added to the seed for the latter
 
 
 def _size(fault: str, rng) -> float:
@@ -147,7 +147,10 @@ def noise_of(one: Trial) -> tuple[float, float]:
 
 def left_out(car: Trial, others: list[Trial]) -> list[float]:
     """Rms over the noise of v_y and yaw rate on a further drive: of the car, then of others."""
-    seeded = [replace(x, car=x.car | {"seed": car.car["seed"] + OTHER}) for x in (car, *others)]
+    seeded = [
+        replace(x, car=x.car | {"seed": car.car["seed"] + OTHER}, seconds=LEFT_OUT)
+        for x in (car, *others)
+    ]
     true, *predicted = (np.stack(drive(one)[2:4]) for one in seeded)
     std = np.array(noise_of(car))[:, None]
     rng = np.random.default_rng(car.number)

@@ -33,6 +33,8 @@ _NEAR_LIMIT, _NEARLY_ALL = 0.95, 0.8
 """Force over its largest that counts as sliding, and share of rows that slide, above which a
 simulator always slides."""
 
+_FAR_BELOW = 0.6  # its limit over the measured force, below which its friction is too low
+
 _LOADS = 0.05  # standard deviation over mean of a load that varies
 
 _ROWS_PER_DELAY = 4.0
@@ -42,7 +44,7 @@ _LOG_DELAYS = np.linspace(np.log(0.005), np.log(0.5), 25)
 """Logarithms of the own delays and time constants that are tried [s]."""
 
 
-UNLIKE = ("no_saturation", "clipped", "steps", "always_sliding")
+UNLIKE = ("no_saturation", "clipped", "steps")
 """Structures that no tire model of the library has: its parameters would mislead."""
 
 
@@ -64,12 +66,17 @@ def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
         if channel in ("fx", "fy"):
             name = "alpha" if channel == "fy" else "sigma_x"
             slip, force = prepared.column(name), prepared.column(f"{channel}_sim")
-            found += _structures(prepared, channel, name, slip, force)
+            found += _structures(prepared, channel, name, slip, force, prepared.column(channel))
     return tuple(found)
 
 
 def _structures(
-    prepared: Prepared, channel: str, name: str, slip: np.ndarray, force: np.ndarray
+    prepared: Prepared,
+    channel: str,
+    name: str,
+    slip: np.ndarray,
+    force: np.ndarray,
+    measured: np.ndarray,
 ) -> Iterator[Structure]:
     load, (unit, *_) = prepared.column("fz"), CANONICAL[name]
     per = "" if unit == "-" else f"/{unit}"
@@ -103,12 +110,18 @@ def _structures(
             )
             return
     at_limit = np.abs(force) / load
-    if np.mean(at_limit > _NEAR_LIMIT * at_limit.max()) > _NEARLY_ALL:
+    limit, reached = (np.quantile(x, _AT_TOP) for x in (at_limit, np.abs(measured) / load))
+    if np.mean(at_limit > _NEAR_LIMIT * limit) > _NEARLY_ALL:
+        remedy = f"check the unit of its {what}: degrees where radians are expected, or per cent;"
+        remedy += " if it is right, lower the stiffness"
+        if limit < _FAR_BELOW * reached:
+            remedy = "raise its friction"
         yield Structure(
             "always_sliding",
             channel,
-            f"it is at its limit of {at_limit.max():.2f} F_z in nearly all rows",
-            f"check the unit of its {what}: degrees where radians are expected, or per cent",
+            f"it is at its limit of {limit:.2f} F_z in nearly all rows; the measured force"
+            f" reaches {reached:.2f} F_z",
+            remedy,
         )
         return
     values = len(np.unique(np.round(force, 9)))
