@@ -66,17 +66,12 @@ def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
         if channel in ("fx", "fy"):
             name = "alpha" if channel == "fy" else "sigma_x"
             slip, force = prepared.column(name), prepared.column(f"{channel}_sim")
-            found += _structures(prepared, channel, name, slip, force, prepared.column(channel))
+            found += _structures(prepared, channel, name, slip, force)
     return tuple(found)
 
 
 def _structures(
-    prepared: Prepared,
-    channel: str,
-    name: str,
-    slip: np.ndarray,
-    force: np.ndarray,
-    measured: np.ndarray,
+    prepared: Prepared, channel: str, name: str, slip: np.ndarray, force: np.ndarray
 ) -> Iterator[Structure]:
     load, (unit, *_) = prepared.column("fz"), CANONICAL[name]
     per = "" if unit == "-" else f"/{unit}"
@@ -109,20 +104,9 @@ def _structures(
                 float(slope * np.mean(scale)),
             )
             return
-    at_limit = np.abs(force) / load
-    limit, reached = (np.quantile(x, _AT_TOP) for x in (at_limit, np.abs(measured) / load))
-    if np.mean(at_limit > _NEAR_LIMIT * limit) > _NEARLY_ALL:
-        remedy = f"check the unit of its {what}: degrees where radians are expected, or per cent;"
-        remedy += " if it is right, lower the stiffness"
-        if limit < _FAR_BELOW * reached:
-            remedy = "raise its friction"
-        yield Structure(
-            "always_sliding",
-            channel,
-            f"it is at its limit of {limit:.2f} F_z in nearly all rows; the measured force"
-            f" reaches {reached:.2f} F_z",
-            remedy,
-        )
+    measured = prepared.column(channel)
+    if (slides := _always_sliding(channel, what, force / load, measured / load)) is not None:
+        yield slides
         return
     values = len(np.unique(np.round(force, 9)))
     if values < _STEPS * len(np.unique(slip)):
@@ -142,6 +126,24 @@ def _structures(
             "give the simulator the load of each row, and a tire that depends on it",
         )
     yield from _own_time(prepared, channel, slip, force / load)
+
+
+def _always_sliding(
+    channel: str, what: str, share: np.ndarray, measured: np.ndarray
+) -> Structure | None:
+    """A force over the load that is at its limit in nearly all rows; None for another."""
+    limit, reached = (np.quantile(np.abs(x), _AT_TOP) for x in (share, measured))
+    if np.mean(np.abs(share) > _NEAR_LIMIT * limit) < _NEARLY_ALL:
+        return None
+    remedy = f"check the unit of its {what}: degrees where radians are expected, or per cent;"
+    remedy += " if it is right, lower the stiffness"
+    return Structure(
+        "always_sliding",
+        channel,
+        f"it is at its limit of {limit:.2f} F_z in nearly all rows; the measured force"
+        f" reaches {reached:.2f} F_z",
+        "raise its friction" if limit < _FAR_BELOW * reached else remedy,
+    )
 
 
 def _clipped(slip: np.ndarray, force: np.ndarray, scale: np.ndarray) -> tuple[float, float] | None:
