@@ -7,7 +7,7 @@ descriptions is what the simulator has wrong.
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -41,9 +41,12 @@ from tirefit.vehicle.model import PARAMETERS, TIRES
 from tirefit.vehicle.trajectory import started
 from tirefit.vehicle.windows import CutLog, cut_in_windows, derived_rows, known_vehicle
 
-_NOISE = 0.1
-"""Noise added to the simulator's states, over that of the log: it widens the error of a difference
-by 0.5 %, and without any, the rounding of the file would count as an effect."""
+_NOISE = 1.0
+"""Noise added to the simulator's states, over that of the log. A simulator is compared as closely
+as the log shows the car: below that, effects stand for steps and order of an integration."""
+
+_SPUN, _MORE = math.radians(40.0), 2.0
+"""Largest sideslip of a simulated car, and its ratio to that of the car, above which it spins."""
 
 _STEPS = 80  # usual number of refits of both searches
 
@@ -162,7 +165,8 @@ def compare_with_simulator(
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
-    meanings = tuple(_meanings({one.name: one for one in (*result.numbers, *result.effects)}))
+    meant = _meanings({one.name: one for one in (*result.numbers, *result.effects)})
+    meanings = (*_spins(found.values(), simulated.values()), *meant)
     return replace(result, notes=(*result.notes, note), meanings=meanings)
 
 
@@ -189,6 +193,20 @@ def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
         yield (
             "yaw inertia and the stiffness of both axles differ by the same factor: so they do if"
             f" the mass of the simulator is {math.exp(mean):.3g} times that of the car"
+        )
+
+
+def _spins(logs: Iterable[CutLog], simulated: Iterable[CutLog]) -> Iterator[str]:
+    """A sentence if the simulated car spins where the car does not."""
+    car, own = (
+        max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
+        for motions in ([one.motion for one in logs], [one.motion for one in simulated])
+    )
+    if own > max(_SPUN, _MORE * car):
+        yield (
+            f"the simulated car spins: its sideslip reaches {math.degrees(own):.0f} deg, that of"
+            f" the car {math.degrees(car):.0f} deg. What differs is uncertain: give a log in which"
+            " the simulator does not spin"
         )
 
 
