@@ -1,6 +1,8 @@
 """What a simulator has wrong of a car: faults put into a simulator by hand, found from its output.
 Car and simulator are an independent program (fits/withheld_vehicle/drives.py)."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -13,7 +15,7 @@ from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
 from tirefit.vehicle.effects import CAR_EFFECTS
-from tirefit.vehicle.simulated import _meanings
+from tirefit.vehicle.simulated import _meanings, _spins
 
 FEW = (
     "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
@@ -165,6 +167,19 @@ def test_a_common_factor_is_told_as_a_mass_and_a_far_friction_as_no_limit():
     far = {"front.friction": (4.4, 0.9), "rear.friction": (0.9, 1.2)}
     (said,) = meanings(**far, **soft)
     assert said.startswith("the front tires of the simulator do not saturate")
+
+
+@pytest.mark.parametrize(("ours", "theirs", "spins"), [(0.2, 1.2, 1), (0.2, 0.6, 0), (1.0, 1.2, 0)])
+def test_a_simulated_car_that_spins_is_told(ours, theirs, spins):
+    def sliding(angle):
+        v_y = np.tan([0.0, angle, 1.5])
+        settled = np.array([True, True, False])
+        return [SimpleNamespace(motion=SimpleNamespace(v_x=1.0, v_y=v_y, settled=settled))]
+
+    said = [*_spins(sliding(ours), sliding(theirs))]
+    assert len(said) == spins
+    if spins:
+        assert "sideslip reaches 69 deg, that of the car 11 deg" in said[0]
 
 
 def test_a_simulated_log_without_inputs_needs_the_rows_of_the_log(car, tmp_path):
