@@ -29,7 +29,8 @@ UNLISTED = ("gusts", "friction_patches", "sway")
 
 @dataclass
 class Trial:
-    """One simulated drive; ``size``: amplitude of the effect in its own unit."""
+    """One simulated drive; ``size``: amplitude of the effect in its own unit; ``also``: further
+    effects with their amplitudes."""
 
     number: int
     effect: str = ""
@@ -37,6 +38,7 @@ class Trial:
     car: dict = field(default_factory=dict)
     seconds: float = 40.0
     rate: float = 50.0
+    also: dict = field(default_factory=dict)
 
 
 def trial(number: int, kind: str) -> Trial:
@@ -105,8 +107,8 @@ def _size(effect: str, rng) -> float:
 
 def drive(one: Trial):
     """Time, and the logged v_x, v_y, yaw rate, a_y and steering of a trial."""
-    car, size = one.car, one.size
-    is_ = one.effect.__eq__
+    car, sizes = one.car, {one.effect: one.size} | one.also
+    is_ = sizes.__contains__
     rng = np.random.default_rng(car["seed"])
     count = int(one.seconds / STEP)
     time = STEP * np.arange(count)
@@ -131,15 +133,15 @@ def drive(one: Trial):
     angle = np.arctan(wheelbase * curvature) + 0.02 * wish / G
     logged = angle.copy()
     if is_("steering_delay"):
-        angle = np.interp(time - size, time, angle)
+        angle = np.interp(time - sizes["steering_delay"], time, angle)
     if is_("steering_lag"):
-        angle = _lag(angle, size)
+        angle = _lag(angle, sizes["steering_lag"])
     if is_("steering_ratio"):
-        angle = angle * (1 + size)
+        angle = angle * (1 + sizes["steering_ratio"])
     if is_("steering_offset"):
-        angle = angle + size
+        angle = angle + sizes["steering_offset"]
     if is_("steering_play"):
-        angle = _play(angle, size * np.std(angle))
+        angle = _play(angle, sizes["steering_play"] * np.std(angle))
     gust = np.zeros(count)
     if is_("gusts"):
         noise = _lag(rng.standard_normal(count) / np.sqrt(STEP), 0.5)
@@ -154,29 +156,30 @@ def drive(one: Trial):
     before = np.zeros(2)
     l_f, l_r = car["l_f"], car["l_r"]
     if is_("centre_of_gravity"):
-        l_f, l_r = l_f - size * wheelbase, l_r + size * wheelbase
-    inertia = car["inertia"] * (np.exp(size) if is_("yaw_inertia") else 1.0)
+        moved = sizes["centre_of_gravity"] * wheelbase
+        l_f, l_r = l_f - moved, l_r + moved
+    inertia = car["inertia"] * np.exp(sizes.get("yaw_inertia", 0.0))
     mass = car["mass"]
     a_y = 0.0
     for k in range(count - 1):
         v, yields = v_x[k], 0.0
         if is_("compliance_steer"):
-            yields = -size * a_y / G
+            yields = -sizes["compliance_steer"] * a_y / G
         loads = np.array([l_r, l_f]) * mass * G / wheelbase
         if is_("longitudinal_load_transfer"):
-            loads = loads + np.array([-1, 1]) * size * mass * a_x[k]
+            loads = loads + np.array([-1, 1]) * sizes["longitudinal_load_transfer"] * mass * a_x[k]
         if is_("aerodynamic_load"):
-            loads = loads * (1 + size * ((v / car["speed"]) ** 2 - 1))
+            loads = loads * (1 + sizes["aerodynamic_load"] * ((v / car["speed"]) ** 2 - 1))
         friction = np.array([t[1] for t in car["tires"]]) * patch[k]
         stiffness = np.array([t[0] for t in car["tires"]])
         if is_("lateral_load_transfer"):
-            friction = friction * (1 - size * (a_y / G) ** 2)
+            friction = friction * (1 - sizes["lateral_load_transfer"] * (a_y / G) ** 2)
         if is_("friction_speed"):
-            friction = friction * (1 - size * (v / car["speed"] - 1))
+            friction = friction * (1 - sizes["friction_speed"] * (v / car["speed"] - 1))
         if is_("friction_drift"):
-            friction = friction * (1 + size * (time[k] / one.seconds - 0.5))
+            friction = friction * (1 + sizes["friction_drift"] * (time[k] / one.seconds - 0.5))
         if is_("drive_force"):
-            friction = friction * np.sqrt(1 - min(size * (a_x[k] / G) ** 2, 0.8))
+            friction = friction * np.sqrt(1 - min(sizes["drive_force"] * (a_x[k] / G) ** 2, 0.8))
 
         def slope(part, state):
             v_y, r = state
@@ -190,15 +193,18 @@ def drive(one: Trial):
                 mu = friction[j]
                 if is_("sliding_friction"):
                     wide = 1.5 * mu * loads[j] / stiffness[j]
-                    mu = mu * (1 - size * (1 - np.exp(-((s / wide) ** 2))))
-                forces[j] = -np.sign(used[j]) * float(brush(s, loads[j], v, stiffness[j], mu))
+                    mu = mu * (1 - sizes["sliding_friction"] * (1 - np.exp(-((s / wide) ** 2))))
+                force = float(brush(s, loads[j], v, stiffness[j], mu))
+                if car.get("linear"):
+                    force = 2 * stiffness[j] * s
+                forces[j] = -np.sign(used[j]) * force
             front = forces[0] * np.cos(delta)
             moment = l_f * front - l_r * forces[1]
             if is_("yaw_resistance"):
-                moment = moment - size * mass * G * wheelbase**2 * r / v
+                moment = moment - sizes["yaw_resistance"] * mass * G * wheelbase**2 * r / v
             across = (front + forces[1]) / mass + gust[k]
             if is_("bank"):
-                across = across + size * G
+                across = across + sizes["bank"] * G
             return np.array([across - v * r, moment / inertia]), across, slip
 
         state = states[k]
@@ -206,7 +212,7 @@ def drive(one: Trial):
         if is_("relaxation_length"):
             if k:
                 rate = (slip - before) / STEP
-                time_constant = size * wheelbase / v
+                time_constant = sizes["relaxation_length"] * wheelbase / v
                 kept = np.exp(-STEP / time_constant)
                 late = late * kept - time_constant * rate * (1 - kept)
             before = slip
@@ -222,11 +228,11 @@ def drive(one: Trial):
         sway = np.gradient(_lag(lateral, 0.1), STEP)
         v_y = v_y + 0.3 * np.std(v_y) * sway / np.std(sway)
     if is_("sideslip_zero"):
-        v_y = v_y + size * v_x
+        v_y = v_y + sizes["sideslip_zero"] * v_x
     if is_("tracked_point"):
-        v_y = v_y + size * wheelbase * r
+        v_y = v_y + sizes["tracked_point"] * wheelbase * r
     if is_("yaw_rate_zero"):
-        r = r + size
+        r = r + sizes["yaw_rate_zero"]
     return time, v_x, v_y, r, lateral, logged
 
 

@@ -82,6 +82,36 @@ def test_degrees_for_radians_slide_in_nearly_all_rows():
     assert list(shown(brush(np.clip(np.rad2deg(SLIP), -1.5, 1.5)))) == ["always_sliding"]
 
 
+def test_a_friction_far_too_low_is_no_question_of_units():
+    assert "degrees" in shown(brush(SLIP, cpa2=57 * CPA2))["always_sliding"].remedy
+    found = shown(brush(SLIP, mu=0.1 * MU))["always_sliding"]
+    assert found.remedy == "raise its friction"
+    assert "limit of 0.09 F_z" in found.means and "reaches 0.90 F_z" in found.means
+
+
+FAR = {
+    ("mu", 4.0): "The simulator has no friction limit below 2.2 F_z in these rows (set mu to 0.",
+    ("mu", 0.2): "% too low (set mu to 0.",
+    ("cpa2", 5.0): "The simulator has stiffness more than 3 times too high (set cpa2 to",
+    ("cpa2", 0.2): "% too low (set cpa2 to",
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("changed", FAR, ids=str)
+def test_a_parameter_far_away_is_found_and_told_as_what_it_means(changed):
+    name, factor = changed
+    noise = np.random.default_rng(6).normal(0, 40, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
+    true = {"cpa2": CPA2, "mu": MU}
+    far = brush(SLIP, **true | {name: factor * true[name]})
+    few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
+    found = diagnose(data, sim={"fy": far}, effects=few, rig=Rig(noise={"fy": 40.0}))
+    own = found.simulator.readings.simulator.parameters[name]
+    np.testing.assert_allclose(own.value, factor * true[name], rtol=0.05)
+    assert FAR[changed] in " ".join(diagnosis_text(found).split())
+
+
 def test_a_refused_simulator_is_told_what_its_forces_show():
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
     late = brush(np.interp(TIME - 0.4, TIME, SLIP))
@@ -95,6 +125,26 @@ def test_an_own_lag_is_found():
         late[k] = keep * late[k - 1] + (1 - keep) * SLIP[k]
     found = shown(brush(late))
     assert list(found) == ["own_lag"] and "150 ms" in found["own_lag"].means
+
+
+@pytest.mark.parametrize("late", ["delay", "lag"])
+def test_rows_too_far_apart_for_an_own_delay_are_told(late):
+    """Every 8th row (0.4 s), of a delay or lag of 0.15 s; every row shows the lag of slips on
+    ramps (the other test has steps)."""
+    fine = np.arange(0, TIME[-1], 1e-3)
+    slip = np.interp(fine, TIME, SLIP)
+    if late == "delay":
+        moved = np.interp(fine - 0.15, fine, slip)
+    else:
+        moved = 0 * slip
+        for k in range(1, len(fine)):
+            moved[k] = moved[k - 1] + 1e-3 / 0.15 * (slip[k] - moved[k - 1])
+    force = brush(np.interp(TIME, fine, moved))
+    assert list(shown(force)) == [f"own_{late}"]
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP), "fy_sim": force}
+    table = as_data({name: x[::8] for name, x in data.items()})
+    (found,) = structures_of(prepare(table, Rig(), ("fy",)))
+    assert found.id == "own_time" and "rows 400 ms apart are too far apart" in found.means
 
 
 def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
@@ -128,6 +178,21 @@ def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
     assert (own.gain, own.gain_std) == (both.gain, both.gain_std)
     written = json.loads(found.to_json())["simulator"]["readings"]
     assert written["structure"][0]["id"] == "no_saturation"
+
+
+def test_the_order_of_rows_changes_nothing():
+    noise = np.random.default_rng(5).normal(0, 40, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
+    data |= {"fy_sim": brush(SLIP, mu=1.3 * MU)}
+    few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
+    order = np.random.default_rng(0).permutation(len(SLIP))
+    plain, shuffled = (
+        diagnose(rows, sim=True, effects=few, rig=Rig(noise={"fy": 40.0}))
+        for rows in (data, {name: values[order] for name, values in data.items()})
+    )
+    assert shuffled.simulator.readings == plain.simulator.readings
+    assert diagnosis_text(shuffled).split("DATA")[0] == diagnosis_text(plain).split("DATA")[0]
+    np.testing.assert_array_equal(shuffled.table["time"], TIME)
 
 
 def test_a_surplus_effect_of_a_simulator_is_its_own():

@@ -605,7 +605,8 @@ def test_the_error_of_a_simulator_is_reported_by_part():
     assert change_texts(simulated(changes={"cpa2": many})) == more
     slides_never = simulated(changes={"mu": many})
     used = np.nanmax(np.abs(slides_never.rows["fx"]["base"]) / slides_never.table["fz"])
-    words = [f"no friction limit below {format_number(float(used), 2)} F_z in these rows"]
+    size = format_number(float(used), 2)
+    words = [f"no friction limit below {size} F_z in these rows (set mu to 50)"]
     assert change_texts(slides_never) == words
     details = flat(diagnosis_text(found, full=True))
     assert "cpa2 [N] 50000 51000 ± 900 no" in details and "mu [-] 0.981" in details

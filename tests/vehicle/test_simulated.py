@@ -1,6 +1,8 @@
 """What a simulator has wrong of a car: faults put into a simulator by hand, found from its output.
 Car and simulator are an independent program (fits/withheld_vehicle/drives.py)."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -8,10 +10,12 @@ from typer.testing import CliRunner
 import tirefit
 from fits.withheld_vehicle.drives import STEP, Trial, drive, trial, written
 from tirefit.cli.commands import app
+from tirefit.diagnosis.summary.compare import Apart, Number
 from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
 from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.simulated import _meanings, _spins
 
 FEW = (
     "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
@@ -19,6 +23,7 @@ FEW = (
 )  # fmt: skip
 LIBRARY = tuple(effect for effect in CAR_EFFECTS if effect.id in FEW)
 NUMBER, SECONDS = 5, 24.0
+BOTH = "simulator", "car"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -102,11 +107,86 @@ def test_a_simulator_without_a_fault_does_not_differ(car, tmp_path):
     assert not any(one.differs for one in (*found.numbers, *found.effects))
 
 
+def with_states(car, folder, **factors):
+    """A simulated log of the car without a fault, its states multiplied."""
+    path = simulated(one_of(), folder)
+    t, v_y, yaw_rate = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
+    states = {"v_y": v_y, "yaw_rate": yaw_rate}
+    states = {name: factors.get(name, 1.0) * x for name, x in states.items() if name in factors}
+    table = np.stack([t, *states.values()], axis=1)
+    np.savetxt(path, table, "%.9g", ",", header=",".join(["t", *states]), comments="")
+    log, vehicle, _ = car
+    return lambda: tirefit.compare_with_simulator([log], [path], vehicle, effects=LIBRARY)
+
+
+@pytest.mark.parametrize(
+    ("factors", "told"),
+    [
+        ({"v_y": -1, "yaw_rate": 1}, r"sim\.csv, column 'v_y': v_y is -[01].*of the other sign"),
+        ({"v_y": 3.6, "yaw_rate": 1}, "v_y is 3.[56].*in another unit, as km/h.*give a_y"),
+        ({"v_y": 1, "yaw_rate": -1}, "yaw_rate is -[01].*of the other sign"),
+        ({"v_y": 1, "yaw_rate": np.rad2deg(1)}, "yaw_rate is 57.*in another unit, as deg/s"),
+        ({"v_y": 1}, "it lacks yaw_rate, which the simulator has to predict"),
+    ],
+)
+def test_states_in_other_units_or_missing_are_refused(factors, told, car, tmp_path):
+    with pytest.raises(DataError, match=f"(?s){told}"):
+        with_states(car, tmp_path, **factors)()
+
+
+def test_the_measured_acceleration_does_not_check_a_simulator(car, tmp_path, monkeypatch):
+    """Twice the lateral speed contradicts the a_y of the car."""
+
+    def begun(*_):
+        raise RuntimeError("begun")
+
+    monkeypatch.setattr("tirefit.vehicle.simulated.studied", begun)
+    with pytest.raises(RuntimeError, match="begun"):
+        with_states(car, tmp_path, v_y=2.0, yaw_rate=1.0)()
+
+
+def meanings(**pairs):
+    """What differences mean of quantities of a simulator and of a car."""
+    found = {
+        name: Apart(
+            name, "-", {k: Number(x, 0.01 * x, "-") for k, x in zip(BOTH, pair, strict=True)}
+        )
+        for name, pair in pairs.items()
+    }
+    return [*_meanings({k: x._replace(differs=len({*pairs[k]}) > 1) for k, x in found.items()})]
+
+
+def test_a_common_factor_is_told_as_a_mass_and_a_far_friction_as_no_limit():
+    same = {"front.friction": (0.9, 0.9), "rear.friction": (0.9, 0.9)}
+    soft = {"front.stiffness": (0.5, 0.65), "rear.stiffness": (1.0, 1.31)}
+    inertia = "yaw_inertia: yaw_inertia"
+    (said,) = meanings(**same, **soft, **{inertia: (2000, 2590)})
+    assert "the mass of the simulator is 1.3 times that of the car" in said
+    assert meanings(**same, **soft, **{inertia: (2000, 2200)}) == []
+    assert meanings(**same, **soft, **{inertia: (2000, 2000)}) == []
+    far = {"front.friction": (4.4, 0.9), "rear.friction": (0.9, 1.2)}
+    (said,) = meanings(**far, **soft)
+    assert said.startswith("the front tires of the simulator do not saturate")
+
+
+@pytest.mark.parametrize(("ours", "theirs", "spins"), [(0.2, 1.2, 1), (0.2, 0.6, 0), (1.0, 1.2, 0)])
+def test_a_simulated_car_that_spins_is_told(ours, theirs, spins):
+    def sliding(angle):
+        v_y = np.tan([0.0, angle, 1.5])
+        settled = np.array([True, True, False])
+        return [SimpleNamespace(motion=SimpleNamespace(v_x=1.0, v_y=v_y, settled=settled))]
+
+    said = [*_spins(sliding(ours), sliding(theirs))]
+    assert len(said) == spins
+    if spins:
+        assert "sideslip reaches 69 deg, that of the car 11 deg" in said[0]
+
+
 def test_a_simulated_log_without_inputs_needs_the_rows_of_the_log(car, tmp_path):
     log, vehicle, _ = car
     path = simulated(one_of(), tmp_path)
     path.write_text("".join(path.read_text().splitlines(True)[:-5]))
-    with pytest.raises(DataError, match=r"(?s)lacks v_x, a_y, steer.*row for each row of the log"):
+    with pytest.raises(DataError, match=r"(?s)lacks v_x, steer.*row for each row of the log"):
         tirefit.compare_with_simulator([log], [path], vehicle)
     line = ["diagnose", str(log), "--vehicle", str(vehicle), "--sim-log", str(path)]
     done = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "o")])

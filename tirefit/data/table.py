@@ -168,6 +168,17 @@ class TireData(Displayed):
         """The same data, in which only ``rows`` (n,) bool are used."""
         return replace(self, used=self.used & rows)
 
+    def in_order(self) -> "TireData":
+        """The same data with the rows of each run in the order of their time, if it is known."""
+        order = np.lexsort((self["time"], self.run)) if "time" in self else np.arange(len(self))
+        if np.array_equal(order, np.arange(len(self))):
+            return self
+        columns = {name: values[order] for name, values in self.columns.items()}
+        line = None if self.source.line is None else self.source.line[order]
+        source = replace(self.source, line=line)
+        used, run = self.used[order], self.run[order]
+        return replace(self, columns=columns, used=used, run=run, source=source)
+
     def usable(self, column: str) -> np.ndarray:
         """The used rows of one column, shape (n_used,)."""
         return self.columns[column][self.used]

@@ -146,6 +146,7 @@ def diagnose(
         data, others = given.beside(data), [given.beside(x, True) for x in others]
         gives = given.channels(data, own)
         own = own if given.tire is None else ()
+    data = data.in_order()  # the order of rows may change the course of a search
     if asked is not None:
         gives = _asked_for(asked, data, gives, own)
     library = tuple(effect for effect in effects if effect.id not in without)

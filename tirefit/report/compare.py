@@ -26,7 +26,7 @@ _ROUNDING = 1e-16
 
 def answer(found: Comparison) -> list[str]:
     """What differs, and what does not: parameters, forces, effects."""
-    said = _numbers_said(found)
+    said = [*found.meanings, *_numbers_said(found)]
     for one in found.forces:
         said += [_force_said(one, name, x) for name, x in one.curves.items() if x.slip is not None]
     said += _effects_said(found)

@@ -3,24 +3,21 @@
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
-import numpy as np
-
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.closure import PARAMETERS
 from tirefit.diagnosis.summary.result import Change, Diagnosis
-from tirefit.report.diagnosis_readings import readings_text
+from tirefit.report.diagnosis_readings import (
+    FRICTION,
+    ratio_text,
+    readings_text,
+    set_text,
+    used_friction,
+)
 from tirefit.report.diagnosis_words import amount_text, listing, name_of, share_text, words_on
 from tirefit.report.numbers import format_estimate, format_number
 
 _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Short names of parameters for sentences."""
-
-
-_MANY_TIMES = 3.0
-"""Ratio of simulated to measured value above which its number says nothing: the rows hardly
-determine it."""
-
-_FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")
 
 
 def answer(result: Diagnosis) -> str:
@@ -162,30 +159,16 @@ def change_texts(result: Diagnosis) -> list[str]:
     both = result.simulator.readings if result.simulator else None
     lacks = {one.id for one in both.structure} if both else set()
     if "no_saturation" in lacks:
-        wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
-    used = _used_friction(result) if wrong else 0.0
+        wrong = [(name, change) for name, change in wrong if name not in FRICTION]
+    used = used_friction(result) if wrong else 0.0
     return [_change_text(name, words.get(name, name), change, used) for name, change in wrong]
-
-
-def _used_friction(result: Diagnosis) -> float:
-    """The largest force of the simulator, which is the base of the gap, over the load."""
-    if result.table is None:
-        return 0.0
-    load = np.asarray(result.table["fz"])
-    every = [rows["base"] for channel, rows in result.rows.items() if channel != "mz"]
-    return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
 
 
 def _change_text(name: str, meaning: str, change: Change, used: float) -> str:
     off = change.simulated - change.measured
-    side = f"{'high' if off > 0 else 'low'} (set {name} to {format_number(change.measured, 3)})"
     if min(change.simulated, change.measured) > 0:
         ratio = change.simulated / change.measured
         error = ratio * change.std / change.measured
-        if ratio > _MANY_TIMES and name in _FRICTION:
-            return f"no friction limit below {format_number(used, 2)} F_z in these rows"
-        if ratio > _MANY_TIMES:
-            return f"{meaning} more than {_MANY_TIMES:.0f} times too {side}"
-        share = format_estimate(100 * abs(ratio - 1), 100 * error)
-        return f"{meaning} {share} % too {side}"
+        return ratio_text(name, meaning, ratio, error, change.measured, used)
+    side = f"{'high' if off > 0 else 'low'} ({set_text(name, change.measured)})"
     return f"{meaning} {format_estimate(abs(off), change.std)} too {side}"

@@ -13,6 +13,13 @@ from tirefit.report.page import Section
 _LIKELY = 0.5  # probability of an effect that the simulator's own forces show
 _DIFFERS = 2.0  # standard errors beyond which parameters differ
 
+_MANY_TIMES = 3.0
+"""Ratio of simulated to measured value above which its number says nothing: the rows hardly
+determine it."""
+
+FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")
+"""Parameters that limit the force."""
+
 
 def readings_text(result: Diagnosis, changed: str) -> str:
     """The answer on a simulator: its structure, then the reading that predicts data left out
@@ -48,25 +55,58 @@ def readings_text(result: Diagnosis, changed: str) -> str:
     parts += [
         f"to {own} {unit}; the simulator, with parameters and effects changed, to {of_it} {unit}."
     ]
-    parts += ["So this model describes both, and the answer compares them.", *_differences(both)]
+    parts += [
+        "So this model describes both, and the answer compares them.",
+        *_differences(result, both),
+    ]
     return " ".join(parts)
 
 
-def _differences(both: Readings) -> Iterator[str]:
+def used_friction(result: Diagnosis) -> float:
+    """The largest force of the simulator, which is the base of the gap, over the load."""
+    if result.table is None:
+        return 0.0
+    load = np.asarray(result.table["fz"])
+    every = [rows["base"] for channel, rows in result.rows.items() if channel != "mz"]
+    return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
+
+
+def set_text(name: str, measured: float) -> str:
+    """What to do about a parameter."""
+    return f"set {name} to {format_number(measured, 3)}"
+
+
+def ratio_text(
+    name: str, meaning: str, ratio: float, error: float, measured: float, used: float
+) -> str:
+    """A parameter that is ``ratio`` times the measured one, and its measured value; of a ratio
+    that is far from one what it means: up to the friction ``used``, there is no limit."""
+    todo = set_text(name, measured)
+    if ratio > _MANY_TIMES and name in FRICTION:
+        return f"no friction limit below {format_number(used, 2)} F_z in these rows ({todo})"
+    if ratio > _MANY_TIMES:
+        return f"{meaning} more than {_MANY_TIMES:.0f} times too high ({todo})"
+    share = format_estimate(100 * abs(ratio - 1), 100 * error)
+    return f"{meaning} {share} % too {'high' if ratio > 1 else 'low'} ({todo})"
+
+
+def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
     """Sentences on parameters that differ, and on effects of one side alone."""
     here, there = both.measured, both.simulator
     wrong = []
     for name, own in here.parameters.items():
         simulated = _simulated(both, name)
+        if there is not None and name == SLOPE:
+            continue  # it follows from the others
         if simulated is None or min(own.value, simulated.value) <= 0:
             continue
         ratio = simulated.value / own.value
         error = ratio * np.hypot(own.std / own.value, simulated.std / simulated.value)
         if abs(ratio - 1) > _DIFFERS * error:
-            share = format_estimate(100 * abs(ratio - 1), 100 * float(error))
-            wrong.append(f"{name} is {share} % too {'high' if ratio > 1 else 'low'}")
+            used = used_friction(result)
+            wrong.append(ratio_text(name, name, ratio, float(error), own.value, used))
     if wrong:
-        yield f"Of the simulator, {listing(wrong)}."
+        yield f"The simulator has {listing(wrong)}."
     lacks = [
         f"{_amount(effect, one)} ({one.probability:.2f} that this is the cause)"
         for effect, one in here.effects.items()

@@ -7,7 +7,7 @@ descriptions is what the simulator has wrong.
 
 import csv
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,27 +17,51 @@ import numpy as np
 
 from tirefit.data.read import read_table
 from tirefit.data.readers.remote import file_at
-from tirefit.data.vehicle.vehicle import Vehicle
+from tirefit.data.vehicle.motion import Motion, read_motion
+from tirefit.data.vehicle.vehicle import CHECKS, POSE, Columns, Vehicle
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.diagnosis.summary.case import Concluded
-from tirefit.diagnosis.summary.compare import Comparison, Number, Source, compared, standing_of
+from tirefit.diagnosis.summary.compare import (
+    Apart,
+    Comparison,
+    Number,
+    Source,
+    compared,
+    standing_of,
+)
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
-from tirefit.results import DataError
+from tirefit.results import DataError, InputProblem
 from tirefit.vehicle.diagnose import WINDOW, Steps, check_effects, studied
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS, TIRES
 from tirefit.vehicle.trajectory import started
-from tirefit.vehicle.windows import cut_in_windows, derived_rows, known_vehicle
+from tirefit.vehicle.windows import CutLog, cut_in_windows, derived_rows, known_vehicle
 
-_NOISE = 0.1
-"""Noise added to the simulator's states, over that of the log: it widens the error of a difference
-by 0.5 %, and without any, the rounding of the file would count as an effect."""
+_NOISE = 1.0
+"""Noise added to the simulator's states, over that of the log. A simulator is compared as closely
+as the log shows the car: below that, effects stand for steps and order of an integration."""
+
+_SPUN, _MORE = math.radians(40.0), 2.0
+"""Largest sideslip of a simulated car, and its ratio to that of the car, above which it spins."""
 
 _STEPS = 80  # usual number of refits of both searches
+
+_FACTORS = {"yaw_rate": {"deg/s": math.degrees(1.0)}, "v_y": {"km/h": 3.6}}
+"""State of a simulator -> its unit that is often confused with the SI unit, and the factor."""
+
+_UNLIMITED = 3.0
+"""Friction of one over that of the other, above which its tires do not reach their limit."""
+
+_ALIKE = 9.21
+"""Chi-square of three factors about their mean that one of 100 equal ones exceeds."""
+
+_RELATED, _NEAR = 0.95, 0.15
+"""Least correlation of a state with that of the log, and largest distance [log] of its factor
+from that of a unit or a sign, that show the wrong unit or sign."""
 
 
 def _l_f(vehicle: Vehicle, size: float) -> tuple[float, float]:
@@ -113,16 +137,26 @@ def compare_with_simulator(
     tell = Steps(progress, _STEPS)
     tell("reading logs")
     found = cut_in_windows(logs, stated, window)
+    own = _own_vehicle(stated, sim_logs)
     with TemporaryDirectory() as folder:
         pairs = zip(logs, sim_logs, strict=True)
-        whole = [_with_inputs(*pair, stated, Path(folder)) for pair in pairs]
-        simulated = cut_in_windows(whole, stated, window)
+        whole = [_with_inputs(*pair, own, Path(folder)) for pair in pairs]
+        try:
+            motions = [read_motion(file_at(path), own)[1] for path in whole]
+            each = zip(found.values(), motions, sim_logs, strict=True)
+            DataError.raise_for([x for one in each for x in _unlike(*one, own)])
+            simulated = cut_in_windows(whole, own, window)
+        except DataError as error:
+            given = dict(zip(map(str, whole), map(str, sim_logs), strict=True))
+            named = (replace(x, file=given.get(x.file, x.file)) for x in error.problems)
+            DataError.raise_for(list(named))
+            raise
     tires = [
         started(axle_tire(tire), derived_rows(found, stated, axle))
         for axle, tire in (("front", front), ("rear", rear))
     ]
     car = studied(found, stated, tires, library, window, tell)
-    simulator = studied(_noisy(simulated, car.base.noise), stated, tires, library, window, tell)
+    simulator = studied(_noisy(simulated, car.base.noise), own, tires, library, window, tell)
     atoms = _atoms_of(car, simulator)
     sources = [
         _described(name, case, atoms, stated, ", ".join(map(str, files)))
@@ -131,13 +165,106 @@ def compare_with_simulator(
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
-    return replace(result, notes=(*result.notes, note))
+    meant = _meanings({one.name: one for one in (*result.numbers, *result.effects)})
+    meanings = (*_spins(found.values(), simulated.values()), *meant)
+    return replace(result, notes=(*result.notes, note), meanings=meanings)
+
+
+def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
+    """What differences mean: tires without a friction limit, or another mass."""
+    for axle in ("front", "rear"):
+        if (one := found[f"{axle}.friction"]).differs:
+            low, high = sorted(one.values, key=lambda name: one.values[name].value)
+            if one.values[high].value > _UNLIMITED * one.values[low].value:
+                yield (
+                    f"the {axle} tires of the {high} do not saturate in these logs: they have no"
+                    " friction limit, or a far higher one"
+                )
+    three = [
+        found.get(x) for x in ("front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia")
+    ]
+    if not all(one is not None and one.differs for one in three):
+        return
+    pairs = [(one.values["car"], one.values["simulator"]) for one in three if one]
+    logs = np.log([ours.value / theirs.value for ours, theirs in pairs])
+    weight = [1 / sum(((x.std or 0) / x.value) ** 2 for x in pair) for pair in pairs]
+    mean = np.average(logs, weights=weight)
+    if weight @ (logs - mean) ** 2 < _ALIKE:
+        yield (
+            "yaw inertia and the stiffness of both axles differ by the same factor: so they do if"
+            f" the mass of the simulator is {math.exp(mean):.3g} times that of the car"
+        )
+
+
+def _spins(logs: Iterable[CutLog], simulated: Iterable[CutLog]) -> Iterator[str]:
+    """A sentence if the simulated car spins where the car does not."""
+    car, own = (
+        max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
+        for motions in ([one.motion for one in logs], [one.motion for one in simulated])
+    )
+    if own > max(_SPUN, _MORE * car):
+        yield (
+            f"the simulated car spins: its sideslip reaches {math.degrees(own):.0f} deg, that of"
+            f" the car {math.degrees(car):.0f} deg. What differs is uncertain: give a log in which"
+            " the simulator does not spin"
+        )
+
+
+def _own_vehicle(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
+    """The vehicle with the columns of simulated logs: their states, inputs, and no measurement
+    of the car as a check of them."""
+    columns = vehicle.columns
+    states = POSE if columns.motion == POSE else ("v_y", "yaw_rate")
+    lacking, problems = set(), []
+    for path in sim_logs:
+        headers = read_table(file_at(path), []).headers
+        lacks = {x for x in CHECKS if not {*_headers(columns, x)} <= {*headers}}
+        if own := [name for name in states if name in lacks]:
+            reason = f"it lacks {', '.join(own)}, which the simulator has to predict"
+            problems.append(InputProblem(reason, "name the columns as in the log", str(path)))
+        lacking |= lacks
+    DataError.raise_for(problems)
+    checks = lacking & {"a_y", "a_x", *columns.beyond}
+    columns = columns.model_copy(update=dict.fromkeys(checks))
+    return vehicle.model_copy(update={"columns": columns})
+
+
+def _headers(columns: Columns, name: str) -> list[str]:
+    given = getattr(columns, name)
+    return given if isinstance(given, list) else [given] if given else []
+
+
+def _unlike(
+    log: CutLog, theirs: Motion, file: str | Path, vehicle: Vehicle
+) -> Iterator[InputProblem]:
+    """Problems of states of a simulator in another unit or of another sign than in the log."""
+    ours = log.motion
+    there = ours.settled & (ours.time >= theirs.time[0]) & (ours.time <= theirs.time[-1])
+    for name, units in _FACTORS.items():
+        if name == "v_y" and not vehicle.columns.a_y_follows:
+            continue  # the simulator's own a_y or pose is compared with it
+        logged = getattr(ours, name)[there]
+        own = np.interp(ours.time[there], theirs.time, getattr(theirs, name))
+        good = np.isfinite(own) & np.isfinite(logged)
+        correlation = np.corrcoef(own[good], logged[good])[0, 1]
+        ratio = float(np.std(own[good]) / np.std(logged[good]))
+        for unit, factor in {**units, "": 1.0}.items():
+            sign = "" if correlation > 0 else "of the other sign"
+            near = min(abs(math.log(ratio * by)) for by in (factor, 1 / factor)) < _NEAR
+            if abs(correlation) > _RELATED and near and (unit or sign):
+                what = " and ".join(filter(None, (sign, unit and f"in another unit, as {unit}")))
+                reason = f"{name} is {math.copysign(ratio, correlation):.3g} times that of the log"
+                reason += f" (correlation {correlation:.2f}): it is {what}"
+                remedy = "write it with the sign and the unit of the log"
+                if name == "v_y":
+                    remedy += "; if it has these, give a_y of the simulator as well"
+                header = getattr(vehicle.columns, name) or ""
+                yield InputProblem(reason, remedy, str(file), column=header)
 
 
 def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Path) -> Path:
     """The simulated log, with the columns that it lacks from the log."""
-    given = vehicle.columns.model_dump().values()
-    flat = [x for one in given if one for x in (one if isinstance(one, list) else [one])]
+    flat = [x for name in vehicle.columns.model_dump() for x in _headers(vehicle.columns, name)]
     wanted = [*flat, *([vehicle.keep.active] if vehicle.keep.active else [])]
     own = read_table(file_at(sim), [])
     lacking = [name for name in wanted if name not in own.headers]

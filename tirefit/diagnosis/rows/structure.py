@@ -2,6 +2,7 @@
 explains them does so to their last digits."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ _RATHER = 0.1
 """Scatter of a simulated force about a curve, over that without the own delay, lag or load of
 a structure, below which the simulator has that structure."""
 
+_PARTLY = 0.8
+"""The same, below which it may have a delay or lag that the rows are too far apart to show."""
+
 _AT_TOP, _BELOW_TOP = 0.999, 0.9
 """Force over its largest above which it is clipped, and below which it is surely not."""
 
@@ -29,13 +33,18 @@ _NEAR_LIMIT, _NEARLY_ALL = 0.95, 0.8
 """Force over its largest that counts as sliding, and share of rows that slide, above which a
 simulator always slides."""
 
+_FAR_BELOW = 0.6  # its limit over the measured force, below which its friction is too low
+
 _LOADS = 0.05  # standard deviation over mean of a load that varies
+
+_ROWS_PER_DELAY = 4.0
+"""Rows in an own delay or time constant that always show it."""
 
 _LOG_DELAYS = np.linspace(np.log(0.005), np.log(0.5), 25)
 """Logarithms of the own delays and time constants that are tried [s]."""
 
 
-UNLIKE = ("no_saturation", "clipped", "steps", "always_sliding")
+UNLIKE = ("no_saturation", "clipped", "steps")
 """Structures that no tire model of the library has: its parameters would mislead."""
 
 
@@ -95,14 +104,9 @@ def _structures(
                 float(slope * np.mean(scale)),
             )
             return
-    at_limit = np.abs(force) / load
-    if np.mean(at_limit > _NEAR_LIMIT * at_limit.max()) > _NEARLY_ALL:
-        yield Structure(
-            "always_sliding",
-            channel,
-            f"it is at its limit of {at_limit.max():.2f} F_z in nearly all rows",
-            f"check the unit of its {what}: degrees where radians are expected, or per cent",
-        )
+    measured = prepared.column(channel)
+    if (slides := _always_sliding(channel, what, force / load, measured / load)) is not None:
+        yield slides
         return
     values = len(np.unique(np.round(force, 9)))
     if values < _STEPS * len(np.unique(slip)):
@@ -122,6 +126,24 @@ def _structures(
             "give the simulator the load of each row, and a tire that depends on it",
         )
     yield from _own_time(prepared, channel, slip, force / load)
+
+
+def _always_sliding(
+    channel: str, what: str, share: np.ndarray, measured: np.ndarray
+) -> Structure | None:
+    """A force over the load that is at its limit in nearly all rows; None for another."""
+    limit, reached = (np.quantile(np.abs(x), _AT_TOP) for x in (share, measured))
+    if np.mean(np.abs(share) > _NEAR_LIMIT * limit) < _NEARLY_ALL:
+        return None
+    remedy = f"check the unit of its {what}: degrees where radians are expected, or per cent;"
+    remedy += " if it is right, lower the stiffness"
+    return Structure(
+        "always_sliding",
+        channel,
+        f"it is at its limit of {limit:.2f} F_z in nearly all rows; the measured force"
+        f" reaches {reached:.2f} F_z",
+        "raise its friction" if limit < _FAR_BELOW * reached else remedy,
+    )
 
 
 def _clipped(slip: np.ndarray, force: np.ndarray, scale: np.ndarray) -> tuple[float, float] | None:
@@ -152,30 +174,42 @@ def _own_time(
     """A delay or a time constant by which the force follows the slip."""
     if "time" not in prepared.data:
         return
-    time = prepared.column("time")
-    plain, best = _scatter(slip, share), None
-    for kind, moved in (("own_delay", _delayed), ("own_lag", _lagged)):
+    time, run = prepared.column("time"), prepared.run
+    tried = []
+    for kind, moved in (("own_delay", _delayed), ("own_lag", _lagged), ("own_lag", _ramped)):
 
         def left(log: float, moved: Callable[..., Any] = moved) -> float:
-            return _scatter(moved(slip, time, prepared.run, np.exp(log)), share)
+            return _scatter(moved(slip, time, run, np.exp(log)), share)
 
         near = min(_LOG_DELAYS, key=left)
         step = _LOG_DELAYS[1] - _LOG_DELAYS[0]
         found = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
-        if found.fun < _RATHER * plain and (best is None or found.fun < best[0]):
-            best = found.fun, kind, float(np.exp(found.x))
-    if best is None:
-        return
-    _, kind, constant = best
-    late = f"{1000 * constant:.0f} ms"
-    how = f"{late} late" if kind == "own_delay" else f"with a time constant of about {late}"
-    yield Structure(
-        kind,
-        channel,
-        f"it follows the slip {how}",
-        "take this delay out of the simulator, unless the car has it too"
-        " (see channel delay and relaxation length among the effects)",
-    )
+        tried.append((found.fun, kind, float(np.exp(found.x))))
+    least, kind, constant = min(tried)
+    plain = _scatter(slip, share)
+    apart = float(np.median(np.concatenate([np.diff(time[rows]) for rows in _runs(run, time)])))
+    if least < _RATHER * plain:
+        late = f"{1000 * constant:.0f} ms"
+        how = f"{late} late" if kind == "own_delay" else f"with a time constant of about {late}"
+        yield Structure(
+            kind,
+            channel,
+            f"it follows the slip {how}",
+            "take this delay out of the simulator, unless the car has it too"
+            " (see channel delay and relaxation length among the effects)",
+        )
+    elif (
+        least < _PARTLY * plain
+        and plain > _EXPLAINED * _rms(share)
+        and constant < _ROWS_PER_DELAY * apart
+    ):
+        yield Structure(
+            "own_time",
+            channel,
+            "it may follow the slip with a delay or a lag, which rows"
+            f" {1000 * apart:.0f} ms apart are too far apart to show",
+            "give more rows per second: all of the log and of the simulator",
+        )
 
 
 def _runs(run: np.ndarray, time: np.ndarray) -> Iterator[np.ndarray]:
@@ -191,13 +225,23 @@ def _delayed(slip: np.ndarray, time: np.ndarray, run: np.ndarray, delay: float) 
     return moved
 
 
-def _lagged(slip: np.ndarray, time: np.ndarray, run: np.ndarray, constant: float) -> np.ndarray:
+def _lagged(
+    slip: np.ndarray, time: np.ndarray, run: np.ndarray, constant: float, ramp: bool = False
+) -> np.ndarray:
+    """The slip after a first-order lag: from row to row constant, or on a ``ramp``."""
     moved = np.array(slip, float)
     for rows in _runs(run, time):
-        decay = np.exp(-np.diff(time[rows]) / constant)
-        for before, row, keep in zip(rows[:-1], rows[1:], decay, strict=True):
-            moved[row] = keep * moved[before] + (1 - keep) * slip[row]
+        step, rise = np.diff(time[rows]), np.diff(slip[rows])
+        decay = np.exp(-step / constant)
+        added = (1 - decay) * slip[rows[1:]]
+        if ramp:
+            added += rise * (decay - (1 - decay) * constant / np.maximum(step, NONZERO))
+        for before, row, keep, more in zip(rows[:-1], rows[1:], decay, added, strict=True):
+            moved[row] = keep * moved[before] + more
     return moved
+
+
+_ramped = partial(_lagged, ramp=True)
 
 
 def _scatter(slip: np.ndarray, force: np.ndarray) -> float:

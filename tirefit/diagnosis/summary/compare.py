@@ -125,7 +125,8 @@ class Comparison(Record):
 
     ``models`` ranks fits of the same rows, the lowest AICc first; it is empty for others,
     and their numbers and forces are then compared. ``shared`` names sources of the same rows,
-    whose errors are not independent, so that nothing is tested.
+    whose errors are not independent, so that nothing is tested. ``meanings`` are sentences on
+    what differences mean together.
     """
 
     text_by: ClassVar[str] = "tirefit.report.compare:comparison_text"
@@ -142,6 +143,7 @@ class Comparison(Record):
     models: tuple[Ranked, ...] = ()
     shared: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    meanings: tuple[str, ...] = ()
     level: float = LEVEL
     version: str = field(default=__version__)
 
