@@ -270,6 +270,20 @@ class Search:
             starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
         self.refit(sets, starts)
 
+    def exchange(self, fit: Fit) -> None:
+        """Refit a set with the leading other effects, and the variants of its own, in the place
+        of each of its own: tangents far from a fit may not suggest it, as for a long delay."""
+        singles = [one for one in self.ranked if len(one.atoms) == 1]
+        others = dict.fromkeys(one.key for one in singles if one.effects[0] not in fit.effects)
+        leading, starts = [*others][: self.effort.beam], {}
+        for place, own in enumerate(fit.effects):
+            less = np.delete(fit.atoms, place), np.delete(fit.amplitude, place)
+            for one in (one for one in singles if one.key in (*leading, (own,))):
+                atoms, sizes = map(np.append, less, (one.atoms, one.amplitude))
+                order = np.argsort(atoms)
+                starts[tuple(atoms[order].tolist())] = [Start(fit.z, sizes[order], fit.state)]
+        self.refit(list(starts), starts)
+
     def rest(self) -> list[tuple[float, float]]:
         """(log weight, log evidence) of the sets that were not refitted."""
         return [both for atoms, both in self.guessed.items() if atoms not in self.fits]
@@ -283,9 +297,18 @@ def searched(subject: Forward, effort: Effort = Effort()) -> Search:
     search.pairs()
     for size in range(2, MOST_EFFECTS):
         search.extend(size)
-    for fit in search.ranked[:2]:
-        search.refit_parts(fit)
+    for _ in range(_EXCHANGES):
+        best = search.ranked[0]
+        for fit in search.ranked[:2]:
+            search.refit_parts(fit)
+            search.exchange(fit)
+        if search.ranked[0] is best:
+            break
     return search
+
+
+_EXCHANGES = 3
+"""Most rounds in which effects of the best set are exchanged."""
 
 
 PRIOR_OF_UNKNOWN = 0.1
