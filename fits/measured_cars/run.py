@@ -21,6 +21,7 @@ from fits.measured_cars.by_hand import HORIZONS, by_hand
 from fits.measured_cars.cars import CARS, Car
 from fits.measured_changes.by_hand import rounded
 from fits.replay.cars import write_logs
+from tirefit.vehicle.conclusion import conclusions
 from tirefit.vehicle.trajectory import TrajectoryFit
 
 THINNED = (6, 8, 10, 12, 15)
@@ -41,12 +42,11 @@ def fit_of(car: Car, folder: Path) -> dict:
     own, rest, toml = car.logs(folder)
     fit = tirefit.fit_trajectory(own, toml, unknowns=car.unknowns)
     result = tirefit.replay(rest, fit.vehicle, *fit.axles.values(), horizons=HORIZONS)
-    said = result.summary().splitlines()
     return {
         "parameters": _estimates(fit),
         "status": str(fit.status),
         "starts": result.windows,
-        "said": [one for one in said if "limit" in one or "linear tires predict" in one],
+        "said": conclusions(result),
         **{name: _rms(result.models, name) for name in result.models},
     }
 
@@ -76,6 +76,7 @@ def diagnosis_of(car: Car, folder: Path) -> dict:
         "each": {k: [one.probability, list(one.twins)] for k, one in verdict.each.items()},
         "held_out": held and [held.rms, held.remaining_rms],
         "starts": result.windows,
+        "said": conclusions(result),
         "summary": found.summary(),
         **{name: _rms(result.models, name) for name in result.models},
     }
