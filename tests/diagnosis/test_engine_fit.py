@@ -211,7 +211,7 @@ def test_a_pair_that_is_visible_only_together_is_found():
     assert search.ranked[0].effects == ("b1", "d1")
 
 
-@pytest.mark.parametrize("seed", [0, 5])
+@pytest.mark.parametrize("seed", [3, 4])
 def test_an_effect_that_stands_for_two_others_is_exchanged(seed):
     """Alone it explains most, so that every set of the forward search holds it."""
     subject, generator = toy(seed=seed), np.random.default_rng(7 + seed)

@@ -271,17 +271,18 @@ class Search:
         self.refit(sets, starts)
 
     def exchange(self, fit: Fit) -> None:
-        """Refit a set with the leading other effects, and the variants of its own, in the place
-        of each of its own: tangents far from a fit may not suggest it, as for a long delay."""
+        """Refit a set with each variant of the leading single effects in the place of each of its
+        own: tangents far from a fit may not suggest it, as for a long delay."""
         singles = [one for one in self.ranked if len(one.atoms) == 1]
-        others = dict.fromkeys(one.key for one in singles if one.effects[0] not in fit.effects)
-        leading, starts = [*others][: self.effort.beam], {}
-        for place, own in enumerate(fit.effects):
-            less = np.delete(fit.atoms, place), np.delete(fit.amplitude, place)
-            for one in (one for one in singles if one.key in (*leading, (own,))):
-                atoms, sizes = map(np.append, less, (one.atoms, one.amplitude))
-                order = np.argsort(atoms)
-                starts[tuple(atoms[order].tolist())] = [Start(fit.z, sizes[order], fit.state)]
+        leading = [*dict.fromkeys(one.key for one in singles)][: self.effort.beam]
+        starts = {}
+        for place in range(len(fit.atoms)):
+            atoms, sizes = np.delete(fit.atoms, place), np.delete(fit.amplitude, place)
+            others = {(self.ids[k],) for k in atoms}
+            for one in (one for one in singles if one.key in leading and one.key not in others):
+                joined, start = np.append(atoms, one.atoms), np.append(sizes, one.amplitude)
+                order = np.argsort(joined)
+                starts[tuple(joined[order].tolist())] = [Start(fit.z, start[order], fit.state)]
         self.refit(list(starts), starts)
 
     def rest(self) -> list[tuple[float, float]]:
