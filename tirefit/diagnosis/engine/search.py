@@ -275,7 +275,7 @@ class Search:
         own: tangents far from a fit may not suggest it, as for a long delay."""
         singles = [one for one in self.ranked if len(one.atoms) == 1]
         leading = [*dict.fromkeys(one.key for one in singles)][: self.effort.beam]
-        starts = {}
+        starts: dict[tuple[int, ...], list[Start]] = {}
         for place in range(len(fit.atoms)):
             atoms, sizes = np.delete(fit.atoms, place), np.delete(fit.amplitude, place)
             others = {(self.ids[k],) for k in atoms}
