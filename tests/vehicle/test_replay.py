@@ -148,6 +148,24 @@ def test_linear_tires_that_predict_as_well_are_said(exact):
     assert said == "The tires' bend is not what limits: linear tires predict as well."
 
 
+@pytest.mark.parametrize(
+    ("worse", "said"), [("tire", "Linear tires"), ("with the effects", "The effects")]
+)
+def test_what_predicts_worse_is_said_first(exact, worse, said):
+    """After one second these tires, or the effects, miss the yaw rate by three times as much;
+    by 4 % more is as well."""
+    generator = np.random.default_rng(1)
+    missed = {k: generator.standard_normal(v.shape) for k, v in exact.models["tire"].of.items()}
+    models = dict(exact.models) | dict.fromkeys(("tire", "linear tire", worse), Errors(missed))
+    for factor in (1.04, 3.0):
+        far = missed["yaw_rate"] * np.array([1.0, 1.0, factor, 1.0, 1.0])
+        models[worse] = Errors(missed | {"yaw_rate": far})
+        first = conclusions(replace(exact, models=models))[0]
+        assert first.startswith(said) is (factor > 2)
+    wrong, less = (np.sqrt(np.mean(x[:, 2] ** 2)) for x in (far, missed["yaw_rate"]))
+    assert f"the yaw rate after 1 s by {wrong:.2g} rad/s instead of {less:.2g}" in first
+
+
 def exact_start(result):
     """Time of the first start, which the settling of the filter determines."""
     return tirefit.data.vehicle.vehicle.Filter(cutoff=15.0).settling

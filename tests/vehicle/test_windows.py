@@ -82,6 +82,11 @@ def test_the_sandwich_of_a_mean_is_its_standard_error_between_windows(pull):
     assert count == WINDOWS
     np.testing.assert_allclose(found, [[(between + pull) / information**2]], rtol=1e-6)
     np.testing.assert_allclose(widened, [(between + pull) / information], rtol=1e-6)
+    # An element at its bound has no slope: the error of the other one is the same.
+    both = np.concatenate([one, 0 * one], axis=3)
+    more, *_ = sandwich(missed, both, apart, np.array([0.5]), np.array([pull, 0.0]))
+    np.testing.assert_allclose(more[0, 0], found[0, 0], rtol=1e-6)
+    assert more[1, 1] > 100.0**2
     if not pull:
         error = middle.std(ddof=1) / np.sqrt(WINDOWS)
         np.testing.assert_allclose(np.sqrt(found), [[error]], rtol=1e-6)

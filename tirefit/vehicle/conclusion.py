@@ -1,8 +1,10 @@
-"""What the errors of a replay say of the tires and of the steering: :func:`conclusions`."""
+"""What the errors of a replay say of the tires, of effects and of the steering:
+:func:`conclusions`."""
 
 import numpy as np
 
 from tirefit.diagnosis.engine.left_out import jackknife_error
+from tirefit.vehicle.errors import QUANTITIES
 from tirefit.vehicle.replay import Replay
 
 AHEAD = 0.5
@@ -21,7 +23,7 @@ _BLOCKS = 8
 """Number of parts of the starts; their spread gives the error of a ratio."""
 
 _FEWEST = 16
-"""Smallest number of starts for that."""
+"""Smallest number of starts for that, and for a horizon at which models are compared."""
 
 
 def place_of(result: Replay) -> int:
@@ -47,8 +49,39 @@ def turning(result: Replay) -> tuple[float, float] | None:
     return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))
 
 
+_NAMES = {"yaw_rate": "yaw rate", "lateral": "lateral position"}
+
+
+def _worse(result: Replay, model: str, other: str) -> str:
+    """Where a model predicts worse than another one by the largest ratio, such as ``the yaw rate
+    after 5 s by 23 rad/s instead of 0.57``; empty if it is nowhere worse."""
+    found, most = "", _AS_WELL
+    own, than = (result.models[k].rms() for k in (model, other))
+    for name, words in _NAMES.items():
+        for horizon, count, wrong, less in zip(
+            result.horizons, result.windows, own[name], than[name], strict=True
+        ):
+            if count >= _FEWEST and wrong and less and wrong > most * less:
+                most = wrong / less
+                found = f"the {words} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
+                found += f" instead of {less:.2g}"
+    return found
+
+
 def conclusions(result: Replay) -> list[str]:
-    """Sentences on what limits the prediction; empty where nothing can be said."""
+    """Sentences on what predicts better, and on what limits the prediction; empty where nothing
+    can be said."""
+    said = []
+    if worse := _worse(result, "tire", "linear tire"):
+        said.append(f"Linear tires predict better: these miss {worse}.")
+    if "with the effects" in result.models:
+        if worse := _worse(result, "with the effects", "tire"):
+            said.append(f"The effects make the prediction worse: with them it misses {worse}.")
+    return [*said, *_limits(result)]
+
+
+def _limits(result: Replay) -> list[str]:
+    """Sentences on what limits the prediction at one horizon."""
     place = place_of(result)
     rms = {k: errors.rms()["yaw_rate"][place] or 0.0 for k, errors in result.models.items()}
     if rms["tire"] < _ABOVE * rms["floor"]:

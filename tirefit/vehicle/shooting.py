@@ -180,6 +180,7 @@ def sandwich(
     """Covariance (p, p) of z from the scores of blocks of windows; their number; and its
     diagonal over that for independent residuals (p,)."""
     score, information, *_ = eliminate(missed, by_z, by_start, noise)
+    pull = jnp.maximum(pull, _FLAT)
     inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
     blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
     sums = np.array([block.sum(axis=0) for block in blocks])
@@ -189,6 +190,7 @@ def sandwich(
     return covariance, count, np.diag(covariance) / np.diag(inverse)
 
 
+_FLAT = 1e-6  # least precision of an element: one at its bound has no slope, and a wide interval
 _POINTS = 12  # largest number of points on one side of a profile
 _ROUGHLY = 1e-6  # share of the squares that one more step would take off at one of them
 
@@ -206,7 +208,7 @@ def profile_ends(squares: Squares, end: End, element: int, std: float, level: fl
     best, least, ends = float(end.z[element]), squares.at(end), []
     held = np.arange(len(end.z)) == element
     for sign in (-1, 1):
-        side, at = Side(best, sign, std, level), end
+        side, at = Side(best, sign, min(std, _AT_BOUND), level), end
         for _ in range(_POINTS):
             distance = side.next_distance()
             z = at.z.at[element].set(best + sign * distance)

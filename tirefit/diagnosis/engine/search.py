@@ -276,6 +276,21 @@ class Search:
             starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
         self.refit(sets, starts)
 
+    def exchange(self, fit: Fit) -> None:
+        """Refit a set with each variant of the leading single effects in the place of each of its
+        own: tangents far from a fit may not suggest it, as for a long delay."""
+        singles = [one for one in self.ranked if len(one.atoms) == 1]
+        leading = [*dict.fromkeys(one.key for one in singles)][: self.effort.beam]
+        starts: dict[tuple[int, ...], list[Start]] = {}
+        for place in range(len(fit.atoms)):
+            atoms, sizes = np.delete(fit.atoms, place), np.delete(fit.amplitude, place)
+            others = {(self.ids[k],) for k in atoms}
+            for one in (one for one in singles if one.key in leading and one.key not in others):
+                joined, start = np.append(atoms, one.atoms), np.append(sizes, one.amplitude)
+                order = np.argsort(joined)
+                starts[tuple(joined[order].tolist())] = [Start(fit.z, start[order], fit.state)]
+        self.refit(list(starts), starts)
+
     def rest(self) -> list[tuple[float, float]]:
         """(log weight, log evidence) of the sets that were not refitted."""
         return [both for atoms, both in self.guessed.items() if atoms not in self.fits]
@@ -289,9 +304,18 @@ def searched(subject: Forward, effort: Effort = Effort()) -> Search:
     search.pairs()
     for size in range(2, MOST_EFFECTS):
         search.extend(size)
-    for fit in search.ranked[:2]:
-        search.refit_parts(fit)
+    for _ in range(_EXCHANGES):
+        best = search.ranked[0]
+        for fit in search.ranked[:2]:
+            search.refit_parts(fit)
+            search.exchange(fit)
+        if search.ranked[0] is best:
+            break
     return search
+
+
+_EXCHANGES = 3
+"""Most rounds in which effects of the best set are exchanged."""
 
 
 PRIOR_OF_UNKNOWN = 0.1
