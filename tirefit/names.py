@@ -25,6 +25,7 @@ MODEL_NAMES = (
     "brush-m-peak",
     "brush-stribeck",
     "brush-stribeck-s",
+    "brush-ln",
     "brush-d-force",
     "brush-d-load",
     "brush-load",

@@ -36,11 +36,11 @@ def _estimates(fit: TrajectoryFit) -> dict:
     return {k: [one.value, one.std, one.identified] for k, one in fit.parameters.items()}
 
 
-def fit_of(car: Car, folder: Path) -> dict:
-    """The fit by trajectory, and its errors on the logs left out, next to those of linear
+def fit_of(car: Car, folder: Path, model: str = "brush") -> dict:
+    """The fit by trajectory with this model of both tires, and its errors on the logs left out, next to those of linear
     tires, of no slip, and the floor of the noise."""
     own, rest, toml = car.logs(folder)
-    fit = tirefit.fit_trajectory(own, toml, unknowns=car.unknowns)
+    fit = tirefit.fit_trajectory(own, toml, model, model, unknowns=car.unknowns)
     result = tirefit.replay(rest, fit.vehicle, *fit.axles.values(), horizons=HORIZONS)
     return {
         "parameters": _estimates(fit),
@@ -49,6 +49,11 @@ def fit_of(car: Car, folder: Path) -> dict:
         "said": conclusions(result),
         **{name: _rms(result.models, name) for name in result.models},
     }
+
+
+def rising_of(car: Car, folder: Path) -> dict:
+    """The same with friction that changes with the logarithm of the sliding speed."""
+    return fit_of(car, folder, "brush-ln")
 
 
 def hand_of(car: Car, folder: Path) -> dict:
@@ -140,6 +145,7 @@ def thinning_of(car: Car, folder: Path, axle: str = "front") -> dict:
 
 STEPS: dict[str, Callable[[Car, Path], dict]] = {
     "fit": fit_of,
+    "rising": rising_of,
     "hand": hand_of,
     "diagnosis": diagnosis_of,
     "halves": halves_of,
@@ -166,6 +172,8 @@ def table(out: Path) -> str:
         if tool := found.get(f"{name}.fit"):
             rows |= {"tool": tool["tire"], "tool, linear": tool["linear tire"]}
             rows |= {"no slip": tool["no slip"]}
+        if tool := found.get(f"{name}.rising"):
+            rows |= {"tool, brush-ln": tool["tire"]}
         if hand := found.get(f"{name}.hand"):
             rows |= {f"hand, {kind}": hand[kind] for kind in ("brush", "rising", "linear")}
         if tool := found.get(f"{name}.diagnosis"):

@@ -24,7 +24,7 @@ TURNING = visiting(k for k in MODELS if "mz" in modelled(MODELS[k]))
 
 # One of every formula.
 FORMULAS = ["brush", "brush-dmns", "uniform-mh", "quartic-hs", "brush-m-peak"]
-FORMULAS += ["brush-stribeck-s", "magic-formula"]
+FORMULAS += ["brush-stribeck-s", "brush-ln", "magic-formula"]
 TRANSIENT = [name for name in MODELS if MODELS[name].transient]
 EVERY_FORMULA = pytest.mark.parametrize("name", FORMULAS)
 EVERY_CALL = pytest.mark.parametrize("name", ["brush", "magic-formula", *TRANSIENT])
@@ -445,7 +445,7 @@ def test_the_registry_accepts_all_spellings():
     brushes = {spelled(*laws) for laws in itertools.product(PRESSURES, FRICTIONS)}
     assert brushes < set(MODELS)
     assert set(MODELS) - brushes >= {
-        "brush-m-peak", "brush-stribeck", "brush-stribeck-s", "magic-formula",
+        "brush-m-peak", "brush-stribeck", "brush-stribeck-s", "brush-ln", "magic-formula",
         "brush-anisotropic", "brush-load", "brush-relaxation", "liu-peng", "lugre",
         "lugre-lumped", "magic-formula-combined", "carcass-thread", "carcass-beam",
         "carcass-parabola",

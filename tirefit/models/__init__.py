@@ -2,7 +2,8 @@
 
 Names of brush models contain the letters of their calibration factors, in this order:
 ``d`` pressure asymmetry, ``m`` kinetic friction, ``n`` or ``h`` friction falling
-linearly or exponentially with sliding speed, ``s`` also falling static friction.
+linearly or exponentially with sliding speed, ``s`` also falling static friction. All
+friction of ``brush-ln`` changes with the logarithm of the sliding speed.
 """
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs, forces, modelled
@@ -16,7 +17,14 @@ from tirefit.models.brush import (
 )
 from tirefit.models.carcass import BeamCarcass, ParabolicCarcass, ThreadCarcass
 from tirefit.models.combined import CombinedMagicFormula, LiuPeng
-from tirefit.models.friction import Exponential, Friction, Kinetic, LinearInSpeed, Stribeck
+from tirefit.models.friction import (
+    Exponential,
+    Friction,
+    Kinetic,
+    LinearInSpeed,
+    Logarithmic,
+    Stribeck,
+)
 from tirefit.models.lugre import LuGre, LuGreLumped
 from tirefit.models.magic_formula import MagicFormula
 from tirefit.models.pressure import (
@@ -49,6 +57,7 @@ __all__ = [
     "LiuPeng",
     "LoadAsymmetric",
     "LoadDependent",
+    "Logarithmic",
     "LuGre",
     "LuGreLumped",
     "MagicFormula",
@@ -108,6 +117,7 @@ MODELS: dict[str, AbstractTire] = {
     "brush-m-peak": BrushAtPeak(),
     "brush-stribeck": Brush(friction=Friction((Stribeck(),))),
     "brush-stribeck-s": Brush(friction=Friction((Stribeck(static_too=True),))),
+    "brush-ln": Brush(friction=Friction((Logarithmic(static_too=True),))),
     "brush-d-force": Brush(pressure=ForceAsymmetric()),
     "brush-d-load": Brush(pressure=LoadAsymmetric()),
     "brush-load": LoadDependent(),

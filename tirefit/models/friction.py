@@ -45,6 +45,25 @@ class LinearInSpeed(AbstractFrictionLaw):
         return level - self.n * v_s
 
 
+class Logarithmic(AbstractFrictionLaw):
+    r""":math:`\mu_k = \mu_1 (1 + g \ln((v_s + v_0) / 1\,m/s))`, :math:`v_0` = 0.02 m/s.
+
+    Rubber grips more, the faster it slides, up to some m/s (K. A. Grosch, *Proc. R. Soc. A* 274,
+    1963): small cars measure it. The brush's mu is that at 1 m/s.
+    """
+
+    g: float = par(
+        0.1, (-0.2, 0.25), "-", "relative change of friction per e-fold of sliding speed", "", "g"
+    )
+
+    def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
+        return level * (1 + self.g * jnp.log(v_s + _AT_REST))
+
+
+_AT_REST = 0.02
+"""Sliding speed [m/s] below which friction is taken as constant: positive at rest for every g."""
+
+
 def _decay(v_s: Numbers, v_st: Scalar, exponent: Scalar) -> Array:
     """exp(-(v_s / v_st)^exponent) with a finite (zero) slope at rest."""
     moving = v_s > 0
