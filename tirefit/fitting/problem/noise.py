@@ -31,18 +31,18 @@ class NoiseLaw(NamedTuple):
         """Variance at loads fz [N] and forces [N, N m], any shape."""
         of_force = self.of_force**2 + self.beyond**2 * beyond_loads(fz, self.loads)
         of_load = self.share * np.maximum(fz, self.loads[0])
-        return self.constant**2 + of_load**2 + of_force * force**2
+        return np.asarray(self.constant**2 + of_load**2 + of_force * force**2)
 
     def std(self, fz: Numbers, force: Numbers) -> np.ndarray:
         """Standard deviation at loads fz [N] and forces [N, N m], any shape."""
-        return np.sqrt(self.variance(fz, force))
+        return np.asarray(np.sqrt(self.variance(fz, force)))
 
 
 def beyond_loads(fz: Numbers, loads: tuple[float, float]) -> np.ndarray:
     """Logarithm of a load fz [N] (any shape) over the nearest of the (least, largest)
     ``loads``, positive on either side; zero between them."""
     fz = np.maximum(fz, 1e-9)
-    return np.log(np.maximum(np.maximum(loads[0] / fz, fz / loads[1]), 1.0))
+    return np.asarray(np.log(np.maximum(np.maximum(loads[0] / fz, fz / loads[1]), 1.0)))
 
 
 def noise_law(
