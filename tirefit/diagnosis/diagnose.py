@@ -28,7 +28,7 @@ from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
 from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.document import document_of
+from tirefit.diagnosis.summary.document import document_of, with_readings
 from tirefit.diagnosis.summary.readings import readings_of
 from tirefit.diagnosis.summary.result import Diagnosis, Settings
 from tirefit.fitting.mf.fit import fit_magic_formula
@@ -177,14 +177,7 @@ def diagnose(
         def study(rows: Prepared, rig: Rig) -> Case:
             return studied(rows, form, rig, effects, without)
 
-        read = readings_of(case, some, rig, form, study)
-        if read is None:
-            return found
-        both, step = read
-        steps = found.ladder.steps
-        ladder = found.ladder._replace(steps=(*steps[:-2], step, *steps[-2:]))
-        simulator = found.simulator._replace(readings=both)
-        return replace(found, simulator=simulator, ladder=ladder)
+        return with_readings(found, readings_of(case, some, rig, form, study))
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------

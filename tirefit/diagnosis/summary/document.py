@@ -11,7 +11,7 @@ from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
 from tirefit.diagnosis.engine.fit import Fit
-from tirefit.diagnosis.engine.left_out import jackknife_error, sizes_by_group
+from tirefit.diagnosis.engine.left_out import Step, jackknife_error, sizes_by_group
 from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
@@ -27,6 +27,7 @@ from tirefit.diagnosis.summary.closure import (
     simulator_summary,
 )
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
+from tirefit.diagnosis.summary.readings import Readings
 from tirefit.diagnosis.summary.result import (
     Amplitude,
     Candidate,
@@ -323,3 +324,13 @@ def resolution(scale: np.ndarray, columns: int) -> float:
 def _base_parameters(base: Base, z: np.ndarray) -> dict[str, float]:
     values = base.tire.layout.natural(z)
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
+
+
+def with_readings(found: Diagnosis, read: tuple[Readings, Step] | None) -> Diagnosis:
+    """The diagnosis of a simulator with both readings, and their step in its ladder."""
+    if read is None or found.simulator is None:
+        return found
+    both, step = read
+    steps = found.ladder.steps
+    ladder = found.ladder._replace(steps=(*steps[:-2], step, *steps[-2:]))
+    return replace(found, ladder=ladder, simulator=found.simulator._replace(readings=both))
