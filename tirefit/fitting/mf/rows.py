@@ -279,7 +279,7 @@ class Group:
         """Variance (m,) of each cell's mean from measurement noise alone."""
         if not self.cells.estimated:
             return self.cells.std**2
-        return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.count
+        return self.white.variance(np.asarray(self.cells.inputs.fz), predicted) / self.cells.count
 
     def part(self, chosen: np.ndarray) -> "Group":
         """The group of the ``chosen`` cells, (m,) bool, without their rows."""

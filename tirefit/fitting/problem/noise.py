@@ -3,12 +3,13 @@ and one beyond the measured loads) and the effective number of samples."""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from tirefit.arrays import Numbers
+Plain = TypeVar("Plain", float, np.ndarray)
+"""A number or an array of NumPy, as the argument is."""
 
 _CLEAR_TERM = 10.8  # chi-square of one degree of freedom at the level of 0.1 %
 
@@ -27,18 +28,18 @@ class NoiseLaw(NamedTuple):
     beyond: float = 0.0  # [-] std of the formula's error at e times the largest load
     loads: tuple[float, float] = (0.0, np.inf)  # [N] (least, largest) measured
 
-    def variance(self, fz: Numbers, force: Numbers) -> np.ndarray:
+    def variance(self, fz: Plain, force: Plain) -> Plain:
         """Variance at loads fz [N] and forces [N, N m], any shape."""
         of_force = self.of_force**2 + self.beyond**2 * beyond_loads(fz, self.loads)
         of_load = self.share * np.maximum(fz, self.loads[0])
         return np.asarray(self.constant**2 + of_load**2 + of_force * force**2)
 
-    def std(self, fz: Numbers, force: Numbers) -> np.ndarray:
+    def std(self, fz: Plain, force: Plain) -> Plain:
         """Standard deviation at loads fz [N] and forces [N, N m], any shape."""
         return np.asarray(np.sqrt(self.variance(fz, force)))
 
 
-def beyond_loads(fz: Numbers, loads: tuple[float, float]) -> np.ndarray:
+def beyond_loads(fz: Plain, loads: tuple[float, float]) -> Plain:
     """Logarithm of a load fz [N] (any shape) over the nearest of the (least, largest)
     ``loads``, positive on either side; zero between them."""
     fz = np.maximum(fz, 1e-9)
