@@ -113,3 +113,14 @@ def test_the_demo_reports_an_unwritable_directory(tmp_path, monkeypatch):
     Path("taken").touch()
     result = CliRunner().invoke(app, ["demo", "--out", "taken"])
     assert result.exit_code == 2 and "taken" in result.stderr
+
+
+def test_each_step_of_the_installation_is_announced():
+    done = subprocess.run(
+        ["make", "-n", "-B", "install"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    lines = [line for line in done.stdout.splitlines() if "@#" not in line and line[:1] != "#"]
+    steps = [k for k, line in enumerate(lines) if line.startswith("echo ")]
+    assert len(steps) == 3
+    assert "-m venv" in lines[steps[0] + 1]
+    assert all("pip install" in lines[k + 1] for k in steps[1:])
