@@ -196,7 +196,7 @@ def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
         )
 
 
-def _spins(logs: Iterable[CutLog], simulated: Iterable[CutLog]) -> Iterator[str]:
+def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Iterator[str]:
     """A sentence if the simulated car spins where the car does not."""
     car, own = (
         max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
@@ -235,7 +235,7 @@ def _headers(columns: Columns, name: str) -> list[str]:
 
 
 def _unlike(
-    log: CutLog, theirs: Motion, file: str | Path, vehicle: Vehicle
+    log: CutLog[Any], theirs: Motion, file: str | Path, vehicle: Vehicle
 ) -> Iterator[InputProblem]:
     """Problems of states of a simulator in another unit or of another sign than in the log."""
     ours = log.motion
