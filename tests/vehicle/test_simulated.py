@@ -15,7 +15,7 @@ from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
 from tirefit.vehicle.effects import CAR_EFFECTS
-from tirefit.vehicle.simulated import _meanings, _spins
+from tirefit.vehicle.simulated import _meanings, _spins, _without_bends
 
 FEW = (
     "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
@@ -145,15 +145,19 @@ def test_the_measured_acceleration_does_not_check_a_simulator(car, tmp_path, mon
         with_states(car, tmp_path, v_y=2.0, yaw_rate=1.0)()
 
 
-def meanings(**pairs):
-    """What differences mean of quantities of a simulator and of a car."""
+def differing(pairs):
+    """Quantities of a simulator and of a car; unequal ones differ."""
     found = {
         name: Apart(
             name, "-", {k: Number(x, 0.01 * x, "-") for k, x in zip(BOTH, pair, strict=True)}
         )
         for name, pair in pairs.items()
     }
-    return [*_meanings({k: x._replace(differs=len({*pairs[k]}) > 1) for k, x in found.items()})]
+    return [x._replace(differs=len({*pairs[name]}) > 1) for name, x in found.items()]
+
+
+def meanings(**pairs):
+    return [*_meanings({one.name: one for one in differing(pairs)})]
 
 
 def test_a_common_factor_is_told_as_a_mass_and_a_far_friction_as_no_limit():
@@ -167,6 +171,9 @@ def test_a_common_factor_is_told_as_a_mass_and_a_far_friction_as_no_limit():
     far = {"front.friction": (4.4, 0.9), "rear.friction": (0.9, 1.2)}
     (said,) = meanings(**far, **soft)
     assert said.startswith("the front tires of the simulator do not saturate")
+    bent = {"front.stiffness": (1.05, 1.0), "rear.stiffness": (1.05, 1.0)}
+    assert [x.differs for x in _without_bends(differing(far | bent))] == [True, True, False, True]
+    assert all(x.differs for x in _without_bends(differing(far | soft)))
 
 
 @pytest.mark.parametrize(("ours", "theirs", "spins"), [(0.2, 1.2, 1), (0.2, 0.6, 0), (1.0, 1.2, 0)])

@@ -56,6 +56,10 @@ _FACTORS = {"yaw_rate": {"deg/s": math.degrees(1.0)}, "v_y": {"km/h": 3.6}}
 _UNLIMITED = 3.0
 """Friction of one over that of the other, above which its tires do not reach their limit."""
 
+_BEND = 0.1
+"""Change [log] of the stiffness that may make up for the bend of a brush with the largest factor
+on its friction, which loses a tenth of the force of a linear tire at 0.28 of its limit."""
+
 _ALIKE = 9.21
 """Chi-square of three factors about their mean that one of 100 equal ones exceeds."""
 
@@ -165,21 +169,44 @@ def compare_with_simulator(
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
+    result = replace(result, numbers=_without_bends(result.numbers))
     meant = _meanings({one.name: one for one in (*result.numbers, *result.effects)})
     meanings = (*_spins(found.values(), simulated.values()), *meant)
     return replace(result, notes=(*result.notes, note), meanings=meanings)
 
 
-def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
-    """What differences mean: tires without a friction limit, or another mass."""
+def _unlimited(found: Mapping[str, Apart]) -> dict[str, str]:
+    """Axle -> the one of simulator and car whose tires have no friction limit."""
+    unlimited = {}
     for axle in ("front", "rear"):
         if (one := found[f"{axle}.friction"]).differs:
             low, high = sorted(one.values, key=lambda name: one.values[name].value)
             if one.values[high].value > _UNLIMITED * one.values[low].value:
-                yield (
-                    f"the {axle} tires of the {high} do not saturate in these logs: they have no"
-                    " friction limit, or a far higher one"
-                )
+                unlimited[axle] = high
+    return unlimited
+
+
+def _without_bends(numbers: Sequence[Apart]) -> tuple[Apart, ...]:
+    """The factors on the tires; the stiffness of an axle without a friction limit does not differ
+    if it only makes up for the bend of the brush that stands for it."""
+    axles = _unlimited({one.name: one for one in numbers})
+    return tuple(
+        one._replace(differs=False)
+        if one.name.endswith(".stiffness")
+        and one.name.split(".")[0] in axles
+        and float(np.ptp(np.log([x.value for x in one.values.values()]))) < _BEND
+        else one
+        for one in numbers
+    )
+
+
+def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
+    """What differences mean: tires without a friction limit, or another mass."""
+    for axle, name in _unlimited(found).items():
+        yield (
+            f"the {axle} tires of the {name} do not saturate in these logs: they have no"
+            " friction limit, or a far higher one"
+        )
     three = [
         found.get(x) for x in ("front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia")
     ]
@@ -196,7 +223,7 @@ def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
         )
 
 
-def _spins(logs: Iterable[CutLog], simulated: Iterable[CutLog]) -> Iterator[str]:
+def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Iterator[str]:
     """A sentence if the simulated car spins where the car does not."""
     car, own = (
         max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
@@ -235,7 +262,7 @@ def _headers(columns: Columns, name: str) -> list[str]:
 
 
 def _unlike(
-    log: CutLog, theirs: Motion, file: str | Path, vehicle: Vehicle
+    log: CutLog[Any], theirs: Motion, file: str | Path, vehicle: Vehicle
 ) -> Iterator[InputProblem]:
     """Problems of states of a simulator in another unit or of another sign than in the log."""
     ours = log.motion
