@@ -37,8 +37,8 @@ def _estimates(fit: TrajectoryFit) -> dict:
 
 
 def fit_of(car: Car, folder: Path, model: str = "brush") -> dict:
-    """The fit by trajectory with this model of both tires, and its errors on the logs left out, next to those of linear
-    tires, of no slip, and the floor of the noise."""
+    """The fit by trajectory with this model of both tires, and its errors on the logs left
+    out, next to those of linear tires, of no slip, and the floor of the noise."""
     own, rest, toml = car.logs(folder)
     fit = tirefit.fit_trajectory(own, toml, model, model, unknowns=car.unknowns)
     result = tirefit.replay(rest, fit.vehicle, *fit.axles.values(), horizons=HORIZONS)
