@@ -3,13 +3,12 @@ and one beyond the measured loads) and the effective number of samples."""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-Plain = TypeVar("Plain", float, np.ndarray)
-"""A number or an array of NumPy, as the argument is."""
+from tirefit.arrays import Numbers
 
 _CLEAR_TERM = 10.8  # chi-square of one degree of freedom at the level of 0.1 %
 
@@ -28,18 +27,18 @@ class NoiseLaw(NamedTuple):
     beyond: float = 0.0  # [-] std of the formula's error at e times the largest load
     loads: tuple[float, float] = (0.0, np.inf)  # [N] (least, largest) measured
 
-    def variance(self, fz: Plain, force: Plain) -> Plain:
+    def variance(self, fz: Numbers, force: Numbers) -> np.ndarray:
         """Variance at loads fz [N] and forces [N, N m], any shape."""
         of_force = self.of_force**2 + self.beyond**2 * beyond_loads(fz, self.loads)
         of_load = self.share * np.maximum(fz, self.loads[0])
         return np.asarray(self.constant**2 + of_load**2 + of_force * force**2)
 
-    def std(self, fz: Plain, force: Plain) -> Plain:
+    def std(self, fz: Numbers, force: Numbers) -> np.ndarray:
         """Standard deviation at loads fz [N] and forces [N, N m], any shape."""
         return np.asarray(np.sqrt(self.variance(fz, force)))
 
 
-def beyond_loads(fz: Plain, loads: tuple[float, float]) -> Plain:
+def beyond_loads(fz: Numbers, loads: tuple[float, float]) -> np.ndarray:
     """Logarithm of a load fz [N] (any shape) over the nearest of the (least, largest)
     ``loads``, positive on either side; zero between them."""
     fz = np.maximum(fz, 1e-9)
