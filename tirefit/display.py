@@ -8,7 +8,7 @@ import importlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, Protocol, runtime_checkable
 
 from tirefit.files import json_text, write_texts
 from tirefit.results import Outcome, did_you_mean
@@ -17,6 +17,13 @@ from tirefit.results import Outcome, did_you_mean
 def _made_by(place: str, *given: Any, **named: Any) -> Any:
     module, _, function = place.partition(":")
     return getattr(importlib.import_module(module), function)(*given, **named)
+
+
+@runtime_checkable
+class Figure(Protocol):
+    """A figure of matplotlib, as the methods ``plot`` return it."""
+
+    def savefig(self, fname: str | os.PathLike[str], **how: Any) -> None: ...
 
 
 class ByName(dict[str, Any]):
@@ -99,14 +106,15 @@ class Record(Displayed):
         """
         return _made_by(self.text_by, self, **how)
 
-    def plot(self, what: str = "", **how: Any) -> Any:
+    def plot(self, what: str = "", **how: Any) -> Figure:
         """The matplotlib figure.
 
         Args:
             what: the name of one figure, of results that have several.
             how: keywords of that figure.
         """
-        return _made_by(self.plot_by, self, *((what,) if what else ()), **how)
+        figure: Figure = _made_by(self.plot_by, self, *((what,) if what else ()), **how)
+        return figure
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, as in the JSON file."""

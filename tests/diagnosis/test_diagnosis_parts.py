@@ -600,6 +600,7 @@ def test_no_other_module_uses_the_id_of_an_effect():
     other = {field.name for kind in (Rig, Source) for field in fields(kind)}
     other |= {effect.flag for effect in NOISE_EFFECTS}
     other |= {"position", "clock", "yaw_inertia", "tracked_point"}
+    other |= {"steering_delay", "steering_lag"}  # of a fit by trajectory, for Autoware
     ids = {effect.id for effect in (*EFFECTS, *NOISE_EFFECTS)} - other
     assert len(ids) > 25
     for path in sorted(package.rglob("*.py")):

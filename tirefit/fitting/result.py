@@ -11,7 +11,7 @@ import numpy as np
 from tirefit.data.accept import DataLike
 from tirefit.data.records import frame
 from tirefit.data.table import TireData
-from tirefit.display import ByName, Record
+from tirefit.display import ByName, Figure, Record
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.problem.layout import Layout
@@ -295,7 +295,7 @@ class FitResult(Record):
 
         return frame(record_of_fit(self.to_dict(), "").rows)
 
-    def plot(self, what: str = "fit", **how: Any) -> Any:
+    def plot(self, what: str = "fit", **how: Any) -> Figure:
         """Return a figure of the measured points with the fitted curve, or another one.
 
         Args:

@@ -388,8 +388,9 @@ def first_screen(result: Diagnosis) -> list[Section]:
         sections.insert(0, readings_section(result.simulator.readings, result.unit))
     if not (is_described(result) and result.simulator and result.simulator.readings):
         return [*sections, *of_effects(result)]
-    names = listing([name_of(effect) for effect in result.verdict.helping])
-    lines = [f"what the simulator acts like if it is changed ({names}): --full"] * bool(names)
+    lines = []
+    if helping := [name_of(effect) for effect in result.verdict.helping]:
+        lines += [f"what the simulator acts like if it is changed ({listing(helping)}): --full"]
     lines += ["effects on the measured forces, what is left, what to measure next:"]
     lines += [f"    tirefit diagnose FILE --model {result.simulator.readings.model}"]
     return [*sections, Section("More", lines)]

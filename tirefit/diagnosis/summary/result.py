@@ -302,7 +302,7 @@ class Diagnosis(Record):
     runs: Mapping[str, RunOffsets] = field(default_factory=dict)
     base_parameters: Mapping[str, float]
     extended_parameters: Mapping[str, float]
-    extension: tuple[Any, ...]
+    extension: tuple[object, ...]
     settings: Settings
     seed: int
     version: str

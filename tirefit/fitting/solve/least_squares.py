@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from tirefit.compiled import BRIEF
 from tirefit.params import Values
@@ -370,7 +370,7 @@ def _jaxopt(residual: Callable[[Array], Array], start: Array) -> tuple[Array, Ar
     return z, state.iter_num < MAX_STEPS, state.iter_num
 
 
-Solver = optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | str
+Solver = optx.AbstractLeastSquaresSolver[PyTree, PyTree, PyTree, PyTree] | str
 SOLVERS: dict[str, Solver] = {
     "gauss-newton": NormalEquations(),
     "optimistix": optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
