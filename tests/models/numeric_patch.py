@@ -137,6 +137,9 @@ def reference_tire(name, values, sigma_x, alpha, fz, v):
     def friction(v_s):
         if letters.startswith("stribeck"):
             return reference_stribeck(letters.endswith("-s"), values, v_s)
+        if letters == "ln":
+            mu = values["mu"] * (1 + values["g"] * np.log(v_s + 0.02))
+            return mu, mu
         if letters == "m-peak":
             m = values["m"]
             mu = values["mu_peak"] * (3 - 2 * m) ** 2 / (4 - 3 * m)

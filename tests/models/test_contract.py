@@ -298,6 +298,9 @@ def test_force_is_bounded_by_friction(name):
     values = _values(MODELS[name])
     if "mu_load" in values:  # friction falls with the load: more of it below fz0
         limit = limit * (1 + abs(values["mu_load"]))
+    if "g" in values:  # mu is that at 1 m/s of sliding
+        v_s = INPUTS.v * np.hypot(INPUTS.sigma_x / (1 + INPUTS.sigma_x), np.tan(INPUTS.alpha))
+        limit = limit * np.maximum(1 + values["g"] * np.log(v_s + 0.02), 1.0)
     if "sigma2" in values:
         v_s = np.hypot(INPUTS.sigma_x / (1 + INPUTS.sigma_x), np.tan(INPUTS.alpha))
         viscous = values["sigma2"] + values.get("sigma1", 0.0)
@@ -331,7 +334,7 @@ def test_every_parameter_has_a_specification(name):
         assert parameter_values(model)[key] == spec.default
         assert spec.lower <= spec.default <= spec.upper
         assert spec.unit in {"-", "N", "m", "m/s", "s/m", "1/m"}
-        assert spec.source.startswith(("S(", "S §", "O(", "first-order lag"))
+        assert spec.source.startswith(("S(", "S §", "O(", "first-order lag", "Grosch 1963"))
         assert spec.symbol and len(spec.meaning) > 8
         assert spec.scale == "linear" or (spec.scale == "log" and spec.lower > 0)
     assert any(spec.free for spec in found.values())

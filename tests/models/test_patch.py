@@ -69,6 +69,7 @@ def draw(name, seed, d, m, demand):
         "v_st": (3.0, 40.0),
         "exponent": (0.3, 2.5),
         "mu_c": (0.3, 0.7),
+        "g": (-0.1, 0.2),
     }
     values = {}
     for key in parameter_values(MODELS[name]):

@@ -53,7 +53,12 @@ class Logarithmic(AbstractFrictionLaw):
     """
 
     g: float = par(
-        0.1, (-0.2, 0.25), "-", "relative change of friction per e-fold of sliding speed", "", "g"
+        0.1,
+        (-0.2, 0.25),
+        "-",
+        "relative change of friction per e-fold of sliding speed",
+        "Grosch 1963",
+        "g",
     )
 
     def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
