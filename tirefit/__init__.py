@@ -49,6 +49,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   Vehicle System Dynamics 43 (2005) 351-384.
 - Godambe, V. P.: An optimum property of regular maximum likelihood estimation. Annals of
   Mathematical Statistics 31 (1960) 1208-1211.
+- Grosch, K. A.: The relation between the friction and visco-elastic properties of rubber.
+  Proceedings of the Royal Society of London A 274 (1963) 21-39.
 - Hausman, J. A.: Specification tests in econometrics. Econometrica 46 (1978) 1251-1271.
 - Hoffman, M. D., Gelman, A.: The No-U-Turn Sampler. Journal of Machine Learning
   Research 15 (2014) 1593-1623.

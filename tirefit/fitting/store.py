@@ -167,6 +167,7 @@ class _Reference(_Part):
 class _Estimate(_Part):
     value: float | list[float]
     std: NonNegativeFloat | list[NonNegativeFloat] | None
+    ci95: list[float | None | list[float | None]] = Field([None, None], min_length=2)
     fixed: bool = False
 
 

@@ -48,8 +48,8 @@ class LinearInSpeed(AbstractFrictionLaw):
 class Logarithmic(AbstractFrictionLaw):
     r""":math:`\mu_k = \mu_1 (1 + g \ln((v_s + v_0) / 1\,m/s))`, :math:`v_0` = 0.02 m/s.
 
-    Rubber grips more, the faster it slides, up to some m/s (K. A. Grosch, *Proc. R. Soc. A* 274,
-    1963): small cars measure it. The brush's mu is that at 1 m/s.
+    Rubber grips more, the faster it slides, up to some m/s (Grosch 1963): small cars measure it.
+    The brush's mu is that at 1 m/s.
     """
 
     g: float = par(

@@ -252,7 +252,7 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     absent = [f for f in modelled(given.tire) if f not in content["forces"]]
     notes = tuple(f"{f} was not fitted: it follows from the model" for f in absent)
     load = content["reference"]["fz"]
-    ends = {k: fitted[k]["ci95"] for k in spread if None not in fitted[k].get("ci95", (None,))}
+    ends = {k: ci for k in spread if None not in (ci := fitted[k].get("ci95", [None]))}
     forces = tuple(content["forces"])
     return Tire(given.tire, model, origin, load, spread, ranges, notes, fitted=forces, ends=ends)
 
