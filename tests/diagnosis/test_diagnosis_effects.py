@@ -96,8 +96,8 @@ def test_a_named_effect_states_the_formula_of_its_amplitude(said):
     found = diagnose(read_frame(frame), rig=RIG)
     # Another law of the same kind may help beside it.
     assert effect in found.verdict.helping
-    named = next(c for c in found.candidates if c.effects == (effect,))
-    (size,) = named.parameters.values()
+    named = next(c for c in found.candidates if effect in c.effects)
+    (size,) = (one for name, one in named.parameters.items() if name.startswith(f"{effect}: "))
     assert said in size.formula and said in " ".join(str(found).split())
     assert size.value == pytest.approx(amplitude, rel=rel)
 
