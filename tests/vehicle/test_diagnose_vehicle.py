@@ -72,6 +72,23 @@ def test_a_steering_delay_is_named_with_its_size(found):
     assert unit == "s" and abs(value - DELAY) < 4 * std + 1e-3
 
 
+@pytest.mark.parametrize("stated", [DELAY, 2 * DELAY])
+def test_the_effect_is_the_change_of_the_stated_delay(late, tmp_path, stated):
+    log, vehicle, tires = late
+    car = tmp_path / "vehicle.toml"
+    text = vehicle.read_text()
+    assert text.count("[steering]\n") == 1
+    car.write_text(text.replace("[steering]\n", f"[steering]\ndelay = {stated}\n"))
+    few = [effect for effect in LIBRARY if effect.id in ("steering_delay", "steering_offset")]
+    found = tirefit.diagnose_vehicle([log], car, *tires, effects=few)
+    if stated == DELAY:
+        assert found.verdict.status == "none"
+        return
+    assert found.verdict.effects == ("steering_delay",)
+    value, std, *_ = found.amplitudes["steering_delay: amplitude"]
+    assert abs(value - (DELAY - stated)) < 4 * std + 1e-3
+
+
 def test_a_named_delay_is_exported_to_autoware(found, late, tmp_path):
     done = tirefit.export(found, "autoware", tmp_path / "car.yaml", vehicle=late[1])
     value = found.amplitudes["steering_delay: amplitude"].value

@@ -95,20 +95,24 @@ def stating(drive, delay):
     return vehicle.model_copy(update={"steering": steering})
 
 
-def test_the_steering_of_windows_has_the_stated_delay(drive):
+def test_the_steering_of_windows_is_as_logged_and_begins_before_the_stated_delay(drive):
     (cut,) = cut_in_windows([drive / "drive.csv"], stating(drive, DELAY), 0.5).values()
     data, rows = cut.windows
-    angle = np.asarray(data.steering)[:, -rows.shape[1] :]
-    np.testing.assert_allclose(angle, steer(cut.motion.time[rows] - DELAY), atol=1e-8)
+    angle = np.asarray(data.steering)
+    lead = angle.shape[1] - rows.shape[1]
+    time = cut.motion.time[rows[:, :1] + np.arange(-lead, rows.shape[1])]
+    np.testing.assert_allclose(angle, steer(time), atol=1e-8)
+    assert time[0, lead] - time[0, 0] > DELAY + 0.28  # the longest delay that is searched
 
 
 @pytest.mark.long
-def test_a_stated_delay_does_not_change_the_estimate(drive, found):
+@pytest.mark.parametrize("stated", [DELAY, 2 * DELAY])
+def test_a_stated_delay_does_not_change_the_estimate(drive, found, stated):
     tires = found.axles.values()
-    again = fit_trajectory([drive / "drive.csv"], stating(drive, DELAY), *tires)
+    again = fit_trajectory([drive / "drive.csv"], stating(drive, stated), *tires)
     for name in ("steering_delay", "steering_offset"):
         one = found.parameters[name]
-        assert again.parameters[name].value == pytest.approx(one.value, abs=0.1 * one.std)
+        assert again.parameters[name].value == pytest.approx(one.value, abs=0.5 * one.std)
 
 
 def test_a_friction_above_all_slip_angles_rests_on_the_shape_of_the_model(found):

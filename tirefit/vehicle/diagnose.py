@@ -206,7 +206,9 @@ def subject_of(
     lacks = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
     lacks = {name: needs for name, needs in lacks.items() if needs}
     atoms = atoms_of(library)
-    model = Model(atoms, tuple(a.effect.scale for a in atoms), cut.data.logged.shape[-1])
+    scales = tuple(a.effect.scale for a in atoms)
+    stated = vehicle.steering.delay if vehicle.steering else 0.0
+    model = Model(atoms, scales, cut.data.logged.shape[-1], stated)
     testable = tuple(k for k, a in enumerate(atoms) if a.effect.id not in lacks)
     car = car_of(vehicle, tires[0].tire, tires[1].tire)
     step = 1 / vehicle.filter.sample_rate

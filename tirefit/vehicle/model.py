@@ -217,11 +217,13 @@ class Model(NamedTuple):
     Attributes:
         scales: of the priors.
         channels: 2 of a log of rates, 3 of one of poses.
+        stated_delay: of the steering [s], to which the effect adds.
     """
 
     atoms: tuple[Atom, ...]
     scales: tuple[float, ...]
     channels: int
+    stated_delay: float = 0.0
 
     @property
     def size(self) -> int:
@@ -231,7 +233,7 @@ class Model(NamedTuple):
     def setting(self, z: Values, rows: Samples) -> Setting:
         """The setting by the coefficients, for each sample."""
         factors = jnp.exp(z[:TIRES]).reshape(2, 2)
-        setting = Setting()
+        setting = Setting(steering=Steering(delay=self.stated_delay))
         for k, name in enumerate(("stiffness", "friction")):
             setting = scaled_axles(setting, name, factors[:, k])
         for k, atom in enumerate(self.atoms):

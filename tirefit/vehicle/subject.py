@@ -202,6 +202,9 @@ class Windows:
         """Of the amplitudes of all atoms."""
         scale = np.array(self.model.scales)
         low, high = np.array([a.effect.bounds[0] for a in self.atoms]).reshape(-1, 2).T / scale
+        # The stated delay may be too long.
+        of_delay = np.array([a.effect.id == "steering_delay" for a in self.atoms])
+        low = np.where(of_delay, -self.model.stated_delay / scale, low)
         return Priors(0 * scale, low, high, 0 * scale, scale)
 
     @property

@@ -315,8 +315,8 @@ class _Problem:
         """Predicted - logged (k, c) of one window."""
         step = 1 / self.rate
         lead = window.steering.shape[0] - window.v_x.shape[0]
-        late = self.unknown(z, "steering_delay", self.steering.delay) - self.steering.delay
-        steering = delayed(window.steering, late / step)[lead:]  # which has the stated delay
+        delay = self.unknown(z, "steering_delay", self.steering.delay)
+        steering = delayed(window.steering, delay / step)[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
         whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])

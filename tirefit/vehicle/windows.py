@@ -172,7 +172,7 @@ def _summed(values: np.ndarray) -> np.ndarray:
 
 
 _LEAD = 0.3
-"""Time [s] of steering before a window, for its delay."""
+"""Time [s] of steering before a window, for its delay beyond the stated one."""
 
 CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
 """Names of the logged channels of a log of rates, and of one of poses."""
@@ -183,7 +183,8 @@ def windows_of(
 ) -> tuple[Data, np.ndarray] | None:
     """:class:`Data` of a log, and the rows (w, k) of its motion; None without a window."""
     rate = vehicle.filter.sample_rate
-    count, lead = round(window * rate) + 1, round(_LEAD * rate)
+    stated = vehicle.steering.delay if vehicle.steering else 0.0
+    count, lead = round(window * rate) + 1, round((_LEAD + stated) * rate)
     logged, state, command = logged_channels(track, motion, vehicle)
     steering = road_wheel(replace(motion, command=command), vehicle)
     good = motion.settled & (motion.v_x > vehicle.v_min)
@@ -218,18 +219,18 @@ def logged_channels(
     track: Track, motion: Motion, vehicle: Vehicle
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values of the log for the centre of gravity, on the grid, unfiltered: channels
-    (n, c), start states (n, s), and the steering command (n,), as late as the vehicle states."""
+    (n, c), start states (n, s), and the steering command (n,), without the stated delay."""
     names = [channel.quantity for channel in track.channels]
-    late = {"steering": vehicle.steering.delay} if vehicle.steering else {}
     raw = {
-        name: np.interp(
-            motion.time - late.get(name, 0.0), track.time, track.signals[:, k], np.nan, np.nan
-        )
+        name: np.interp(motion.time, track.time, track.signals[:, k])
         for k, name in enumerate(names)
         if np.isfinite(track.signals[:, k]).all()
     }
     ahead, left = vehicle.cg_from_tracked
-    command = raw.get("steering", motion.command)
+    command = raw.get("steering")
+    if command is None:  # a log with blanks: the filtered one, which has the stated delay
+        late = vehicle.steering.delay if vehicle.steering else 0.0
+        command = np.interp(motion.time + late, motion.time, motion.command, right=np.nan)
     if vehicle.columns.motion == POSE:
         yaw = raw["yaw"]
         cos, sin = np.cos(yaw), np.sin(yaw)

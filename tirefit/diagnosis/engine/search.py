@@ -52,6 +52,9 @@ _WORTH_A_REFIT = 4.0
 """A set is not refitted if its log weight by the linear step is this far below the best:
 less than a fiftieth of its weight."""
 
+_EXCHANGES = 3
+"""Largest number of rounds in which effects of the two best sets are exchanged."""
+
 _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
 """Starts of a refit, in prior scales: largest amplitude, second start, and smallest
 amplitude of an effect with one sign."""
@@ -277,15 +280,17 @@ class Search:
         self.refit(sets, starts)
 
     def exchange(self, fit: Fit) -> None:
-        """Refit a set with each variant of the leading single effects in the place of each of its
-        own: tangents far from a fit may not suggest it, as for a long delay."""
+        """Refit a set with each variant of an effect that is confused with one of its own, in
+        the place of that one: the tangents at a fit may not suggest it, as for a long delay."""
         singles = [one for one in self.ranked if len(one.atoms) == 1]
-        leading = [*dict.fromkeys(one.key for one in singles)][: self.effort.beam]
         starts: dict[tuple[int, ...], list[Start]] = {}
-        for place in range(len(fit.atoms)):
+        for place, own in enumerate(self.effects[k] for k in fit.atoms):
             atoms, sizes = np.delete(fit.atoms, place), np.delete(fit.amplitude, place)
-            others = {(self.ids[k],) for k in atoms}
-            for one in (one for one in singles if one.key in leading and one.key not in others):
+            for one in singles:
+                other = self.effects[one.atoms[0]]
+                alike = other.id in own.looks_like or own.id in other.looks_like
+                if not alike or other.id in fit.effects:
+                    continue
                 joined, start = np.append(atoms, one.atoms), np.append(sizes, one.amplitude)
                 order = np.argsort(joined)
                 starts[tuple(joined[order].tolist())] = [Start(fit.z, start[order], fit.state)]
@@ -307,15 +312,12 @@ def searched(subject: Forward, effort: Effort = Effort()) -> Search:
     for _ in range(_EXCHANGES):
         best = search.ranked[0]
         for fit in search.ranked[:2]:
-            search.refit_parts(fit)
             search.exchange(fit)
         if search.ranked[0] is best:
             break
+    for fit in search.ranked[:2]:
+        search.refit_parts(fit)
     return search
-
-
-_EXCHANGES = 3
-"""Most rounds in which effects of the best set are exchanged."""
 
 
 PRIOR_OF_UNKNOWN = 0.1
