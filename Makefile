@@ -13,7 +13,7 @@ $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "tirefit needs Python 3.11 or later")'
 	@echo "1/3 making an environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	@# Modules are compiled when they are first imported: compiling all of them took 36 s.
+	@# Modules are compiled when they are first imported: compiling all of them takes half a minute.
 	@echo "2/3 installing the libraries of requirements.lock: about half a minute"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
 	@echo "3/3 installing tirefit"

@@ -131,7 +131,7 @@ def _is_of_others(path: Path, made: Collection[Path]) -> bool:
         return False
     if path.suffix in (".json", ".toml"):
         return not _is_our_text(path.suffix, content.decode(errors="replace"))
-    if b"tirefit" in content or path.suffix in (".html", ".mcap"):
+    if b"tirefit" in content or path.suffix.lower() in (".html", ".mcap"):
         return b"tirefit" not in content
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
     own = [one for one in documents if path.name.startswith(f"{one.name.partition('.')[0]}.")]

@@ -107,6 +107,7 @@ class Source:
     masked: tuple[InputProblem, ...] = ()
     slip_check: SlipCheck | None = None  # if slip, omega, v and radius are given
     line: np.ndarray | None = None  # of each row
+    place: np.ndarray | None = None  # of each row in the file, if the rows were sorted
     paths: tuple[str, ...] = ()  # file of each run where several were joined
     constants: Mapping[str, float] = field(default_factory=dict)
 
@@ -169,13 +170,13 @@ class TireData(Displayed):
         return replace(self, used=self.used & rows)
 
     def in_order(self) -> "TireData":
-        """The same data with the rows of each run in the order of their time, if it is known."""
+        """The same data, sorted by run, and by time within each run; unchanged without time."""
         order = np.lexsort((self["time"], self.run)) if "time" in self else np.arange(len(self))
         if np.array_equal(order, np.arange(len(self))):
             return self
         columns = {name: values[order] for name, values in self.columns.items()}
         line = None if self.source.line is None else self.source.line[order]
-        source = replace(self.source, line=line)
+        source = replace(self.source, line=line, place=order)
         used, run = self.used[order], self.run[order]
         return replace(self, columns=columns, used=used, run=run, source=source)
 

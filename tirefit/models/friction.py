@@ -48,7 +48,7 @@ class LinearInSpeed(AbstractFrictionLaw):
 class Logarithmic(AbstractFrictionLaw):
     r""":math:`\mu_k = \mu_1 (1 + g \ln((v_s + v_0) / 1\,m/s))`, :math:`v_0` = 0.02 m/s.
 
-    Rubber grips more, the faster it slides, up to some m/s (Grosch 1963): small cars measure it.
+    Rubber grips more, the faster it slides, up to some m/s (Grosch 1963): measured on 1:10 cars.
     The brush's mu is that at 1 m/s.
     """
 
@@ -66,7 +66,8 @@ class Logarithmic(AbstractFrictionLaw):
 
 
 _AT_REST = 0.02
-"""Sliding speed [m/s] below which friction is taken as constant: positive at rest for every g."""
+"""Speed v_0 [m/s] added to the sliding speed: the logarithm is finite, and friction is positive at
+rest for every g within its bounds."""
 
 
 def _decay(v_s: Numbers, v_st: Scalar, exponent: Scalar) -> Array:

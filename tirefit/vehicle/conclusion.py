@@ -73,7 +73,7 @@ def conclusions(result: Replay) -> list[str]:
     can be said."""
     said = []
     if worse := _worse(result, "tire", "linear tire"):
-        said.append(f"Linear tires predict better: these miss {worse}.")
+        said.append(f"The tires predict worse than linear tires: they miss {worse}.")
     if "with the effects" in result.models:
         if worse := _worse(result, "with the effects", "tire"):
             said.append(f"The effects make the prediction worse: with them it misses {worse}.")

@@ -273,6 +273,8 @@ def _unlike(
         logged = getattr(ours, name)[there]
         own = np.interp(ours.time[there], theirs.time, getattr(theirs, name))
         good = np.isfinite(own) & np.isfinite(logged)
+        if not good.any() or min(np.ptp(own[good]), np.ptp(logged[good])) == 0.0:
+            continue  # a state that never changes shows neither unit nor sign
         correlation = np.corrcoef(own[good], logged[good])[0, 1]
         ratio = float(np.std(own[good]) / np.std(logged[good]))
         for unit, factor in {**units, "": 1.0}.items():
@@ -313,7 +315,7 @@ def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Pat
 
 
 def _noisy(found: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
-    """Cut logs with a little noise on their channels."""
+    """Cut logs with as much noise again on their channels as the log has."""
     generator, noisy = np.random.default_rng(0), {}
     for name, log in found.items():
         data, rows = log.windows

@@ -187,7 +187,10 @@ def _own_time(
         tried.append((found.fun, kind, float(np.exp(found.x))))
     least, kind, constant = min(tried)
     plain = _scatter(slip, share)
-    apart = float(np.median(np.concatenate([np.diff(time[rows]) for rows in _runs(run, time)])))
+    steps = np.concatenate([np.diff(time[rows]) for rows in _runs(run, time)])
+    if not len(steps):
+        return
+    apart = float(np.median(steps))
     if least < _RATHER * plain:
         late = f"{1000 * constant:.0f} ms"
         how = f"{late} late" if kind == "own_delay" else f"with a time constant of about {late}"

@@ -376,7 +376,8 @@ def mappings(value: Any) -> Any:
 
 
 def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
-    """Columns of ``NAME.rows.csv``, in the convention and units of the file; none of a car."""
+    """Columns of ``NAME.rows.csv``, in the convention, units and order of the file; none of a
+    car."""
     data, out = result.table, dict[str, np.ndarray]()
     if data is None:
         return out
@@ -388,7 +389,11 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
             if name in own:  # only a simulator has forces as given and tuned
                 out[f"{name}_{channel}"] = own[name]
         out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
-    return out | {"masked": (~data.used).astype(int)}
+    out["masked"] = (~data.used).astype(int)
+    if data.source.place is None:
+        return out
+    in_file = np.argsort(data.source.place)
+    return {name: values[in_file] for name, values in out.items()}
 
 
 def record_of_document(path: Path) -> FileRecord:
