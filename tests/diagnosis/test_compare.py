@@ -130,6 +130,21 @@ def test_effects_on_which_diagnoses_agree(gaps, tmp_path):
     assert again.effects[0].difference == size.difference
 
 
+def test_two_diagnoses_of_the_same_rows_are_compared(gaps, tmp_path):
+    columns = {"sigma_x": np.linspace(-0.15, 0.15, 40), "fz": np.full(40, 3000.0)}
+    columns["fx"] = tirefit.predict("brush", columns, {"mu": 0.9})["fx"]
+    table = np.stack(list(columns.values()), axis=1)
+    file = tmp_path / "rows.csv"
+    np.savetxt(file, table, "%.9g", ",", header=",".join(columns), comments="")
+    data = tirefit.read(file, convention="braking")
+    few = [e for e in EFFECTS if e.id == "slip_offset"]
+    rig = Rig(noise={"fx": 20.0})
+    found = [tirefit.diagnose(data, model, rig=rig, effects=few) for model in ("brush", "brush-d")]
+    both = tirefit.compare(found, ["one", "other"])
+    assert both.shared == ("one", "other") and both.models == ()
+    assert "are of the same rows: their errors are not independent" in " ".join(str(both).split())
+
+
 def test_the_command_writes_its_files_and_lists_all_faults(saved, tmp_path):
     run = CliRunner().invoke
     done = run(app, ["compare", *map(str, saved[:2]), "--out", str(tmp_path / "o"), "--html"])

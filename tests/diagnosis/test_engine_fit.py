@@ -211,22 +211,6 @@ def test_a_pair_that_is_visible_only_together_is_found():
     assert search.ranked[0].effects == ("b1", "d1")
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_an_effect_that_stands_for_two_others_is_exchanged(seed):
-    """Alone it explains most, so that every set of the forward search holds it."""
-    subject, generator = toy(seed=seed), np.random.default_rng(7 + seed)
-    subject.slopes[:, 1], subject.slopes[:, 4], stray = generator.standard_normal((3, ROWS))
-    a, b, c = (subject.slopes[:, k] for k in (0, 2, 3))
-    subject.slopes[:, 5] = a + 0.8 * b + 0.4 * stray
-    subject.observed = subject.observed + 4.0 * (a + b) + 3.0 * c
-    search = searched(subject)
-    assert [fit.key for fit in search.ranked if len(fit.atoms) == 1][0] == ("d1",)
-    assert search.ranked[0].atoms == (0, 2, 3)
-    assert search.weight(search.ranked[0]) == pytest.approx(
-        exact(subject, (0, 2, 3)) + search.log_prior((0, 2, 3)), abs=1e-4
-    )
-
-
 def test_priors_sum_to_those_of_their_size():
     """Over all single effects; over pairs, less those of one effect with itself."""
     search = Search(toy())

@@ -338,16 +338,3 @@ def test_nothing_unlisted_is_claimed_where_smooth_functions_predict_no_better():
     assert limited == pytest.approx(t_law.cdf(z, 5)) and limited < 0.1
     search.subject.is_covered = False
     assert findings_of(search, posterior, worse).unlisted == posterior.unlisted
-
-
-def test_sets_with_one_effect_exchanged_predict_the_data_left_out():
-    """So that an effect that may take the place of one is found to be its twin."""
-    generator = np.random.default_rng(5)
-    columns, tangents = generator.standard_normal((ROWS, 1)), generator.standard_normal((ROWS, 12))
-    observed = tangents[:, :2] @ [3.0, 2.0] + generator.standard_normal(ROWS)
-    found, out = predictions(
-        searched(Toy(observed, columns, tangents, tuple("abcdefghijkl"), smooth=SMOOTH_PART))
-    )
-    assert found.best == ("a", "b")
-    other = {k for k in found.best_of if len(k) == 2 and len({*k} & {"a", "b"}) == 1}
-    assert len(other) > 6 and other <= {*out.effects}

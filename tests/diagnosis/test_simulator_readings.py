@@ -12,6 +12,7 @@ from tirefit.diagnosis.engine.left_out import OWN_MODEL, SMOOTH
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.structure import structures_of
+from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.report.diagnosis_report import diagnosis_text
 from tirefit.results import DataError
 
@@ -193,6 +194,11 @@ def test_the_order_of_rows_changes_nothing():
     assert shuffled.simulator.readings == plain.simulator.readings
     assert diagnosis_text(shuffled).split("DATA")[0] == diagnosis_text(plain).split("DATA")[0]
     np.testing.assert_array_equal(shuffled.table["time"], TIME)
+    # A table of rows is in the order of the file.
+    own, other = (rows_in_file_terms(found) for found in (plain, shuffled))
+    assert own.keys() == other.keys() and "base_fy" in own
+    for name, values in own.items():
+        np.testing.assert_array_equal(other[name], values[order], name)
 
 
 def test_a_surplus_effect_of_a_simulator_is_its_own():

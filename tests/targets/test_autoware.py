@@ -40,7 +40,7 @@ def diagnosis(folder, **sizes):
     content = {
         "schema": "tirefit.diagnosis/4",
         "data": {"name": "lap", "sha256": "0" * 64},
-        "model": "car",
+        "model": "car on brush (front) and brush (rear)",
         "simulator": None,
         "verdict": {
             "status": "named",

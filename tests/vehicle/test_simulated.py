@@ -134,6 +134,12 @@ def test_states_in_other_units_or_missing_are_refused(factors, told, car, tmp_pa
         with_states(car, tmp_path, **factors)()
 
 
+@pytest.mark.long
+def test_a_simulator_that_drives_straight_differs(car, tmp_path):
+    found = with_states(car, tmp_path, v_y=0.0, yaw_rate=0.0)()
+    assert any(one.differs for one in (*found.numbers, *found.effects))
+
+
 def test_the_measured_acceleration_does_not_check_a_simulator(car, tmp_path, monkeypatch):
     """Twice the lateral speed contradicts the a_y of the car."""
 

@@ -34,9 +34,10 @@ def details(result: Diagnosis) -> list[Section]:
     gaps = [gap_line(result, gap, f"the {result.n} rows fitted")]
     if gap.holdout is not None:
         gaps.append(gap_line(result, gap.holdout, gap.holdout.on))
-    changed = of_effects(result) if is_described(result) else []
+    of_changed = "The simulator, changed: " if is_described(result) else ""
+    changed = of_effects(result) if of_changed else []
     return [
-        *(one._replace(title=f"The simulator, changed: {one.title}") for one in changed),
+        *(one._replace(title=f"{of_changed}{one.title}") for one in changed),
         Section("Gap on the rows fitted", gaps),
         Section("Runs (each fitted with its own offset)", list(run_lines(result))),
         Section("Where the gap lies", (), _where(result)),
@@ -44,7 +45,7 @@ def details(result: Diagnosis) -> list[Section]:
             "Candidates (probability of exactly this set, by the evidence)",
             list(_candidate_lines(result)),
         ),
-        Section("Parameters", (), _parameters(result)),
+        Section(f"{of_changed}Parameters", (), _parameters(result)),
         Section("Hard to tell on this data (forecast)", confused_lines(result)),
         Section("Also not testable", missing_lines(result)[1]),
         Section("Data and settings", list(_settings(result))),

@@ -390,8 +390,9 @@ def first_screen(result: Diagnosis) -> list[Section]:
         return [*sections, *of_effects(result)]
     lines = []
     if helping := [name_of(effect) for effect in result.verdict.helping]:
-        lines += [f"what the simulator acts like if it is changed ({listing(helping)}): --full"]
-    lines += ["effects on the measured forces, what is left, what to measure next:"]
+        what = f"what the simulator acts like if it is changed ({listing(helping)})"
+        lines += [f"{what}: among the details (--full)"]
+    lines += ["effects on the measured forces, the remainder, and the next measurement:"]
     lines += [f"    tirefit diagnose FILE --model {result.simulator.readings.model}"]
     return [*sections, Section("More", lines)]
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, PositiveFloat
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat
 
 from tirefit.diagnosis.extended import AnyDocument, read_checked
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -81,7 +81,7 @@ _SURE = 2.0
 class _Size(BaseModel):
     model_config = ConfigDict(allow_inf_nan=False)
     value: float
-    std: float
+    std: NonNegativeFloat
     unit: str
     identified: bool = True
 
@@ -122,6 +122,9 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any]:
         return f"fitted to trajectories of {', '.join(fit.logs)}", fit.parameters, fit.vehicle
     name = "trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
     document = read_checked(source, AnyDocument, name, "tirefit diagnose --vehicle")
+    if not document.model.startswith("car on "):
+        reason = "a diagnosis of a tire, which shows no steering of a car"
+        raise UsageError(InputProblem(reason, f"give {name}"))
     if vehicle is None:
         remedy = "give the vehicle.toml that was diagnosed: --vehicle"
         raise UsageError(InputProblem("a diagnosis does not contain the car", remedy))

@@ -287,7 +287,8 @@ def _unlike(
                 remedy = "write it with the sign and the unit of the log"
                 if name == "v_y":
                     remedy += "; if it has these, give a_y of the simulator as well"
-                header = getattr(vehicle.columns, name) or ""
+                # Of a pose, the yaw rate is the change of the heading.
+                header = (_headers(vehicle.columns, name) or _headers(vehicle.columns, "yaw"))[0]
                 yield InputProblem(reason, remedy, str(file), column=header)
 
 

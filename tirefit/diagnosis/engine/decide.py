@@ -83,7 +83,7 @@ class Policy:
     likely: float = 0.5
     gain: float = 1.0
     perhaps: float = 0.1
-    alike: float = 0.25
+    alike: float = 0.1
 
 
 POLICY = Policy()
@@ -209,12 +209,6 @@ def predictions(search: Search) -> tuple[Weighed, Predicted]:
     singles = [k for k in ranked if len(k) == 1]
     wanted = [(), *ranked[:_LEADING], *singles[:_LEADING]]
     wanted += [part for key in (*ranked[:2], found.best_beside) for part in parts_of(key)]
-    wanted += [
-        key
-        for key in ranked
-        for whole in (found.best, found.best_beside)
-        if len({*key} - {*whole}) == len({*whole} - {*key}) == 1
-    ]
     sets = [found.best_of[key] for key in dict.fromkeys(wanted) if key in found.best_of]
     folds = search.subject.folds(found.best)
     return found, predicted(search.subject, sets, search.null, folds)

@@ -52,9 +52,6 @@ _WORTH_A_REFIT = 4.0
 """A set is not refitted if its log weight by the linear step is this far below the best:
 less than a fiftieth of its weight."""
 
-_EXCHANGES = 3
-"""Largest number of rounds in which effects of the two best sets are exchanged."""
-
 _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
 """Starts of a refit, in prior scales: largest amplitude, second start, and smallest
 amplitude of an effect with one sign."""
@@ -279,23 +276,6 @@ class Search:
             starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
         self.refit(sets, starts)
 
-    def exchange(self, fit: Fit) -> None:
-        """Refit a set with each variant of an effect that is confused with one of its own, in
-        the place of that one: the tangents at a fit may not suggest it, as for a long delay."""
-        singles = [one for one in self.ranked if len(one.atoms) == 1]
-        starts: dict[tuple[int, ...], list[Start]] = {}
-        for place, own in enumerate(self.effects[k] for k in fit.atoms):
-            atoms, sizes = np.delete(fit.atoms, place), np.delete(fit.amplitude, place)
-            for one in singles:
-                other = self.effects[one.atoms[0]]
-                alike = other.id in own.looks_like or own.id in other.looks_like
-                if not alike or other.id in fit.effects:
-                    continue
-                joined, start = np.append(atoms, one.atoms), np.append(sizes, one.amplitude)
-                order = np.argsort(joined)
-                starts[tuple(joined[order].tolist())] = [Start(fit.z, start[order], fit.state)]
-        self.refit(list(starts), starts)
-
     def rest(self) -> list[tuple[float, float]]:
         """(log weight, log evidence) of the sets that were not refitted."""
         return [both for atoms, both in self.guessed.items() if atoms not in self.fits]
@@ -309,12 +289,6 @@ def searched(subject: Forward, effort: Effort = Effort()) -> Search:
     search.pairs()
     for size in range(2, MOST_EFFECTS):
         search.extend(size)
-    for _ in range(_EXCHANGES):
-        best = search.ranked[0]
-        for fit in search.ranked[:2]:
-            search.exchange(fit)
-        if search.ranked[0] is best:
-            break
     for fit in search.ranked[:2]:
         search.refit_parts(fit)
     return search

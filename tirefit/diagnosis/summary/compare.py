@@ -205,7 +205,7 @@ def compared(opened: Sequence[Source], level: float = LEVEL) -> Comparison:
     rows = [one.rows for one in opened]
     shared = tuple(x.name for x in opened if x.rows and rows.count(x.rows) > 1)
     fits = [one for one in opened if one.kind == "fit"]
-    if len(shared) == len(opened) and all("fit" in one.content for one in fits):
+    if len(shared) == len(opened) and all("fit" in one.content for one in opened):
         return Comparison(sources=tuple(opened), models=_ranked(opened), shared=shared)
     same = len({(one.model, *one.numbers) for one in fits}) < 2
     of = {x.name: dict(x.numbers if same or x.kind != "fit" else x.derived) for x in opened}
