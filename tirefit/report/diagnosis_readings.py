@@ -73,7 +73,8 @@ def used_friction(result: Diagnosis) -> float:
 
 def set_text(name: str, measured: float) -> str:
     """What to do about a parameter."""
-    return f"set {name} to {format_number(measured, 3)}"
+    verb = "measured:" if name == SLOPE else f"set {name} to"  # the slope is no parameter
+    return f"{verb} {format_number(measured, 3)}"
 
 
 def ratio_text(
