@@ -6,6 +6,7 @@ import shutil
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tirefit
@@ -49,7 +50,15 @@ def test_the_linear_simulator_gets_the_shown_answer(monkeypatch, capsys):
     shown = textwrap.dedent(said).removesuffix("...").strip()
     monkeypatch.chdir(ROOT)
     exec(f"import jax\nimport tirefit\n{setting}\n{reading}\n{blocks[1]}", {})
-    assert len(shown.splitlines()) > 8 and capsys.readouterr().out.startswith(shown)
+    printed = capsys.readouterr().out
+    assert len(shown.splitlines()) > 8
+    # Another machine may differ in the last digit, and so break lines elsewhere.
+    number = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")
+    shown, printed = (" ".join(text.split()) for text in (shown, printed))
+    words = number.sub("#", shown)
+    assert number.sub("#", printed)[: len(words)] == words
+    own, other = (list(map(float, number.findall(text))) for text in (shown, printed))
+    np.testing.assert_allclose(other[: len(own)], own, rtol=0.02)
 
 
 def test_every_simulate_command_names_its_output():
