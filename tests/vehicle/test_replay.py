@@ -149,7 +149,7 @@ def test_linear_tires_that_predict_as_well_are_said(exact):
 
 
 @pytest.mark.parametrize(
-    ("worse", "said"), [("tire", "Linear tires"), ("with the effects", "The effects")]
+    ("worse", "said"), [("tire", "The tires predict worse"), ("with the effects", "The effects")]
 )
 def test_what_predicts_worse_is_said_first(exact, worse, said):
     """After one second these tires, or the effects, miss the yaw rate by three times as much;
