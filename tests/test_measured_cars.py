@@ -58,14 +58,14 @@ def test_no_log_is_both_fitted_and_left_out():
 
 @pytest.mark.long
 def test_the_command_computes_a_case_once(tmp_path, monkeypatch, capsys):
-    """Free driving of the encoder car, by hand: brushes predict the log left out better than
-    linear tires after a second; the second run only writes the table."""
+    """Free driving of the encoder car, by hand: brushes of rising friction predict the log left
+    out better than linear tires after a second; the second run only writes the table."""
     words = ["x", "--car", "free", "--step", "hand", "--out", str(tmp_path)]
     monkeypatch.setattr("sys.argv", words)
     run.main()
     found = json.loads(Path(tmp_path, "free.hand.json").read_text())
     assert min(found["starts"]) > 0
-    assert found["brush"]["lateral"][2] < found["linear"]["lateral"][2]
+    assert found["rising"]["lateral"][2] < found["linear"]["lateral"][2]
     assert "| free | hand, brush |" in capsys.readouterr().out
     monkeypatch.setitem(run.STEPS, "hand", None)
     run.main()

@@ -111,10 +111,8 @@ def test_a_stated_delay_does_not_change_the_estimate(drive, found, stated):
     tires = found.axles.values()
     again = fit_trajectory([drive / "drive.csv"], stating(drive, stated), *tires)
     for name in ("steering_delay", "steering_offset"):
-        one = found.parameters[name]
-        assert again.parameters[name].value == pytest.approx(
-            one.value, abs=one.std
-        )  # other windows
+        one = found.parameters[name]  # of other windows
+        assert again.parameters[name].value == pytest.approx(one.value, abs=2 * one.std)
 
 
 def test_a_friction_above_all_slip_angles_rests_on_the_shape_of_the_model(found):
