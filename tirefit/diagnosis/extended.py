@@ -245,6 +245,7 @@ def read_checked(
     Args:
         kind: of the parts.
         name: of the document, for messages; ``command`` writes it.
+        schema: that the document must name.
 
     Raises:
         DataError: no such file, no such document, or one of another version.

@@ -8,7 +8,7 @@ from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.diagnosis_sections import gap_line, is_described, missing_lines, of_effects
+from tirefit.report.diagnosis_sections import both_described, gap_line, missing_lines, of_effects
 from tirefit.report.diagnosis_words import (
     amount_text,
     amplitude_text,
@@ -34,7 +34,7 @@ def details(result: Diagnosis) -> list[Section]:
     gaps = [gap_line(result, gap, f"the {result.n} rows fitted")]
     if gap.holdout is not None:
         gaps.append(gap_line(result, gap.holdout, gap.holdout.on))
-    of_changed = "The simulator, changed: " if is_described(result) else ""
+    of_changed = "The simulator, changed: " if both_described(result) else ""
     changed = of_effects(result) if of_changed else []
     return [
         *(one._replace(title=f"{of_changed}{one.title}") for one in changed),

@@ -8,6 +8,7 @@ from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import Each, Status
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, SizeByGroup, Step
 from tirefit.diagnosis.summary.closure import WORST
+from tirefit.diagnosis.summary.readings import Readings
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis, NextMeasurement, Part, Shrinkage
 from tirefit.report.diagnosis_answer import worse_steps
 from tirefit.report.diagnosis_readings import readings_section
@@ -373,11 +374,11 @@ def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
     return lines[:_MOST_NEEDS], lines[_MOST_NEEDS:]
 
 
-def is_described(result: Diagnosis) -> bool:
-    """Whether the answer compares two descriptions, as no change of the simulator predicts the
-    measured rows as well as the library's own model."""
+def both_described(result: Diagnosis) -> Readings | None:
+    """Both readings of a simulator, if the answer compares them: no change of the simulator
+    predicts the measured rows as well as the library's own model."""
     both = result.simulator.readings if result.simulator else None
-    return both is not None and both.first == "described"
+    return both if both and both.first == "described" else None
 
 
 def first_screen(result: Diagnosis) -> list[Section]:
@@ -386,14 +387,14 @@ def first_screen(result: Diagnosis) -> list[Section]:
     sections = [_ladder(result)]
     if result.simulator and result.simulator.readings:
         sections.insert(0, readings_section(result.simulator.readings, result.unit))
-    if not (is_described(result) and result.simulator and result.simulator.readings):
+    if (both := both_described(result)) is None:
         return [*sections, *of_effects(result)]
     lines = []
     if helping := [name_of(effect) for effect in result.verdict.helping]:
         what = f"what the simulator acts like if it is changed ({listing(helping)})"
         lines += [f"{what}: among the details (--full)"]
     lines += ["effects on the measured forces, the remainder, and the next measurement:"]
-    lines += [f"    tirefit diagnose FILE --model {result.simulator.readings.model}"]
+    lines += [f"    tirefit diagnose FILE --model {both.model}"]
     return [*sections, Section("More", lines)]
 
 

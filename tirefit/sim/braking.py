@@ -16,7 +16,7 @@ are known.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import diffrax
 import equinox as eqx
@@ -32,7 +32,6 @@ from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import LuGre, MagicFormula
 from tirefit.online.lugre_observer import peak_share
-from tirefit.params import with_values
 from tirefit.results import UsageError
 from tirefit.sim.lugre import Bristles, Contact, bristle_forces, bristle_rate, distributed
 from tirefit.sim.settings import LOAD, PEAK, STIFFNESS, Braking
@@ -99,7 +98,7 @@ def lugre_tire(peak: float, v: float) -> LuGre:
     """
     tire = LuGre()
     theta = brentq(lambda theta: float(peak_share(tire, theta, v)) - peak, 0.005, 4.0, xtol=1e-15)
-    return with_values(tire, {"mu_s": theta * tire.mu_s, "mu_c": theta * tire.mu_c})
+    return cast(LuGre, tire.scaled(theta))
 
 
 class WheelNumbers(NamedTuple):

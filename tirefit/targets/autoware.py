@@ -99,11 +99,14 @@ class _Trajectory(BaseModel):
     vehicle: _Car
 
 
+_SOURCES = "trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
+
+
 def _is_trajectory(source: Any) -> bool:
     """Whether a source or file is a fit by trajectory."""
     if isinstance(source, Record):
         return isinstance(source, TrajectoryFit)
-    remedy = "give trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
+    remedy = f"give {_SOURCES}"
     return TRAJECTORY.encode() in content_of(Path(source), RECORD, DataError, remedy)
 
 
@@ -111,7 +114,7 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any]:
     """Where the numbers come from, the quantities with their errors, and the car."""
     if not isinstance(source, str | os.PathLike | TrajectoryFit | Diagnosis):
         reason = "--to autoware describes a car's steering, not a tire"
-        remedy = "give trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
+        remedy = f"give {_SOURCES}"
         raise UsageError(InputProblem(reason, remedy))
     if _is_trajectory(source):
         name, command = "trajectory.json", "tirefit fit --vehicle"
@@ -120,11 +123,10 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any]:
             reason = "--vehicle together with trajectory.json, which contains the car"
             raise UsageError(InputProblem(reason, "leave it out"))
         return f"fitted to trajectories of {', '.join(fit.logs)}", fit.parameters, fit.vehicle
-    name = "trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
-    document = read_checked(source, AnyDocument, name, "tirefit diagnose --vehicle")
+    document = read_checked(source, AnyDocument, _SOURCES, "tirefit diagnose --vehicle")
     if not document.model.startswith("car on "):
         reason = "a diagnosis of a tire, which shows no steering of a car"
-        raise UsageError(InputProblem(reason, f"give {name}"))
+        raise UsageError(InputProblem(reason, f"give {_SOURCES}"))
     if vehicle is None:
         remedy = "give the vehicle.toml that was diagnosed: --vehicle"
         raise UsageError(InputProblem("a diagnosis does not contain the car", remedy))

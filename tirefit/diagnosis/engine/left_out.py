@@ -132,8 +132,8 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
 
 
 def _smooth(subject: Forward, null: Fit, outs: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """For each part the residuals (m,) of the model without effects and smooth functions fitted
-    to the other parts, averaged over their size by its evidence there."""
+    """Residuals (m,), for each part, of the model without effects plus smooth functions that are
+    fitted to the other parts; averaged over the sizes of the functions by their evidence."""
     columns = np.concatenate([null.columns, subject.discrepancy.additive], axis=1)
     p, whole = null.columns.shape[1], np.column_stack([columns, null.residual])
     parts = [whole[out] for out in (*outs, ~np.any(outs, axis=0))]
