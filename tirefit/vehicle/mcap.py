@@ -46,7 +46,8 @@ def recorded(replay: "Replay") -> bytes:
     """The measured and the predicted motion of each log as channels of JSON messages.
 
     ``/LOG/measured`` has the motion of the log at every sample, ``/LOG/predicted_500_ms_ahead``
-    what was predicted for the time of the message half a second before: a channel each horizon.
+    the prediction for the time of each message that started half a second before it: one channel
+    for each horizon.
 
     Returns:
         The content of the file, with the time of the log [ns] as the time of each message; a log

@@ -180,7 +180,7 @@ def sandwich(
     """Covariance (p, p) of z from the scores of blocks of windows; their number; and its
     diagonal over that for independent residuals (p,)."""
     score, information, *_ = eliminate(missed, by_z, by_start, noise)
-    pull = jnp.maximum(pull, _FLAT)
+    pull = jnp.maximum(pull, _LEAST_PRECISION)
     inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
     blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
     sums = np.array([block.sum(axis=0) for block in blocks])
@@ -190,7 +190,9 @@ def sandwich(
     return covariance, count, np.diag(covariance) / np.diag(inverse)
 
 
-_FLAT = 1e-6  # least precision of an element: one at its bound has no slope, and a wide interval
+_LEAST_PRECISION = 1e-6
+"""Smallest 1/variance of an element of z: one at its bound has no slope, and gets a wide interval."""
+
 _POINTS = 12  # largest number of points on one side of a profile
 _ROUGHLY = 1e-6  # share of the squares that one more step would take off at one of them
 
