@@ -145,6 +145,18 @@ def test_two_diagnoses_of_the_same_rows_are_compared(gaps, tmp_path):
     assert "are of the same rows: their errors are not independent" in " ".join(str(both).split())
 
 
+def test_two_fits_to_the_same_logs_of_a_car_are_not_tested(tmp_path):
+    """Their difference of 4 standard errors, were they independent."""
+    for name, logs, value in (("a", "lap", 0.8), ("b", "lap", 0.96), ("c", "other", 0.96)):
+        mu = {"value": value, "std": 0.02, "unit": "-"}
+        content = {"schema": "tirefit.trajectory/1", "logs": [logs], "parameters": {"front.mu": mu}}
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    one, same, other = (tmp_path / f"{name}.json" for name in "abc")
+    assert tirefit.compare([one, other]).numbers[0].differs
+    both = tirefit.compare([one, same])
+    assert both.shared == ("a", "b") and not both.numbers[0].differs
+
+
 def test_the_command_writes_its_files_and_lists_all_faults(saved, tmp_path):
     run = CliRunner().invoke
     done = run(app, ["compare", *map(str, saved[:2]), "--out", str(tmp_path / "o"), "--html"])

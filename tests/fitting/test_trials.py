@@ -13,7 +13,7 @@ from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.multistart import solve_problem
-from tirefit.fitting.verdict.trials import candidate, errors_left_out, tried
+from tirefit.fitting.verdict.trials import candidates, errors_left_out, tried
 
 SAMPLE = Path(tirefit.__file__).parent / "samples" / "circles.csv"
 
@@ -30,7 +30,8 @@ def sliding(loss, seed=1, n=400):
 
 def test_a_better_model_is_advised_with_what_it_improves():
     result = fit(sliding(0.08), "brush")
-    (trial,) = result.trials
+    assert [trial.model for trial in result.trials] == ["brush-n", "brush-ln"]
+    trial = result.trials[0]
     assert trial.better and trial.column == "v"
     before, after = trial.left_out
     (said,) = [one for one in result.warnings if "use " in one]
@@ -40,6 +41,18 @@ def test_a_better_model_is_advised_with_what_it_improves():
     followed = fit(sliding(0.08), trial.model)
     np.testing.assert_allclose([after, followed.statistics.rmse], STD, rtol=0.15)
     assert "not identified" not in followed.outcomes and not followed.trials
+
+
+def test_friction_that_rises_with_ln_of_the_sliding_speed_is_advised_as_such():
+    generator = np.random.default_rng(3)
+    v, slip = np.repeat([0.5, 5.0], 200), generator.uniform(0.002, 0.6, 400)
+    friction = 0.8 * (1 + 0.12 * np.log(v * slip / (1 + slip) + 0.02))
+    force = [brush_force(s, 3e4, mu)[0] for s, mu in zip(slip[:, None], friction, strict=True)]
+    fx = np.array(force) + STD * generator.normal(size=400)
+    result = fit(table({"sigma_x": slip, "fx": fx, "fz": np.full(400, FZ), "v": v}), "brush")
+    (said,) = [one for one in result.warnings if "use " in one]
+    assert "use brush-ln: fitted to these rows" in said
+    np.testing.assert_allclose(result.trials[-1].left_out[1], STD, rtol=0.15)
 
 
 def test_errors_left_out_are_those_of_refits_by_scipy():
@@ -84,24 +97,24 @@ def test_the_sample_gets_no_advice_that_fails():
 
 
 @pytest.mark.parametrize(
-    ("name", "column", "model"),
+    ("name", "column", "models"),
     [
-        ("brush", "v", "brush-n"),
-        ("brush-d", "v", "brush-dn"),
-        ("brush-h", "v", ""),
-        ("brush-stribeck", "v", ""),
-        ("magic-formula", "v", ""),
-        ("brush", "fz", "brush-load"),
-        ("brush-h", "fz", "brush-load-h"),
-        ("brush-load", "fz", ""),
-        ("brush-load", "v", "brush-load-n"),
-        ("brush", "gamma", ""),
-        ("brush-dns", "v_s", "brush-dhs"),
-        ("brush-n", "v_s", "brush-h"),
+        ("brush", "v", ["brush-n", "brush-ln"]),
+        ("brush-d", "v", ["brush-dn"]),
+        ("brush-h", "v", []),
+        ("brush-stribeck", "v", []),
+        ("magic-formula", "v", []),
+        ("brush", "fz", ["brush-load"]),
+        ("brush-h", "fz", ["brush-load-h"]),
+        ("brush-load", "fz", []),
+        ("brush-load", "v", ["brush-load-n"]),
+        ("brush", "gamma", []),
+        ("brush-dns", "v_s", ["brush-dhs"]),
+        ("brush-n", "v_s", ["brush-h"]),
     ],
 )
-def test_the_candidate_has_the_effect_and_is_never_the_model(name, column, model):
-    assert candidate(name, column) == model
+def test_the_candidates_have_the_effect_and_are_never_the_model(name, column, models):
+    assert candidates(name, column) == models
 
 
 def test_only_a_bound_of_the_user_can_be_widened():

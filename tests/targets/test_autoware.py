@@ -20,10 +20,11 @@ def estimate(value, std, unit="-", identified=True):
     return {"value": value, "std": std, "unit": unit, "identified": identified}
 
 
-def trajectory(folder, **parameters):
+def trajectory(folder, converged=True, **parameters):
     content = {
         "schema": "tirefit.trajectory/1",
         "logs": ["lap"],
+        "converged": converged,
         "parameters": {"front.mu": estimate(0.9, 0.1), **parameters},
         "vehicle": {"wheelbase": 0.33, "wheel_radius": None},
     }
@@ -121,6 +122,14 @@ def test_a_delay_below_zero_is_zero_or_refused(value, written, tmp_path):
     done = tirefit.export(path, "autoware", tmp_path / "car.yaml")
     assert read(done.path).get("steer_time_delay") == written
     assert ("less than zero" in " ".join(done.notes)) == (written is None)
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_a_fit_that_did_not_converge_is_exported_with_a_note(converged, tmp_path):
+    path = trajectory(tmp_path, converged, steering_offset=estimate(0.02, 0.004, "rad"))
+    done = tirefit.export(path, "autoware", tmp_path / "car.yaml")
+    said = [note for note in done.notes if "before it converged" in note]
+    assert len(said) == (not converged) and all(f"# {note}" in done.path.read_text() for note in said)
 
 
 def test_other_sources_and_options_are_refused(tmp_path, vehicle):

@@ -122,9 +122,11 @@ def derived_rows(result: FitResult) -> Rows:
     """The derived quantities that are the same for all runs."""
     channel = derived_channel(result.forces)
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
+    at_peak = result.derived.get("slip_at_peak")
     for name, one in result.derived.items():
         if channel is not None and name == quantity_of(name):
-            rows.append(_row(name, _derived_value(one), one, quantities(channel)[name][1]))
+            meanings = quantities(channel, at_peak is None or np.isfinite(at_peak.value))
+            rows.append(_row(name, _derived_value(one), one, meanings[name][1]))
     return rows
 
 

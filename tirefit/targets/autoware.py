@@ -95,10 +95,12 @@ class _Trajectory(BaseModel):
     """The parts of ``trajectory.json`` that are read."""
 
     logs: list[str]
+    converged: bool = True
     parameters: dict[str, _Size]
     vehicle: _Car
 
 
+_STOPPED = "the fit stopped before it converged: do not rely on these values and their errors"
 _SOURCES = "trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
 
 
@@ -110,8 +112,8 @@ def _is_trajectory(source: Any) -> bool:
     return TRAJECTORY.encode() in content_of(Path(source), RECORD, DataError, remedy)
 
 
-def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any]:
-    """Where the numbers come from, the quantities with their errors, and the car."""
+def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any, list[str]]:
+    """Where the numbers come from, the quantities with their errors, the car, and notes."""
     if not isinstance(source, str | os.PathLike | TrajectoryFit | Diagnosis):
         reason = "--to autoware describes a car's steering, not a tire"
         remedy = f"give {_SOURCES}"
@@ -122,7 +124,8 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any]:
         if vehicle is not None:
             reason = "--vehicle together with trajectory.json, which contains the car"
             raise UsageError(InputProblem(reason, "leave it out"))
-        return f"fitted to trajectories of {', '.join(fit.logs)}", fit.parameters, fit.vehicle
+        where = f"fitted to trajectories of {', '.join(fit.logs)}"
+        return where, fit.parameters, fit.vehicle, [] if fit.converged else [_STOPPED]
     document = read_checked(source, AnyDocument, _SOURCES, "tirefit diagnose --vehicle")
     if not document.model.startswith("car on "):
         reason = "a diagnosis of a tire, which shows no steering of a car"
@@ -140,7 +143,7 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any]:
     for key, value in stated.items():
         if key in sizes:
             sizes[key].value += value
-    return f"named by the diagnosis of {document.data.name}", sizes, car
+    return f"named by the diagnosis of {document.data.name}", sizes, car, []
 
 
 def _judged(name: str, key: _Key, one: _Size) -> tuple[float | None, str]:
@@ -180,8 +183,7 @@ def _lines(sizes: Mapping[str, _Size], notes: list[str]) -> Iterator[str]:
 
 def _autoware(source: Any, vehicle: Any, first: str) -> tuple[str, tuple[str, ...]]:
     """The text of the parameter file, and notes."""
-    where, sizes, car = _found(source, vehicle)
-    notes: list[str] = []
+    where, sizes, car, notes = _found(source, vehicle)
     lines = [f"    wheel_base: {_real(car.wheelbase)}  # m, stated in vehicle.toml, not estimated"]
     if car.wheel_radius:
         lines.append(f"    wheel_radius: {_real(car.wheel_radius)}  # m, likewise")

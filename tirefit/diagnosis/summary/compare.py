@@ -336,7 +336,8 @@ def _opened(source: Any) -> Source:
     try:
         if schema == TRAJECTORY:
             numbers = _numbers(content["parameters"])
-            return Source("", "trajectory", file or content["logs"][0], "car", numbers=numbers)
+            logs = content["logs"]
+            return Source("", "trajectory", file or logs[0], "car", "\n".join(logs), numbers)
         if schema == DIAGNOSIS:
             return _of_diagnosis(content, source, file)
     except (LookupError, TypeError, AttributeError) as error:

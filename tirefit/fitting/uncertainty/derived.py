@@ -35,9 +35,9 @@ from tirefit.params import Values, with_values
 Evaluator = Callable[[np.ndarray], dict[str, np.ndarray]]
 """z (m, p) -> quantity -> values (m,)."""
 
-_LARGEST_SLIP = 3.0
+LARGEST_SLIP = 3.0
 _AT_ONCE = 8
-_GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
+_GRID = np.append(0.0, np.geomspace(1e-5, LARGEST_SLIP, 199))
 """Number of slips at which the peak is searched, and how many are evaluated together."""
 
 _NARROWED = 16  # rounds of refinement, to 1e-15 of the distance of two of them
@@ -53,15 +53,16 @@ def derived_channel(forces: Sequence[str]) -> str | None:
     return next((name for name in ("fx", "fy") if name in forces), None)
 
 
-def quantities(channel: str) -> dict[str, tuple[str, str]]:
+def quantities(channel: str, has_peak: bool = True) -> dict[str, tuple[str, str]]:
     """Derived quantity of fx or fy -> (unit, meaning), in the order of the report."""
     slope, unit, slip = {"fx": ("C_x", "N", "sigma_x"), "fy": ("C_alpha", "N/rad", "tan(alpha)")}[
         channel
     ]
+    largest = "peak force" if has_peak else f"no peak: force at slip {LARGEST_SLIP:g}"
     return {
         slope: (unit, "slope at zero slip"),
-        "F_max": ("N", "peak force"),
-        "F_max_over_fz": ("-", "peak force / load"),
+        "F_max": ("N", largest),
+        "F_max_over_fz": ("-", f"{largest} / load"),
         "mu_fz": ("N", "static mu x load"),
         "slip_at_peak": ("-", f"{slip} at peak"),
     }
@@ -155,7 +156,7 @@ def _start_and_peak(force: Callable[[Array], Array]) -> tuple[Array, Array, Arra
         (jnp.full(len(_GRID), -jnp.inf), nothing, (nothing, nothing, nothing)),
     )
     # A force that still rises at the largest slip has no peak.
-    return start, jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
+    return start, jnp.where(slip < 0.999 * LARGEST_SLIP, slip, jnp.nan), peak
 
 
 @partial(jax.jit, static_argnames=("layout", "channel"), compiler_options=BRIEF)

@@ -192,15 +192,16 @@ def _advice(result: FitResult, column: str) -> str:
     tried = [one for one in result.trials if one.column == column]
     if not tried and column in _WHOLE:
         return "; not tried: a whole Magic Formula (mf61), which has terms for it"
-    for one in tried:
-        if one.better:
-            unit = "N m" if result.forces[0] == "mz" else "N"
-            before, after = one.left_out
-            return (
-                f"; use {one.model}: fitted to these rows, it lowers the rms error on left-out"
-                f" rows from {before:.4g} to {after:.4g} {unit}"
-            )
-    return "".join(f"; {one.model} was tried: {one.against}" for one in tried)
+    better = [trial for trial in tried if trial.better]
+    if not better:
+        return "".join(f"; {trial.model} was tried: {trial.against}" for trial in tried)
+    best = min(better, key=lambda trial: trial.left_out[1])
+    unit = "N m" if result.forces[0] == "mz" else "N"
+    before, after = best.left_out
+    return (
+        f"; use {best.model}: fitted to these rows, it lowers the rms error on left-out"
+        f" rows from {before:.4g} to {after:.4g} {unit}"
+    )
 
 
 def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:

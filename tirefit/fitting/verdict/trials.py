@@ -35,28 +35,28 @@ SLIDING = "v_s"
 sliding speed, which is no column of the file."""
 
 
-def candidate(name: str, column: str) -> str:
-    """Name of a model like ``name`` whose force also depends on a column; empty without one.
+def candidates(name: str, column: str) -> list[str]:
+    """Names of models like ``name`` whose force also depends on a column.
 
-    It is one model for each column, as the first fit of a model takes 3 s of processor time. For
-    the speed, its friction changes linearly, in either direction.
+    There are few, as the first fit of a model takes 3 s of processor time. For the speed, friction
+    changes with the sliding speed: linearly, and with its logarithm.
     """
     if column == "fz":
         names = [name.replace("brush", "brush-load", 1)]
     elif column == "v":
-        names = [f"{name}-n", f"{name}n"]
+        names = [f"{name}-n", f"{name}n", f"{name}-ln"]
     else:
         names = [re.sub(r"n(s?)$", r"h\1", name)] if column == SLIDING else []
-    return next((one for one in names if one in MODELS and one != name), "")
+    return [like for like in names if like in MODELS and like != name]
 
 
 def tried(
     columns: Iterable[str], task: FitTask, solved: Solved, config: FitConfig
 ) -> tuple[Trial, ...]:
-    """Trials of one model for each of these columns that has one."""
-    pairs = [(column, candidate(task.name, column)) for column in columns]
-    trials = (_tried(name, column, task, solved, config) for column, name in pairs if name)
-    return tuple(one for one in trials if one)
+    """Trials of the models that depend on one of these columns."""
+    pairs = [(column, name) for column in columns for name in candidates(task.name, column)]
+    trials = (_tried(name, column, task, solved, config) for column, name in pairs)
+    return tuple(trial for trial in trials if trial)
 
 
 def _tried(
