@@ -220,6 +220,7 @@ def test_the_command_refuses_wrong_use_and_writes_results(late, tmp_path):
     bad = {
         (3, "none.csv"): ["--holdout", log.parent / "none.csv"],
         (2, "--rig, --convention with --vehicle"): ["--rig", "rig.toml", "--convention", "iso-w"],
+        (2, "--full, --seed with --sim-log"): ["--sim-log", log, "--full", "--seed", "1"],
     }
     for (code, said), more in bad.items():
         done = CliRunner().invoke(app, [*map(str, [*command, *more])])

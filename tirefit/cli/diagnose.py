@@ -29,6 +29,7 @@ from tirefit.cli.options import (
     numbers,
     read_config,
     read_options,
+    refuse,
     refuse_besides,
     refuse_of_vehicle,
     say,
@@ -141,7 +142,7 @@ def diagnose(
         ),
     ] = None,
     figures: Annotated[
-        bool, typer.Option("--figures", help="write NAME.png and NAME.html")
+        bool, typer.Option("--figures", "--html", help="write NAME.png and NAME.html")
     ] = False,
     full: Full = False,
     resume: Resume = False,
@@ -152,7 +153,9 @@ def diagnose(
     """Find the effects that explain the gap between a model or simulator and data."""
     sharing, files = Sharing(jobs, scheduler), expanded(files)
     if vehicle is not None:
-        refuse_besides(_OF_SIMULATOR if sim_log else _OF_VEHICLE)
+        refuse_besides([*_OF_VEHICLE, "sim_log"])
+        if sim_log:
+            refuse(_NOT_COMPARED, "with --sim-log", "leave it out: the car itself is not diagnosed")
         return diagnose_car(
             files, vehicle, (front, rear), out, sim_log or [], holdout=holdout or (),
             without=without or (), figures=figures, full=full, seed=seed,
@@ -189,8 +192,8 @@ def diagnose(
 
 _OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".split()
 """Arguments and options that ``--vehicle`` uses."""
-_OF_SIMULATOR = "files vehicle front rear out without figures sim_log".split()
-"""The same beside ``--sim-log``."""
+_NOT_COMPARED = "holdout", "full", "seed"
+"""Those that ``--sim-log`` does not use."""
 _PLAIN = "brush"  # the default base model
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}

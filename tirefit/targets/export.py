@@ -295,4 +295,5 @@ def _written(
     texts = {path: sealed_text(text) for path, text in texts.items()}
     write_texts(texts)
     named = {path.name: text for path, text in texts.items()}
-    return Exported(target, path, shape, notes, named)
+    # Notes on both axles are often the same.
+    return Exported(target, path, shape, tuple(dict.fromkeys(notes)), named)
