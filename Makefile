@@ -71,7 +71,7 @@ notebooks: install
 	$(BIN)/python fits/run_notebooks.py
 
 bench: install
-	$(BIN)/python -m tests.bench
+	$(BIN)/python -m fits.bench
 
 # Does diagnose name what it was not told? Sealed trials, scored once; see fits/withheld.
 withheld: ASKED = --trials 130 --seed 1015 --rows 200,900
@@ -103,7 +103,7 @@ measured: install
 fuzz: INPUTS = 100000
 fuzz: SEED = 1
 fuzz: install
-	$(BIN)/python -m tests.fuzz --inputs $(INPUTS) --seed $(SEED) --out out/$@
+	$(BIN)/python -m fits.fuzz --inputs $(INPUTS) --seed $(SEED) --out out/$@
 
 # Friction estimators on the same logs; see fits/friction_benchmark.
 friction-benchmark: install

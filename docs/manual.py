@@ -22,7 +22,7 @@ ALONE = (
     "*.md",
     "LICENSE",
     "CITATION.cff",
-    "tests/bench/README.md",
+    "fits/bench/README.md",
     "tirefit/diagnosis/calibration.json",
 )
 FOLDERS = ("docs", "fits")

@@ -7,8 +7,8 @@ import zlib
 
 import numpy as np
 import pytest
-from fuzz import COMMANDS, KINDS, damaged, failures
 
+from fits.fuzz import COMMANDS, KINDS, damaged, failures
 from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.door import (
     CHAIN,

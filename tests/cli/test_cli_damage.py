@@ -18,12 +18,12 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from fuzz.kinds import log_toml, short_log
 from test_cli_brake import QUICK
 from test_cli_diagnose import LOADS, READ, WITHOUT
 from test_cli_diagnose import write as write_sweeps
 from test_cli_fit import FAST, write
 
+from fits.fuzz.kinds import log_toml, short_log
 from tirefit.cli import output
 from tirefit.cli.options import complain, say
 from tirefit.cli.output import claimed, staged

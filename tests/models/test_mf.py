@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.bench.magic_formula_peer import Coefficients, magic_formula
+from fits.bench.magic_formula_peer import Coefficients, magic_formula
 from tirefit.data.tir.tir import read_tir
 from tirefit.data.tir.tir_keys import COEFFICIENTS, NEUTRAL
 from tirefit.models import TireForces, TireInputs, forces

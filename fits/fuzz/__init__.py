@@ -1,6 +1,6 @@
 """Damaged inputs of every kind that is read: an error with a remedy or a result.
 
-``make fuzz`` tries 100,000 (``python -m tests.fuzz --inputs 100000 --seed 1``), the
+``make fuzz`` tries 100,000 (``python -m fits.fuzz --inputs 100000 --seed 1``), the
 suite 500. Sound files are damaged at random, by a seed: bits flip, spans vanish or
 repeat, tokens are replaced by such as no reader expects; records of our own are changed
 under a new checksum as well. A share of the inputs goes to whole commands, the others

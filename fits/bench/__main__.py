@@ -1,6 +1,6 @@
 """Speed against the peers, as ratios measured in the same run: ``make bench``.
 
-``python -m tests.bench`` runs all, and says how long each took; with the names of
+``python -m fits.bench`` runs all, and says how long each took; with the names of
 entries (``brush_with_gradient posterior``), those.
 
 Every comparison alternates the two sides and quotes medians, so that a drifting
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.bench.magic_formula_fit import whole_magic_formula
+from fits.bench.magic_formula_fit import whole_magic_formula
 
 HERE = Path(__file__).parent
 ROWS = 400
@@ -175,13 +175,13 @@ def magic_formula() -> None:
     """Combined slip of a MF 6.1 tire: F_x, F_y and M_z."""
     import jax
 
-    from tests.bench.magic_formula_peer import Coefficients
-    from tests.bench.magic_formula_peer import magic_formula as in_numpy
+    from fits.bench.magic_formula_peer import Coefficients
+    from fits.bench.magic_formula_peer import magic_formula as in_numpy
     from tirefit.data.tir.tir import read_tir
     from tirefit.fitting.tir import tire_of
     from tirefit.models import TireInputs
 
-    folder = HERE.parent / "data" / "tir" / "mfeval_julia"
+    folder = HERE.parents[1] / "tests/data" / "tir" / "mfeval_julia"
     tir = read_tir(folder / "MagicFormula61_Parameters.tir")
     tire, coefficients = tire_of(tir), Coefficients(tir.numbers)
     generator = np.random.default_rng(0)
@@ -567,7 +567,7 @@ def main(asked: list[str]) -> None:
     print(f"{'':46s} {'tirefit':>10s} {'peer':>10s}", flush=True)
     for name in asked or known:
         if known[name] in OF_DIAGNOSIS and "OPENBLAS_NUM_THREADS" not in os.environ:
-            line = [sys.executable, "-m", "tests.bench", name]
+            line = [sys.executable, "-m", "fits.bench", name]
             alone = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
             subprocess.run(line, check=True, env=alone)
         else:

@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 
 def rig_test(rows: int):
     """Columns of F_x and F_y of approximately this many rows of MF 6.1."""
-    sys.path.insert(0, str(HERE.parent / "fitting"))
+    sys.path.insert(0, str(HERE.parents[1] / "tests" / "fitting"))
     from rig import MF61, measured
 
     from tirefit.data.read import read_frame

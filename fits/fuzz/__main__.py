@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz``: the requested number of inputs; failures are kept."""
+"""``python -m fits.fuzz``: the requested number of inputs; failures are kept."""
 
 import argparse
 import json
