@@ -128,8 +128,10 @@ def axes_panel(
 def images_of(panels: Iterable[Panel]) -> list[dict[str, Any]]:
     """The panels for the templates of pages."""
     return [
-        image_of(alone(one), one.alternative, round(_PIXELS * one.size[0]) if one.scrolls else 0)
-        for one in panels
+        image_of(
+            alone(panel), panel.alternative, round(_PIXELS * panel.size[0]) if panel.scrolls else 0
+        )
+        for panel in panels
     ]
 
 
@@ -182,9 +184,9 @@ def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
     share = min(MOST_DRAWN / max(among or count, 1), 1.0)
     if share == 1.0 or count <= _FARTHEST:
         return np.arange(count)
-    far = np.argpartition(np.abs(values - np.median(values)), -_FARTHEST)[-_FARTHEST:]
+    extreme = np.argpartition(np.abs(values - np.median(values)), -_FARTHEST)[-_FARTHEST:]
     rest = np.random.default_rng(0).integers(0, count, int(share * count))
-    return np.unique(np.concatenate([far, rest]))
+    return np.unique(np.concatenate([extreme, rest]))
 
 
 def dots(
@@ -227,7 +229,7 @@ def save_pictures(
 ) -> list[Path]:
     """Write named pictures as PNG, and as SVG if ``svg``; returns the files."""
     ends = (".png", ".svg") if svg else (".png",)
-    return [save_picture(one, folder / f"{name}{end}") for name, one in pictures for end in ends]
+    return [save_picture(p, folder / f"{name}{end}") for name, p in pictures for end in ends]
 
 
 def save_picture(picture: Picture, path: Path) -> Path:

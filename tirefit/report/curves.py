@@ -271,8 +271,8 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     if "run" in keys and len(members) < len(problem.layout.runs):
         notes.append(f"{len(members)} of {len(problem.layout.runs)} runs shown")
     if is_moved:
-        own = [n for n in ("fz", other) if n not in keys]
-        to = ", ".join(_level_label(n, np.full(1, conditions[0][n])) for n in own)
+        common = [n for n in ("fz", other) if n not in keys]
+        to = ", ".join(_level_label(n, np.full(1, conditions[0][n])) for n in common)
         steady = "the steady state and " * problem.model.transient
         notes.append(f"points moved along the fit to {steady}{to or 'the values of their curve'}")
     groups = members
@@ -307,9 +307,9 @@ def overlay_of(fits: Mapping[str, FitResult], channel: str) -> FitCurve:
         force, _ = _carried(result, channel, [("", every)], [at])
         slips, unit = _slips(result, channel), at["fz"] if over_load else 1.0
         ends = axis.shown(np.array([min(slips.min(), 0.0), max(slips.max(), 0.0)])).tolist()
-        one = _curve(result, channel, label, ends, axis, at, 0)
+        curve = _curve(result, channel, label, ends, axis, at, 0)
         groups.append(Group(label, axis.shown(slips), force / unit))
-        curves.append(Curve(label, one.slip, *(x / unit for x in one[2:])))
+        curves.append(Curve(label, curve.slip, *(x / unit for x in curve[2:])))
     text, unit, ratio = FORCE_LABEL[channel]
     y_label = f"{text} [{unit}]"
     note = f"at $F_z$ = {np.median(loads):.4g} N"

@@ -16,50 +16,52 @@ PAGE = "explore.html"
 """Name of the page in a folder."""
 
 
-def _facts(found: Any) -> list[str]:
+def _facts(explored: Any) -> list[str]:
     """What a reader has to know of the numbers: signs, loads, errors, version."""
-    facts = [f"Signs {found.convention}: {CONVENTIONS[found.convention].description}"]
-    for one in found.tires:
-        ends = [f"{float(f'{x:.4g}'):g}" for x in dict.fromkeys(one.ranges.get("fz", ()))]
+    facts = [f"Signs {explored.convention}: {CONVENTIONS[explored.convention].description}"]
+    for tire in explored.tires:
+        ends = [f"{float(f'{x:.4g}'):g}" for x in dict.fromkeys(tire.ranges.get("fz", ()))]
         known = f"{' to '.join(ends)} N" if ends else "not known"
-        facts.append(f"{one.label}: loads of the data {known}")
-        facts[-1] += ", no standard errors" * (not one.steps)
+        facts.append(f"{tire.label}: loads of the data {known}")
+        facts[-1] += ", no standard errors" * (not tire.steps)
     return [*facts, f"tirefit {__version__}"]
 
 
-def explore_text(found: Any) -> str:
+def explore_text(explored: Any) -> str:
     """The tires, the signs and the rows of a :class:`tirefit.targets.explore.Explored`."""
-    lines = [f"{one.label}: {'; '.join(one.origin)}" for one in found.tires]
-    return "\n".join([*lines, *_facts(found), f"measured rows: {found.data or 'none (--data)'}"])
+    lines = [f"{tire.label}: {'; '.join(tire.origin)}" for tire in explored.tires]
+    return "\n".join(
+        [*lines, *_facts(explored), f"measured rows: {explored.data or 'none (--data)'}"]
+    )
 
 
-def explore_figure(found: Any) -> NoReturn:
+def explore_figure(explored: Any) -> NoReturn:
     """Raise UsageError: the curves depend on the sliders."""
     raise UsageError("these tires have no figure", "write the page: .save('tire.html')")
 
 
-def explore_page(found: Any) -> str:
+def explore_page(explored: Any) -> str:
     """One HTML document with its scripts; it fetches nothing.
 
     Raises:
         DataError: Plotly is not installed.
     """
     offline = extra("plotly.offline", "a page with sliders", "", "explore", "writing")
-    content = json_safe(found.to_dict())
-    programs = [one.pop("program") for one in content["tires"]]
+    content = json_safe(explored.to_dict())
+    programs = [tire.pop("program") for tire in content["tires"]]
     return template("explore.html").render(
         content=content,
         # Made of numbers and names of operations only.
         programs=Markup(",\n".join(programs)),
         plotly=Markup(offline.get_plotlyjs()),
-        title=" against ".join(one.label for one in found.tires),
-        facts=_facts(found),
-        bands=any(one.steps for one in found.tires),
+        title=" against ".join(tire.label for tire in explored.tires),
+        facts=_facts(explored),
+        bands=any(tire.steps for tire in explored.tires),
     )
 
 
-def save_page(found: Any, folder: Path, name: str = "") -> list[Path]:
+def save_page(explored: Any, folder: Path, name: str = "") -> list[Path]:
     """Write the page into a folder."""
     path = folder / (f"{name}.html" if name else PAGE)
-    write_texts({path: explore_page(found)})
+    write_texts({path: explore_page(explored)})
     return [path]

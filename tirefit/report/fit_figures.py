@@ -57,16 +57,16 @@ def draw_fit(axes: Any, curve: FitCurve) -> list[Line2D | Patch]:
         dots(axes, group.slip[some], group.force[some], size, color, 0.45)
         if group.low is not None:
             axes.vlines(group.slip, group.low, group.high, color, lw=0.8, alpha=0.6)
-    for one, color in zip(curve.curves, [DARK] if single else colors, strict=True):
+    for fitted, color in zip(curve.curves, [DARK] if single else colors, strict=True):
         for low, high, alpha, order in (
-            (one.noise_low, one.noise_high, _LIGHT, 1),
-            (one.low, one.high, _DENSE, 3),
+            (fitted.noise_low, fitted.noise_high, _LIGHT, 1),
+            (fitted.low, fitted.high, _DENSE, 3),
         ):
-            axes.fill_between(one.slip, low, high, color=color, alpha=alpha, lw=0, zorder=order)
-        axes.plot(one.slip, one.force, color=color, lw=1.4, zorder=4)
+            axes.fill_between(fitted.slip, low, high, color=color, alpha=alpha, lw=0, zorder=order)
+        axes.plot(fitted.slip, fitted.force, color=color, lw=1.4, zorder=4)
     axes.axhline(0, color=GREY, lw=0.5, zorder=0)
     tidy(axes, curve.x_label, curve.y_label, 9.5)
-    slips = [*(one.slip for one in curve.groups), *(one.slip for one in curve.curves)]
+    slips = [*(part.slip for part in curve.groups), *(part.slip for part in curve.curves)]
     x = [slip for slip in slips if len(slip)]
     axes.set_xlim(min(v.min() for v in x), max(v.max() for v in x))
     if curve.title:
@@ -116,10 +116,10 @@ def run_points(result: FitResult) -> list[Points]:
     points = []
     for name in dict.fromkeys(k.partition("[")[0] for k in result.parameters if "[" in k):
         each = [result.parameters.get(f"{name}[{run}]", nothing) for run in runs]
-        unit = next(one.unit for one in each if one.unit)
-        value = np.array([one.value for one in each], float)
-        ends = np.array([one.ci95 for one in each], float)  # NaN for None
-        known = np.array([one.identified for one in each])
+        unit = next(estimate.unit for estimate in each if estimate.unit)
+        value = np.array([estimate.value for estimate in each], float)
+        ends = np.array([estimate.ci95 for estimate in each], float)  # NaN for None
+        known = np.array([estimate.identified for estimate in each])
         label, at, near = f"{name} [{unit}]", np.arange(len(runs)), np.zeros(len(runs), bool)
         points.append(Points(label, names, at, value, ends[:, 0], ends[:, 1], known, near))
     return points

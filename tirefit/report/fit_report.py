@@ -65,13 +65,13 @@ def _more(result: FitResult) -> Sequence[str]:
 
 def assumption_lines(notes: Sequence[str], also: Sequence[str] = ()) -> tuple[Named, Named]:
     """A line for all columns that were read, and lines for the other assumptions."""
-    found = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
+    matched = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
     columns = [
         m[2] + f" [{m[4]}]" * bool(m[4]) + f" from {m[1]!r}" * (m[1].partition(" [")[0] != m[2])
-        for _, m in found
+        for _, m in matched
         if m
     ]
-    others = [*(note for note, m in found if not m), *also]
+    others = [*(note for note, m in matched if not m), *also]
     line = [("columns", ", ".join(columns))] * bool(columns)
     return line, named_lines("assumptions", others)
 
@@ -177,8 +177,10 @@ def fit_page(result: FitResult) -> str:
     sections = [
         Section("", [EXPLORE], pictures=pictures["fit"]),
         *(
-            one._replace(pictures=[x for name in one.pictures for x in pictures.get(name, ())])
-            for one in sections_of(result, full=True)
+            section._replace(
+                pictures=[x for name in section.pictures for x in pictures.get(name, ())]
+            )
+            for section in sections_of(result, full=True)
         ),
         data._replace(lines=[*data.lines, *_settings(result)]),
     ]

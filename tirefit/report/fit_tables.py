@@ -25,7 +25,7 @@ _STRONG = 0.9
 
 def short_run(result: FitResult, run: str) -> str:
     """The part of a run's name that differs from the others."""
-    runs = [str(one) for one in result.data["runs"]]
+    runs = [str(run) for run in result.data["runs"]]
     return run_names(runs).short[runs.index(run)] if run in runs else run
 
 
@@ -85,8 +85,10 @@ def _row(name: str, value: str, estimate: Estimate, note: str) -> list[str]:
 def parameter_rows(result: FitResult) -> Rows:
     """Every parameter, including fixed and tied ones."""
     rows = [["parameter", "value ± std", "unit", "95 % interval", ""]]
-    for name, one in result.parameters.items():
-        rows.append(_row(short_label(result, name), value_text(one), one, note_on(result, name)))
+    for name, estimate in result.parameters.items():
+        rows.append(
+            _row(short_label(result, name), value_text(estimate), estimate, note_on(result, name))
+        )
     return rows
 
 
@@ -123,26 +125,26 @@ def derived_rows(result: FitResult) -> Rows:
     channel = derived_channel(result.forces)
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
     at_peak = result.derived.get("slip_at_peak")
-    for name, one in result.derived.items():
+    for name, estimate in result.derived.items():
         if channel is not None and name == quantity_of(name):
             meanings = quantities(channel, at_peak is None or np.isfinite(at_peak.value))
-            rows.append(_row(name, _derived_value(one), one, meanings[name][1]))
+            rows.append(_row(name, _derived_value(estimate), estimate, meanings[name][1]))
     return rows
 
 
 def derived_by_run(result: FitResult) -> Rows:
     """Derived quantities that differ by run: a row per run, a column per quantity, and
     the load and speed of the run where these differ."""
-    own = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
-    names = {quantity_of(k): v.unit for k, v in own.items()}
+    by_run = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
+    names = {quantity_of(k): v.unit for k, v in by_run.items()}
     head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
     at = result.reference
     titles = {"fz": "at F_z [N]", "v": "at v [m/s]"}
     moved = [n for n in titles if any(key.startswith(f"{n}[") for key in at)]
     rows = [["run", *(titles[n] for n in moved), *head]]
-    for run in result.data["runs"] if own else ():
+    for run in result.data["runs"] if by_run else ():
         points = (format_number(at.get(f"{n}[{run}]", at[n])) for n in moved)
-        cells = (_derived_value(own[f"{name}[{run}]"]) for name in names)
+        cells = (_derived_value(by_run[f"{name}[{run}]"]) for name in names)
         rows.append([short_run(result, str(run)), *points, *cells])
     return rows
 

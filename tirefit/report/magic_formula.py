@@ -58,7 +58,7 @@ def _undetermined(fit: MagicFormulaFit) -> Section:
     """The names of the coefficients that the data determine less than their priors."""
     lines = []
     for origin, meaning in ORIGINS.items():
-        names = [name for name, one in fit.coefficients.items() if one.origin == origin]
+        names = [name for name, c in fit.coefficients.items() if c.origin == origin]
         if names:
             which = f"{len(names)} coefficients" if origin == "fitted" else ", ".join(names)
             lines.append((origin, f"{which}: {meaning}"))
@@ -67,8 +67,8 @@ def _undetermined(fit: MagicFormulaFit) -> Section:
 
 def _tables(fit: MagicFormulaFit) -> list[Section]:
     """Every coefficient, by part of the tire, and what the origins mean."""
-    there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
-    origins = {one.origin for one in fit.coefficients.values()}
+    there = {c.part for c in fit.coefficients.values()} - {*fit.parts}
+    origins = {c.origin for c in fit.coefficients.values()}
     lines = []
     if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
         lines = [("not fitted", f"{', '.join(left_out)}: given, borrowed or at the priors")]
@@ -79,10 +79,10 @@ def _tables(fit: MagicFormulaFit) -> list[Section]:
 def _coefficients(fit: MagicFormulaFit, part: str) -> Section:
     known = specs(fit.tire)
     rows = [["", "value ± std", "origin", "meaning"]]
-    for name, one in fit.coefficients.items():
-        if one.part == part:
-            value = format_estimate(one.value, one.std or None)
-            rows.append([name, value, one.origin, known[name].meaning])
+    for name, coefficient in fit.coefficients.items():
+        if coefficient.part == part:
+            value = format_estimate(coefficient.value, coefficient.std or None)
+            rows.append([name, value, coefficient.origin, known[name].meaning])
     return Section("Coefficients", (), rows, note=PARTS[part].meaning)
 
 
@@ -145,11 +145,11 @@ def _guards(fit: MagicFormulaFit, full: bool) -> Section:
 
 def _verdict(fit: MagicFormulaFit) -> tuple[str, list[str]]:
     """Whether the fit converged, and the reasons not to use it."""
-    origins = [one.origin for one in fit.coefficients.values()]
+    origins = [c.origin for c in fit.coefficients.values()]
     counts = [f"{origins.count(o)} {o}" for o in ORIGINS if o in origins]
     against = [text for o, text in fit.limits.items() if o is not Outcome.NOT_IDENTIFIED]
     message = "do not use this fit as it is" if against else "converged"
-    beyond = [one.name for one in fit.guards if one.holds_inside and not one.holds]
+    beyond = [guard.name for guard in fit.guards if guard.holds_inside and not guard.holds]
     if beyond:
         against = [*against, f"guards that fail beyond the data: {', '.join(beyond)}"]
     return f"{message}; coefficients: {', '.join(counts)}", against

@@ -92,7 +92,7 @@ def files_of(records: Sequence[FileRecord]) -> Files:
         if kind in _KINDS and known.sum() >= min(_FEW, count):
             across = across_files(value[known], std[known], when[known])
             quantities.append(Quantity(kind, name, unit, value, std, known, across))
-    quantities.sort(key=lambda one: _KINDS.index(one.kind))
+    quantities.sort(key=lambda quantity: _KINDS.index(quantity.kind))
     done = [record.file for record in records if record.status != FAILED]
     short = run_names(done)
     shorter = dict(zip(done, short.short, strict=True))
@@ -105,12 +105,14 @@ def summary_table(fits: Sequence[FileRecord]) -> str:
     if not fits:
         return "no file could be fitted"
     parameters = [fit.of_kind("parameter") for fit in fits]
-    columns = list(dict.fromkeys(name for one in parameters for name in one))
+    columns = list(dict.fromkeys(name for known in parameters for name in known))
     rows = [["fit", *columns, "RMSE", "verdict"]]
     directories = run_names([fit.result for fit in fits])
     for name, fit, known in zip(directories.short, fits, parameters, strict=True):
         rmse = f"{fit.of_kind('statistic')['rmse'].value:.4g}"
-        cells = [_cell(known[one].value, known[one].std) if one in known else "" for one in columns]
+        cells = [
+            _cell(known[name].value, known[name].std) if name in known else "" for name in columns
+        ]
         rows.append([name, *cells, rmse, fit.status])
     of = f" of {directories.pattern}" if directories.pattern else ""
     return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])
@@ -123,15 +125,15 @@ def _cell(value: float | None, std: float | None) -> str:
 
 def _main(files: Files) -> list[Quantity]:
     """Parameters, effects, gaps and the misfit, from which the other quantities follow."""
-    return [one for one in files.quantities if one.kind in _KINDS[:3] or one.name == "rmse"]
+    return [q for q in files.quantities if q.kind in _KINDS[:3] or q.name == "rmse"]
 
 
 def _table_of_files(files: Files) -> Rows:
     """A row for each file, a column for each parameter, effect and gap."""
     shown = _main(files)
-    rows = [["file", *(one.title for one in shown), "verdict"]]
+    rows = [["file", *(q.title for q in shown), "verdict"]]
     for k, (name, record) in enumerate(zip(files.names, files.records, strict=True)):
-        cells = [_cell(one.value[k], one.std[k]) if one.known[k] else "-" for one in shown]
+        cells = [_cell(q.value[k], q.std[k]) if q.known[k] else "-" for q in shown]
         rows.append([name, *cells, record.status])
     return rows[: _LISTED + 1]
 
@@ -140,18 +142,18 @@ def _quantities(files: Files) -> Rows:
     head = ("quantity", "unit", "files", "not determined", "middle", "scatter between files",
             "a file's own std", "change, first to last", "differ")  # fmt: skip
     rows: list[Sequence[str]] = [head]
-    for one in files.quantities:
-        across, std = one.across, one.std[one.known]
+    for quantity in files.quantities:
+        across, std = quantity.across, quantity.std[quantity.known]
         change = "too few files"
         if across.change_std > 0:
             change = format_estimate(across.change, across.change_std)
             change += ": drifts" * across.drifts
         rows.append(
             (
-                one.name,
-                one.unit,
-                str(one.known.sum()),
-                str(len(one.known) - one.known.sum()),
+                quantity.name,
+                quantity.unit,
+                str(quantity.known.sum()),
+                str(len(quantity.known) - quantity.known.sum()),
                 format_number(across.middle),
                 format_number(across.scatter, 2),
                 format_number(float(np.median(std))) if std.any() else "-",
@@ -164,44 +166,47 @@ def _quantities(files: Files) -> Rows:
 
 def _different(files: Files) -> Rows:
     """The files that differ most in any quantity."""
-    far: list[tuple[float, Quantity, int]] = [
-        (float(pull), one, int(k))
-        for one in files.quantities
+    outliers: list[tuple[float, Quantity, int]] = [
+        (float(pull), quantity, int(k))
+        for quantity in files.quantities
         for k, pull, is_far in zip(
-            np.flatnonzero(one.known), one.across.pulls, one.across.outlier, strict=True
+            np.flatnonzero(quantity.known),
+            quantity.across.pulls,
+            quantity.across.outlier,
+            strict=True,
         )
         if is_far
     ]
-    far.sort(key=lambda item: -abs(item[0]))
+    outliers.sort(key=lambda item: -abs(item[0]))
     rows = [("file", "quantity", "value ± std", "unit", "distance in std")]
-    for pull, one, k in far[:_LISTED]:
-        text = _cell(one.value[k], one.std[k])
-        rows.append((files.records[k].file, one.name, text, one.unit, f"{pull:+.1f}"))
+    for pull, quantity, k in outliers[:_LISTED]:
+        text = _cell(quantity.value[k], quantity.std[k])
+        rows.append((files.records[k].file, quantity.name, text, quantity.unit, f"{pull:+.1f}"))
     return rows
 
 
-def points_of(files: Files, one: Quantity) -> Points:
+def points_of(files: Files, quantity: Quantity) -> Points:
     """A quantity over the dates or the names of the files, with its line over time."""
-    count, known, across = len(one.known), one.known, one.across
+    count, known, across = len(quantity.known), quantity.known, quantity.across
     when = np.arange(float(count))
     if files.dates is not None:
         when = files.dates.astype(float) / 86400  # days, as Matplotlib counts them
     at = when[known]
     share = (at - at.mean()) / (np.ptp(at) or 1.0)
-    far = np.zeros(count, bool)
-    far[known] = across.outlier
+    outlier = np.zeros(count, bool)
+    outlier[known] = across.outlier
     line = at, across.middle + across.change * share, across.scatter
     return Points(
-        one.title,
+        quantity.title,
         () if files.dates is not None else files.names,
         when,
-        one.value,
-        one.value - one.std,
-        one.value + one.std,
+        quantity.value,
+        quantity.value - quantity.std,
+        quantity.value + quantity.std,
         known,
-        far,
+        outlier,
         line,
-        one.whole,
+        quantity.whole,
     )
 
 
@@ -209,11 +214,11 @@ def _pictures(files: Files) -> list[dict[str, Any]]:
     note = "± standard deviation; grey: scatter of files {}"
     return images_of(
         points_panel(
-            points_of(files, one),
-            f"{one.name} over the files",
-            note.format(format_number(one.across.scatter, 2)),
+            points_of(files, quantity),
+            f"{quantity.name} over the files",
+            note.format(format_number(quantity.across.scatter, 2)),
         )
-        for one in _main(files)[:_PICTURES]
+        for quantity in _main(files)[:_PICTURES]
     )
 
 
@@ -221,7 +226,11 @@ def _verdict(files: Files) -> dict[str, Any]:
     """How many files have each status, and the problems of single ones."""
     status = [record.status for record in files.records]
     counts = [f"{count} {name}" for name, count in Counter(status).most_common(_LISTED)]
-    lines = [f"{one.file}: {one.status}: {one.problem}" for one in files.records if one.problem]
+    lines = [
+        f"{record.file}: {record.status}: {record.problem}"
+        for record in files.records
+        if record.problem
+    ]
     more = [f"and {len(lines) - _LISTED} more"] * (len(lines) > _LISTED)
     sentence = f"Verdict: of {len(status)} files: {', '.join(counts)}"
     return verdict_of(sentence, [*lines[:_LISTED], *more], set(status) == {Outcome.OK})

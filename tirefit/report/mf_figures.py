@@ -49,7 +49,7 @@ def _fitted(
         if name in ("sigma_x", "alpha", "fz", "gamma", "v") or np.all(column > 0)
     }
     given = predict(fit, columns)
-    ends = np.cumsum([np.size(one.fz) for one in inputs])[:-1]
+    ends = np.cumsum([np.size(rows.fz) for rows in inputs])[:-1]
     each = (np.split(given[name], ends) for name in (force, f"{force}_std"))
     return list(zip(*each, strict=True))
 

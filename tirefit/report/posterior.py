@@ -112,7 +112,7 @@ def _draw_corner(figure: Any, result: FitResult, labels: Sequence[str]) -> None:
     """Densities of single parameters on the diagonal, contours of pairs below it."""
     draws, count = draws_of(result, labels), len(labels)
     edges = [bin_edges(column) for column in draws.T]
-    centers = [(one[1:] + one[:-1]) / 2 for one in edges]
+    centers = [(edge[1:] + edge[:-1]) / 2 for edge in edges]
     names = [symbol(result, label) for label in labels]
     values = [result.least_squares[label].value for label in labels]
     cells = figure.subplots(count, count, squeeze=False, sharex="col")
@@ -213,20 +213,20 @@ def _draw_profiles(figure: Any, curves: Sequence[ProfileCurve]) -> None:
     """Profile deviance, its 95 % level and the covariance's parabola, in two columns."""
     shape = -(-len(curves) // 2), min(len(curves), 2)
     cells = figure.subplots(*shape, squeeze=False).ravel()
-    for i, (axes, one) in enumerate(zip(cells, curves, strict=False)):
-        axes.plot(one.value, one.parabola, color=ORANGE, lw=1.2, ls="--", label="covariance")
-        axes.plot(one.value, one.deviance, color=BLUE, lw=1.6, label="profile")
-        axes.axhline(one.level, color=DARK, lw=0.7, ls=":")
-        ends = [end for end in one.interval if end is not None]
-        axes.vlines(ends, 0, one.level, color=BLUE, lw=0.7)
-        axes.plot(one.best, 0, marker="o", color=RED, markersize=4, clip_on=False)
-        if one.logarithmic:
+    for i, (axes, curve) in enumerate(zip(cells, curves, strict=False)):
+        axes.plot(curve.value, curve.parabola, color=ORANGE, lw=1.2, ls="--", label="covariance")
+        axes.plot(curve.value, curve.deviance, color=BLUE, lw=1.6, label="profile")
+        axes.axhline(curve.level, color=DARK, lw=0.7, ls=":")
+        ends = [end for end in curve.interval if end is not None]
+        axes.vlines(ends, 0, curve.level, color=BLUE, lw=0.7)
+        axes.plot(curve.best, 0, marker="o", color=RED, markersize=4, clip_on=False)
+        if curve.logarithmic:
             axes.set_xscale("log")
         else:
             axes.locator_params(axis="x", nbins=4)
         axes.locator_params(axis="y", nbins=5)
-        axes.set_ylim(0, 2.2 * one.level)
-        tidy(axes, one.label, r"$-2\,\Delta\log L$" * (i % 2 == 0))
+        axes.set_ylim(0, 2.2 * curve.level)
+        tidy(axes, curve.label, r"$-2\,\Delta\log L$" * (i % 2 == 0))
     for axes in cells[len(curves) :]:
         axes.remove()
     handles, labels = cells[0].get_legend_handles_labels()
