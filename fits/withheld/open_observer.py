@@ -25,9 +25,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.optimize import least_squares
 from scipy.special import logsumexp, ndtr
-from scipy.stats import norm, qmc
+from scipy.stats import norm, qmc, truncnorm
 
 from fits.withheld import bound, observer
+from fits.withheld.designs import DESIGNS, Design
 from fits.withheld.effects import EFFECTS
 from fits.withheld.judge import judge
 from fits.withheld.library import Inputs, plain_world, predict_together, spread
@@ -45,13 +46,15 @@ PRIOR = {"null": 1 / 7, "listed": 2 / 7, "beside": 2 / 7, "alone": 2 / 7}
 unlisted effects alone are procedural."""
 
 LAWS = 6  # of the noise without an effect, equally frequent
-DRAWS = {"procedural": 11, "tread_blocks": 11, "chatter": 10}
+DRAWS = {"procedural": 11, "tread_blocks": 11, "chatter": 12}
 OF_KIND = 6  # binary logarithm of the number of draws of every other kind
 PARENTS, VARIANTS = 40, 10  # the best draws, and changed copies of each
-ALONE, BESIDE, TRUE = 16, 6, 2  # refits: of shapes alone, beside a listed effect, of the truth
+ALONE, BESIDE, TRUE = 12, 6, 3  # refits: of shapes alone, beside a listed effect, of the truth
 FAR = 20.0  # log weight below the best of a draw that is not refitted
 NUMBERS = 16  # at most, of a draw
 STEP = 0.01  # of a number between 0 and 1, in a derivative: some rows for a threshold
+FINE = {"chatter": 3e-4, "tread_blocks": 3e-4, "waves": 2e-3}  # the same of many waves
+SCATTER = (0.1, 0.03)  # of the numbers of changed copies, in turn
 SIZES = (0.4, 1.6)  # uniform, of an unlisted effect, in typical ones
 TYPICAL = 0.05  # of the kinds that are not procedural
 LIKELY, PERHAPS = 0.5, 0.1  # probability of an effect that is named, and of a possible one
@@ -172,14 +175,14 @@ def _drawn(x: Inputs, generator) -> list[Shape]:
     return shapes
 
 
-def _varied(pool: _Pool, places: Sequence[int], generator) -> list[Shape]:
+def _varied(pool: _Pool, places: Sequence[int], scatter: float, generator) -> list[Shape]:
     """Copies with other continuous numbers, half of them also with another gate."""
     shapes = []
     for k in dict.fromkeys(places):
         shape, draws = pool.shapes[k], pool.draws[k]
         for number in range(VARIANTS):
             numbers = shape.numbers.copy()
-            moved = numbers[draws.free] + 0.1 * generator.standard_normal(len(draws.free))
+            moved = numbers[draws.free] + scatter * generator.standard_normal(len(draws.free))
             numbers[draws.free] = np.abs(1 - np.abs(1 - np.abs(moved)))
             if number % 2 and draws.gate:
                 numbers[draws.gate :] = generator.uniform(size=NUMBERS - draws.gate)
@@ -211,10 +214,13 @@ def _beside(pool: _Pool, own: np.ndarray, left: np.ndarray) -> np.ndarray:
     return found
 
 
-def _refitted(x: Inputs, force: np.ndarray, seen, keys: tuple, shape: Shape, free) -> float:
+def _refitted(x: Inputs, force: np.ndarray, seen, keys: tuple, pool: _Pool, place: int) -> float:
     """Log evidence of an unlisted effect with (or without) listed keys, by a joint fit of c,
     mu, the amplitudes and the continuous numbers of the unlisted effect."""
-    n, free = len(keys), np.array(free, int)
+    shape, about = pool.shapes[place], pool.about[place][0]
+    n, free = len(keys), np.array(pool.draws[place].free, int)
+    waves = "waves" if "periodic" in about or about == "ripple" else about
+    small = FINE.get(waves, STEP)
     varies = varying(plain_world(x, x.slip, seen.c, seen.mu))
 
     def missed(p):
@@ -240,7 +246,8 @@ def _refitted(x: Inputs, force: np.ndarray, seen, keys: tuple, shape: Shape, fre
     def slopes(p):
         at, out = missed(p), []
         for k in range(len(p)):
-            step = STEP if p[k] + STEP < high[k] else -STEP
+            step = small if k > 2 + n else STEP
+            step = step if p[k] + step < high[k] else -step
             out.append((missed(p + step * (np.arange(len(p)) == k)) - at) / step)
         return np.array(out).T
 
@@ -265,7 +272,7 @@ def _null(x: Inputs, force: np.ndarray, seen) -> float:
     independent normal noise (also where only the slip has noise)."""
     n, rest = len(x.slip), seen.misses * seen.std
     slip_std, force_std, moment_std = x.stds
-    clean = spread(x, seen.c, seen.mu)
+    clean = seen.std
 
     def normal(std) -> float:
         return float(-0.5 * np.sum((rest / std) ** 2) - np.sum(np.log(std)))
@@ -302,9 +309,9 @@ def _null(x: Inputs, force: np.ndarray, seen) -> float:
 def _rounded(x: Inputs, seen) -> float:
     """Log evidence of a slip that was rounded before its noise was added, over every step;
     none in sweeps whose slip moves evenly, which also lies on a grid."""
-    slip_std = max(x.stds[0], 1e-6)
+    slip_std = np.maximum(x.stds[0], 1e-6)
     bends = np.abs(np.diff(x.slip, 2))
-    if "sweeps" in x.properties and np.median(bends) < 4 * slip_std:
+    if "sweeps" in x.properties and np.median(bends) < 4 * np.max(slip_std):
         return -np.inf
     exact = spread(replace(x, stds=(0.0, *x.stds[1:])), seen.c, seen.mu)
     steep = np.sqrt(np.maximum(seen.std**2 - exact**2, 0)) / slip_std
@@ -317,6 +324,20 @@ def _rounded(x: Inputs, seen) -> float:
         rest = seen.misses * seen.std / std
         found.append(float(np.sum(near) - 0.5 * rest @ rest - np.sum(np.log(std / seen.std))))
     return float(logsumexp(found) - np.log(len(steps)))
+
+
+def with_known_range(x: Inputs, design: Design) -> Inputs:
+    """The inputs with the expected slips: those of steady points are drawn evenly from the
+    range of the design, so that slips logged near its ends, or beyond, were inside."""
+    std = x.stds[0]
+    if design.order != "random" or not std:
+        return x
+    low, high = ((end - x.slip) / std for end in (design.lowest, design.highest))
+    mean, variance = truncnorm.stats(np.minimum(low, high - 1e-3), high, x.slip, std)
+    inside = (low < 8) & (high > -8)
+    slip = np.where(inside, mean, np.clip(x.slip, design.lowest, design.highest))
+    widths = np.sqrt(np.where(inside, variance, 0.0))
+    return replace(x, slip=slip, stds=(np.maximum(widths, 1e-6), *x.stds[1:]))
 
 
 class Observed(NamedTuple):
@@ -355,9 +376,10 @@ def observed(
     own = seen.shapes - unit @ (unit.T @ seen.shapes)
     left = seen.misses - unit @ (unit.T @ seen.misses)
     pool = _pool(x, seen, _drawn(x, generator), unit)
-    first = [_alone(pool, left) + pool.log_prior, _beside(pool, own, left).max(0)]
-    parents = [k for values in first for k in _best(values, pool.about, PARENTS)]
-    pool = pool.joined(_pool(x, seen, _varied(pool, parents, generator), unit))
+    for scatter in SCATTER:
+        first = [_alone(pool, left) + pool.log_prior, _beside(pool, own, left).max(0)]
+        parents = [k for values in first for k in _best(values, pool.about, PARENTS)]
+        pool = pool.joined(_pool(x, seen, _varied(pool, parents, scatter, generator), unit))
     kinds = len(_kinds(x)) + 1
     named = np.array([about[0] for about in pool.about])
     drawn = np.array([shape.kind == "procedural" for shape in pool.shapes])
@@ -374,14 +396,15 @@ def observed(
 
     def refit(keys: tuple, k: int, first: float, prior: float, always: bool) -> None:
         if always or first + prior > max(v for of in logs.values() for v in of) - FAR:
-            value = _refitted(x, force, seen, keys, pool.shapes[k], pool.draws[k].free)
+            value = _refitted(x, force, seen, keys, pool, k)
             logs.setdefault((tuple(e for e, *_ in keys), True), []).append(value + prior)
 
     nothing = -0.5 * float(left @ left)
     alone = _alone(pool, left) + nothing
     for always in (True, False):
         of = np.where(named == kind, alone, -np.inf) if always else alone
-        for k in _best(of + of_kind, pool.about, TRUE if always else ALONE):
+        apart = range(len(of)) if always else pool.about
+        for k in _best(of + of_kind, apart, TRUE if always else ALONE):
             if np.isfinite(of[k]) and (always or named[k] != kind):
                 refit((), k, alone[k], of_kind[k] + np.log(PRIOR["alone"] / 2), always)
     beside = _beside(pool, own, left) + nothing
@@ -403,16 +426,16 @@ def _with_listed(
     best = {e: value[effects == e].max() for e in dict.fromkeys(effects)}
     wanted = sorted(best, key=best.get, reverse=True)[:BESIDE]
     chosen = []
-    for effect in dict.fromkeys([*wanted, *truth[:1]]):
+    for effect in dict.fromkeys([*wanted, *(e for e in truth[:1] if e in best)]):
         ours = np.flatnonzero(effects == effect)
         options = [value[ours]]
         if [effect] == [*truth]:  # the best with the true description, whatever else is better
             true = np.array([about[0] == kind for about in pool.about])
             options.append(np.where(true, value[ours], -np.inf))
-        for option in options:
+        for option, apart in zip(options, (pool.about, range(len(pool.about))), strict=False):
             of_draw = option.max(0)
             count = TRUE if effect in (*truth, *wanted[:2]) else 1
-            for k in _best(of_draw, pool.about, count):
+            for k in _best(of_draw, apart, count):
                 if np.isfinite(of_draw[k]):
                     chosen.append((int(ours[option[:, k].argmax()]), k))
     return [*dict.fromkeys(chosen)]
@@ -500,17 +523,22 @@ def rows(labels: Mapping, found: Mapping[str, Observed], answers: Mapping) -> li
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--trials", type=int, default=10_000, help="the first so many")
+    parser.add_argument("--first", type=int, default=0, help="number of the first trial")
+    parser.add_argument("--trials", type=int, default=10_000, help="the first so many of these")
+    parser.add_argument("--rows", type=int, help="of these, those with so many rows")
     given = parser.parse_args(arguments)
     labels = json.loads((given.folder / "labels.json").read_text())
     kept = given.folder / "observed"
     kept.mkdir(exist_ok=True)
     found, answers = {}, {}
-    for name in sorted(labels)[: given.trials]:
+    for name in sorted(labels)[given.first :][: given.trials]:
         label, path = labels[name], kept / f"{name}.json"
+        if given.rows and label["n"] != given.rows:
+            continue
         if not path.exists():
             trial = bound._trial(given.folder, label)
-            seen = observed(trial.x, trial.observed, label["effects"], label["kind"])
+            x = with_known_range(trial.x, DESIGNS[label["design"]])
+            seen = observed(x, trial.observed, label["effects"], label["kind"])
             path.write_text(json.dumps([[*key, p] for key, p in seen.sets.items()]))
         found[name] = Observed({(tuple(e), u): p for e, u, p in json.loads(path.read_text())})
         answer = (given.folder / "answers" / label["file"]).with_suffix(".json")
