@@ -426,18 +426,21 @@ def _with_listed(
     best = {e: value[effects == e].max() for e in dict.fromkeys(effects)}
     wanted = sorted(best, key=best.get, reverse=True)[:BESIDE]
     chosen = []
-    for effect in dict.fromkeys([*wanted, *(e for e in truth[:1] if e in best)]):
+
+    def choose(ours: np.ndarray, values: np.ndarray, apart: Sequence, count: int) -> None:
+        of_draw = values.max(0)
+        for k in _best(of_draw, apart, count):
+            if np.isfinite(of_draw[k]):
+                chosen.append((int(ours[values[:, k].argmax()]), k))
+
+    for effect in wanted:
         ours = np.flatnonzero(effects == effect)
-        options = [value[ours]]
-        if [effect] == [*truth]:  # the best with the true description, whatever else is better
-            true = np.array([about[0] == kind for about in pool.about])
-            options.append(np.where(true, value[ours], -np.inf))
-        for option, apart in zip(options, (pool.about, range(len(pool.about))), strict=False):
-            of_draw = option.max(0)
-            count = TRUE if effect in (*truth, *wanted[:2]) else 1
-            for k in _best(of_draw, apart, count):
-                if np.isfinite(of_draw[k]):
-                    chosen.append((int(ours[option[:, k].argmax()]), k))
+        choose(ours, value[ours], pool.about, TRUE if effect in wanted[:2] else 1)
+    true = np.array([about[0] == kind for about in pool.about])
+    for form in dict.fromkeys(key[1] for key in keys if [key[0]] == [*truth]):
+        ours = np.array([i for i, key in enumerate(keys) if key[1] == form])
+        choose(ours, value[ours], pool.about, 1)
+        choose(ours, np.where(true, value[ours], -np.inf), range(len(true)), TRUE)
     return [*dict.fromkeys(chosen)]
 
 
@@ -507,8 +510,16 @@ def rows(labels: Mapping, found: Mapping[str, Observed], answers: Mapping) -> li
     }
     out = []
     for name, field in figures.items():
-        out.append([name, *(mean_of([scored[k][field] for k in of]) for of in groups.values())])
-        values = (mean_of([getattr(judged[k], field) for k in of]) for of in groups.values())
+
+        def cell(score, names: Sequence[str], field=field) -> str:
+            """Of the trials to which the figure applies."""
+            of = [k for k in names if labels[k]["effects"] or field in ("of_truth", "right")]
+            if field.startswith("exact"):
+                of = [k for k in of if world_of(labels[k]) == "listed"]
+            return mean_of([score(k, field) for k in of])
+
+        out.append([name, *(cell(lambda k, field: scored[k][field], of) for of in groups.values())])
+        values = (cell(lambda k, field: getattr(judged[k], field), of) for of in groups.values())
         out.append(["- answered", *values])
     squares = {
         "Brier score of `each`, own effects": own,
