@@ -1,12 +1,23 @@
 """The ideal observer of the open mix."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
 from fits.withheld import library, observer, patch, trials
 from fits.withheld.designs import DESIGNS, make_world
-from fits.withheld.open_observer import Observed, Replay, Shape, _null, observed, rows
+from fits.withheld.open_observer import (
+    Observed,
+    Replay,
+    Shape,
+    _null,
+    _rounded,
+    observed,
+    rows,
+    with_known_range,
+)
 from fits.withheld.procedural import procedural, varying
 
 C, MU = 5e4, 0.9
@@ -80,6 +91,31 @@ def test_the_evidence_of_no_effect_is_the_density_of_the_noise():
     stated = norm.pdf(rest, scale=clean)
     ratio = np.mean(by_law) / stated.prod() * np.exp(-0.5 * np.sum((rest / seen.std) ** 2))
     assert _null(x, force, seen) == pytest.approx(np.log(ratio), abs=1e-6)
+
+
+def test_slips_near_the_ends_of_the_range_are_expected_inside():
+    """By sums over a grid of true slips, evenly probable from 0 to 0.05."""
+    _, _, x = setting(60)
+    slips, std = np.linspace(-0.008, 0.058, 60), 0.004
+    x = replace(x, slip=slips, stds=(std, *x.stds[1:]))
+    found = with_known_range(x, DESIGNS["A"])
+    true = np.linspace(0, 0.05, 20_001)
+    for k in (0, 10, 30, 59):
+        weight = norm.pdf(slips[k], true, std)
+        mean = weight @ true / weight.sum()
+        assert found.slip[k] == pytest.approx(mean, abs=2e-6)
+        width = np.sqrt(weight @ (true - mean) ** 2 / weight.sum())
+        assert found.stds[0][k] == pytest.approx(width, rel=1e-3)
+    assert with_known_range(x, DESIGNS["G"]) is x
+
+
+def test_rounded_slips_are_recognised():
+    g, world, x = setting(100)
+    rounded = replace(x, slip=0.02 * np.round(world.slip / 0.02) + 0.001 * g.normal(size=100))
+    for inputs, sign in ((rounded, 1), (x, -1)):
+        force = library.predict_together(x, [], C, MU) + 0.01 * x.fz * g.normal(size=100)
+        seen = observer._screen(inputs, force)
+        assert sign * (_rounded(inputs, seen) + 0.5 * seen.misses @ seen.misses) > 10
 
 
 def test_numbers_replace_the_generator():
