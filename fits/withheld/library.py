@@ -3,7 +3,7 @@
 Textbook forms only, on the bristle patch of ``patch.py``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,17 @@ from scipy.optimize import least_squares
 from fits.withheld.effects import EFFECTS
 from fits.withheld.patch import World, forces, plain_brush
 
-__all__ = ["Inputs", "STEP_TIMES", "base_fit", "mimic_free", "predict", "shapes", "spread"]
+__all__ = [
+    "Inputs",
+    "STEP_TIMES",
+    "base_fit",
+    "mimic_free",
+    "predict",
+    "predict_together",
+    "shapes",
+    "spread",
+    "plain_world",
+]
 
 STEP_TIMES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the range in which a road may change
 
@@ -125,20 +135,29 @@ def predict(
     return _forces(x, x.slip, [part], c, mu)
 
 
-def predict_together(x: Inputs, parts: Sequence[tuple], c, mu) -> np.ndarray:
-    """The same for several (effect, form, amplitude, share) at once; changes of the logged
-    slip are inverted to first order."""
-    return _forces(x, x.slip, parts, c, mu)
+def predict_together(
+    x: Inputs, parts: Sequence[tuple], c, mu, more: Callable[[World], object] | None = None
+) -> np.ndarray:
+    """The same for several (effect, form, amplitude, share) at once, and ``more``, a change of
+    the world after them; changes of the logged slip are inverted to first order."""
+    return _forces(x, x.slip, parts, c, mu, more=more)
 
 
-def _forces(x: Inputs, slip, parts, c, mu, behind: bool = True) -> np.ndarray:
-    world = World(
+def plain_world(x: Inputs, slip, c, mu) -> World:
+    """A plain tire with these inputs."""
+    return World(
         x.time, x.run, slip, x.fz, x.v, x.force, c, mu, cross=x.cross, gamma=x.gamma,
         temperature=x.temperature, inflation=x.inflation, across=x.across,
         moment=x.moment,
     )  # fmt: skip
+
+
+def _forces(x: Inputs, slip, parts, c, mu, behind: bool = True, more=None) -> np.ndarray:
+    world = plain_world(x, slip, c, mu)
     for effect, form, amplitude, share in parts:
         EFFECTS[effect].forms[form](world, amplitude, _Share(share))
+    if more:
+        more(world)
     if parts and behind:
         world.slip = _slip_behind(world)
     out = forces(world)

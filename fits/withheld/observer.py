@@ -82,22 +82,23 @@ def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> _Fit:
         diff_step=1e-3,
         x_scale=[0.1, 0.1, *[0.3] * n],
     )
-    value = -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
+    value = -fit.cost + laplace(fit.jac[:, 2:], fit.jac[:, :2])
     return _Fit(fit.x, np.array(low), np.array(high), fit.jac, value)
 
 
-def _laplace(along: np.ndarray, base: np.ndarray) -> float:
+def laplace(along: np.ndarray, base: np.ndarray, ranges=np.log(HIGH / LOW)) -> float:
     """Log of the posterior over the prior width of the amplitudes.
 
     Args:
         along: (n, k) or (n,) whitened change with the logarithm of each amplitude.
         base: (n, 2) of the parameters.
+        ranges: prior width of each.
     """
     along = along.reshape(len(along), -1)
     left = along - base @ np.linalg.lstsq(base, along, rcond=None)[0]
     lengths = np.abs(np.diag(np.linalg.qr(left)[1]))
     widths = np.sqrt(2 * np.pi) / np.maximum(lengths, 1e-9)
-    return float(np.sum(np.log(np.minimum(widths / np.log(HIGH / LOW), 1.0))))
+    return float(np.sum(np.log(np.minimum(widths / ranges, 1.0))))
 
 
 class _Screen(NamedTuple):
@@ -133,7 +134,7 @@ def _first_of_one(seen: _Screen) -> dict[tuple, float]:
         size = np.linalg.lstsq(columns / scale, seen.misses, rcond=None)[0] / scale
         left = seen.misses - np.clip(size[2], LOW, HIGH) * shape
         left -= seen.base @ np.linalg.lstsq(seen.base, left, rcond=None)[0]
-        first[key] = -0.5 * float(left @ left) + _laplace(shape, seen.base)
+        first[key] = -0.5 * float(left @ left) + laplace(shape, seen.base)
     return first
 
 
@@ -147,20 +148,35 @@ def _first_of_two(seen: _Screen) -> dict[tuple[tuple, tuple], float]:
     one, two = np.nonzero(np.triu(families[:, None] != families, 1))
     a, b, ab = gram[one, one] + 1e-12, gram[two, two] + 1e-12, gram[one, two]
     of_one, of_two = score[one], score[two]
+    gained = gained_by_two(a, b, ab, of_one, of_two) - 0.5 * rest @ rest
+    keys = seen.keys
+    return {(keys[i], keys[j]): float(v) for i, j, v in zip(one, two, gained, strict=True)}
+
+
+def gained_by_two(
+    a, b, ab, of_one, of_two, bounds=(LOW, HIGH), ranges=(np.log(HIGH / LOW),) * 2, steps=20
+) -> np.ndarray:
+    """Log evidence of two columns over none.
+
+    Args:
+        a, b, ab: products of the columns, projected on what the parameters cannot fit.
+        of_one, of_two: their products with the residual.
+        bounds: of the second amplitude; the first is between LOW and HIGH.
+        ranges: prior widths of the two.
+        steps: of the search of the best amplitudes within their bounds.
+    """
     size = (b * of_one - ab * of_two) / np.maximum(a * b - ab**2, 1e-12)
-    for _ in range(20):  # each in turn, within its bounds
+    for _ in range(steps):  # each in turn, within its bounds
         size = np.clip(size, LOW, HIGH)
-        other = np.clip((of_two - ab * size) / b, LOW, HIGH)
+        other = np.clip((of_two - ab * size) / b, *bounds)
         size = (of_one - ab * other) / a
     size = np.clip(size, LOW, HIGH)
     energy = size * size * a + other * other * b + 2 * size * other * ab
     gained = size * of_one + other * of_two - 0.5 * energy
-    lengths = np.sqrt([a, np.maximum(b - ab**2 / a, 0)])
-    widths = np.sqrt(2 * np.pi) / np.maximum(lengths, 1e-9)
-    gained += np.log(np.minimum(widths / np.log(HIGH / LOW), 1.0)).sum(axis=0)
-    gained -= 0.5 * rest @ rest
-    keys = seen.keys
-    return {(keys[i], keys[j]): float(v) for i, j, v in zip(one, two, gained, strict=True)}
+    for length, width in ((a, ranges[0]), (np.maximum(b - ab**2 / a, 0), ranges[1])):
+        of = np.sqrt(2 * np.pi / np.maximum(length, 1e-18)) / width
+        gained = gained + np.log(np.minimum(of, 1.0))
+    return gained
 
 
 def _draws(key: tuple) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fits.withheld.judge import Outcome, kind_of
 
-__all__ = ["WORLDS", "mix_rows", "world_of"]
+__all__ = ["WORLDS", "mean_of", "mix_rows", "world_of"]
 
 WORLDS = ("listed", "beside", "alone", "null", "all")
 SETS = {
@@ -32,7 +32,7 @@ def world_of(label: Mapping) -> str | None:
     return None if label["set"] in ("injected", "raw") else SETS[kind_of(label)]
 
 
-def _mean(values: Sequence[float]) -> str:
+def mean_of(values: Sequence[float]) -> str:
     """``.12 ± .03 (40)``; ``-`` without values."""
     if not len(values):
         return "-"
@@ -55,17 +55,17 @@ def _claims(outcomes: Sequence[Outcome]) -> list[tuple[float, bool]]:
 
 
 FIGURES: dict[str, Callable[[Sequence[Outcome]], str]] = {
-    "absent effects at > .8, per trial": lambda of: _mean(
+    "absent effects at > .8, per trial": lambda of: mean_of(
         [sum(p > STATED and not there for p, there in o.each) for o in of]
     ),
-    "Brier score of `each`": lambda of: _mean([(p - there) ** 2 for p, there in _claims(of)]),
+    "Brier score of `each`": lambda of: mean_of([(p - there) ** 2 for p, there in _claims(of)]),
     "calibration error of `each`": lambda of: _calibration(_claims(of)),
-    "mean probability on the true verdict": lambda of: _mean([o.of_truth for o in of]),
-    "the same where a gap is claimed": lambda of: _mean([o.of_truth for o in of if o.flagged]),
-    "verdict right": lambda of: _mean([o.right for o in of]),
-    "all listed effects named": lambda of: _mean([o.named for o in of]),
-    "a gap is claimed": lambda of: _mean([o.flagged for o in of]),
-    "sizes inside 2 errors": lambda of: _mean([inside for o in of for inside in o.sizes]),
+    "mean probability on the true verdict": lambda of: mean_of([o.of_truth for o in of]),
+    "the same where a gap is claimed": lambda of: mean_of([o.of_truth for o in of if o.flagged]),
+    "verdict right": lambda of: mean_of([o.right for o in of]),
+    "all listed effects named": lambda of: mean_of([o.named for o in of]),
+    "a gap is claimed": lambda of: mean_of([o.flagged for o in of]),
+    "sizes inside 2 errors": lambda of: mean_of([inside for o in of for inside in o.sizes]),
 }
 
 

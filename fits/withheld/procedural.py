@@ -12,7 +12,7 @@ import numpy as np
 
 from fits.withheld.patch import World
 
-__all__ = ["PARAMETERS", "QUANTITIES", "SHAPES", "procedural"]
+__all__ = ["PARAMETERS", "QUANTITIES", "SHAPES", "procedural", "varying"]
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
@@ -127,13 +127,19 @@ def _strange_shapes(parameter: str, quantity: str) -> list[str]:
     return [shape for shape in shapes if shape not in known]
 
 
-def procedural(world: World, size: float, g) -> str:
+def varying(world: World) -> list[str]:
+    """Quantities that take more than eight values."""
+    return [name for name, q in QUANTITIES.items() if len(np.unique(q(world))) > 8]
+
+
+def procedural(world: World, size: float, g, varies: list[str] | None = None) -> str:
     """Applies a random unlisted effect to the world and returns its description.
 
     Args:
         size: of the change, in the units of :data:`PARAMETERS`.
+        varies: quantities to choose from; those that vary by default.
     """
-    varies = [name for name, q in QUANTITIES.items() if len(np.unique(q(world))) > 8]
+    varies = varies or varying(world)
     quantity = str(g.choice(varies))
     parameter = str(g.choice(list(PARAMETERS)))
     shape = str(g.choice(_strange_shapes(parameter, quantity)))
