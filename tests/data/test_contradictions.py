@@ -247,9 +247,8 @@ def test_a_consistent_log_gives_only_one_line(tmp_path, name, columns, extra):
 
 
 def pair(result, channel, against):
-    (found,) = [
-        p for p in result.compared.as_dicts() if (p["channel"], p["against"]) == (channel, against)
-    ]
+    each = [agreement.as_dict() for agreement in result.compared.pairs]
+    (found,) = [p for p in each if (p["channel"], p["against"]) == (channel, against)]
     return found
 
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from tirefit.data.columns import is_number
 from tirefit.data.readers.cells import Column, parsed
-from tirefit.data.readers.own_tables import own_table
 from tirefit.data.signs import evidence_of, fitting_conventions
 from tirefit.data.units import base_column
 from tirefit.data.vehicle.vehicle_log import vehicle_log
@@ -23,10 +22,8 @@ from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
 SHOWN = 5  # rows of one fault that are listed; the others are counted
 
-_NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
 _LARGEST = 1e100  # no measurement; its square still fits in a float
-_NO_LOAD = 1e-6  # N, below which no tire is loaded and no quotient is a number
 _OR_MASK = ", or mask bad rows with --mask-bad-rows"
 _CORRECT = f"correct the row{_OR_MASK}"
 _CLOCK = re.compile(r"\d{1,2}:\d{2}|\d{1,4}([-./])\d{1,2}\1\d{1,4}(\D|$)")
@@ -48,6 +45,23 @@ INFINITE = "is infinite"
 NO_VALUE, NO_RUN = "the value is not available", "is not a run's name"
 _MISSING = (_EMPTY, _NOT_A_NUMBER, NO_VALUE, NO_RUN)
 """Rules that cells without a value break: their rows are excluded, not refused."""
+
+
+_OWN_TABLES = {
+    frozenset(("segment", "first_line", "last_line", "kept")): (
+        "the table of segments that tirefit prepare writes beside the rows to fit",
+        "give NAME.csv, not NAME.segments.tsv",
+    ),
+    frozenset(("masked",)): (
+        "the table of rows of tirefit diagnose: forces of models, not measurements",
+        "give the file that was diagnosed, not NAME.rows.csv",
+    ),
+    frozenset(("controller", "seed", "stopping_distance")): (
+        "the table of stops of tirefit brake",
+        "give series.csv, which has every sample",
+    ),
+}
+"""Headers of a table that tirefit wrote beside its results -> what it is, and the remedy."""
 
 
 class BadRows(NamedTuple):
@@ -72,26 +86,7 @@ class Rule(NamedTuple):
     column: str
     is_bad: Callable[[np.ndarray], np.ndarray]
     rule: str
-    remedy: str
-
-
-def _slip_rule(name: str) -> Rule:
-    return Rule(
-        name,
-        lambda slip: abs(slip) > _NEARLY_ONE,
-        f"is out of the physical range: |{name}| <= 1",
-        f"if the column is in percent: --unit {name}=%; if it is defined otherwise:"
-        " --slip sigma_x or --slip slip_ratio; " + _CORRECT,
-    )
-
-
-def _angle_rule(name: str) -> Rule:
-    return Rule(
-        name,
-        lambda angle: abs(angle) > np.pi / 2,
-        f"is out of range: |{name}| <= pi/2 rad",
-        f"if the column is in degrees: --unit {name}=deg; " + _CORRECT,
-    )
+    remedy: str = ""  # if the column is right; else the row is to be corrected
 
 
 _RULES = (
@@ -99,15 +94,32 @@ _RULES = (
         "sigma_x",
         lambda sigma: (sigma < _LOWEST_SIGMA) | ((sigma > 5) & (sigma < LOCKED)),
         "is out of the physical range: -1 <= sigma_x <= 5",
-        "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x:"
-        " --slip kappa; " + _CORRECT,
+        "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x: --slip kappa; ",
     ),
-    *(_slip_rule(name) for name in SLIP_DEFINITIONS if name != "sigma_x"),
-    _angle_rule("alpha"),
-    _angle_rule("gamma"),
-    Rule("fz", lambda load: load < _NO_LOAD, "is not a load: fz > 0 is needed", _CORRECT),
-    Rule("v", lambda speed: speed < 0, "is a negative speed", _CORRECT),
-    Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed", _CORRECT),
+    *(
+        Rule(
+            name,
+            lambda slip: abs(slip) > 1 + 1e-6,
+            f"is out of the physical range: |{name}| <= 1",
+            f"if the column is in percent: --unit {name}=%; if it is defined otherwise:"
+            " --slip sigma_x or --slip slip_ratio; ",
+        )
+        for name in SLIP_DEFINITIONS
+        if name != "sigma_x"
+    ),
+    *(
+        Rule(
+            name,
+            lambda angle: abs(angle) > np.pi / 2,
+            f"is out of range: |{name}| <= pi/2 rad",
+            f"if the column is in degrees: --unit {name}=deg; ",
+        )
+        for name in ("alpha", "gamma")
+    ),
+    # Below 1e-6 N no tire is loaded and no quotient is a number.
+    Rule("fz", lambda load: load < 1e-6, "is not a load: fz > 0 is needed"),
+    Rule("v", lambda speed: speed < 0, "is a negative speed"),
+    Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed"),
 )
 
 
@@ -140,7 +152,7 @@ def range_faults(
     """
     faults = []
     stds = (
-        Rule(name, lambda std: std <= 0, "is not a standard deviation: > 0 is needed", _CORRECT)
+        Rule(name, lambda std: std <= 0, "is not a standard deviation: > 0 is needed")
         for name in columns
         if name.endswith("_std")
     )
@@ -149,27 +161,20 @@ def range_faults(
         rows = np.flatnonzero(rule.is_bad(values))
         if not len(rows):
             continue
-        text, remedy = rule.rule, rule.remedy
+        text, remedy = rule.rule, rule.remedy + _CORRECT
         if rule.column == "fz" and np.nanmedian(values) < 0:
             text, remedy = _load_hint(text, columns, convention)
-        if rule.column == "sigma_x" and not _looks_like_percent(values):
-            text, remedy = _MIRRORED
+        if rule.column == "sigma_x":
+            low, high = np.nanmin(values), np.nanmax(np.where(values < LOCKED, values, np.nan))
+            # Else some sign convention has the slips in range: they are no percentages.
+            if not (low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)):
+                text = "is below -1, where the wheel would have to travel backwards"
+                remedy = "if driving slip is positive in the file: --convention iso-w, sae or"
+                remedy += f" adapted-sae; {_CORRECT}"
         raw = [f"{value:.6g}" for value in shown[rule.column][rows]]
         header = headers.get(rule.column, f"--constant {rule.column}")
         faults.append(BadRows(header, rows, raw, text, remedy, is_systematic=True))
     return faults
-
-
-_MIRRORED = (
-    "is below -1, where the wheel would have to travel backwards",
-    "if driving slip is positive in the file: --convention iso-w, sae or adapted-sae; " + _CORRECT,
-)
-
-
-def _looks_like_percent(sigma: np.ndarray) -> bool:
-    """Whether the slips are out of range in every sign convention."""
-    low, high = np.nanmin(sigma), np.nanmax(np.where(sigma < LOCKED, sigma, np.nan))
-    return low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)
 
 
 def _load_hint(text: str, columns: Mapping[str, np.ndarray], convention: str) -> tuple[str, str]:
@@ -243,14 +248,13 @@ def check_columns(
     problems: list[InputProblem] = []
     has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
     has_force = {"fx", "fy", "mz"} & set(columns)
-    own = None if has_slip and has_force else own_table(headers, file)
-    if own is not None:
-        return [own]
+    for own, (what, remedy) in {} if has_slip and has_force else _OWN_TABLES.items():
+        if own <= set(headers):
+            return [InputProblem(f"this is {what}", remedy, file)]
     # A log may have a sideslip angle that is read as alpha, so look for a force.
     no_tire = not has_slip or (forces and "fz" not in columns)
     if no_tire and not (has_force or idle):
-        log = vehicle_log(headers, file, not has_slip, units)
-        if log is not None:
+        if log := vehicle_log(headers, file, not has_slip, units):
             return [log]
     header_list = ", ".join(repr(header) for header in headers)
     if len(headers) == 1:
@@ -342,8 +346,7 @@ def read_numbers(
     for kind, there in kinds.items():
         rows, texts = zip(*there, strict=True)
         remedy = _OF_WHOLE_COLUMN.get(kind) if len(there) == whole else None
-        is_systematic = remedy is not None
-        faults.append(BadRows(header, rows, texts, kind, remedy or _CORRECT, is_systematic))
+        faults.append(BadRows(header, rows, texts, kind, remedy or _CORRECT, bool(remedy)))
     return np.where(is_sane, values, np.nan), faults
 
 

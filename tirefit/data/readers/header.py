@@ -72,7 +72,8 @@ def commented_header(lines: Sequence[str]) -> tuple[int, str] | None:
         Index and text without the mark of the last comment above the first line of
         numbers with as many cells, of which two are known; None without one.
     """
-    first = next((i for i, line in enumerate(lines) if not _is_comment(line)), 0)
+    texts = enumerate(line.lstrip() for line in lines)
+    first = next((i for i, text in texts if text and text[0] not in "#%"), 0)
     splits: list[Callable[[str], list[str]]] = [
         *(re.compile(mark).split for mark in ",;\t"),
         _words,
@@ -91,29 +92,19 @@ def commented_header(lines: Sequence[str]) -> tuple[int, str] | None:
     return None
 
 
-def _is_comment(line: str) -> bool:
-    return not line.strip() or line.lstrip()[0] in "#%"
-
-
 def spaced_head(lines: Sequence[str], header: list[str]) -> list[str]:
     """The first lines from the header, with each of its cells in quotation marks and each
     unit below it one word."""
     head = [" ".join(f'"{cell}"' for cell in header) + "\n"]
     for line in lines[1 : 1 + _BELOW]:
-        words = _TOKEN.findall(line)
-        head.append(" ".join(_joined_units(words, len(header))) + "\n")
+        words, joined = _TOKEN.findall(line), list[str]()
+        for word in words:
+            if joined and known_unit(joined[-1] + word) and len(word) < 3:  # deg C
+                joined[-1] += word
+            else:
+                joined.append(word)
+        head.append(" ".join(joined if len(joined) == len(header) else words) + "\n")
     return head
-
-
-def _joined_units(words: list[str], width: int) -> list[str]:
-    """Words of a row of units; ``deg C`` counts as one word if that gives ``width``."""
-    joined: list[str] = []
-    for word in words:
-        if joined and known_unit(joined[-1] + word) and len(word) < 3:
-            joined[-1] += word
-        else:
-            joined.append(word)
-    return joined if len(joined) == width else words
 
 
 def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
@@ -173,8 +164,12 @@ def find_header(
             continue
         is_title = split(first, best[index])[1] < widths[best[index]][1]
         header = index if is_title else first
-        words = _spaced_under_tabs(lines, header, best[header], is_known)
-        return header, SPACES if words else best[header], words
+        if best[header] == "\t" and not any(
+            "\t" in x for x in lines[header + 1 : header + _LONGEST]
+        ):
+            if spaced := _header_above_numbers(lines, [header], is_known):
+                return header, SPACES, spaced[1]
+        return header, best[header], []
     below = _header_above_numbers(lines, searched, is_known)
     if below and (below[0] != first or split(first, best[first])[1] == 1):
         return below[0], SPACES, below[1]
@@ -185,15 +180,6 @@ def find_header(
         if columns[-1] > columns[0] > 0 and not any(map(is_number, cells)):
             return header, delimiter, []
     return first, best[first], []
-
-
-def _spaced_under_tabs(
-    lines: Sequence[str], header: int, delimiter: str, is_known: Callable[[str], bool]
-) -> list[str]:
-    """Words of a header that has tabs while the rows below have none; else empty."""
-    tabs = any("\t" in line for line in lines[header + 1 : header + _LONGEST])
-    below = _header_above_numbers(lines, [header], is_known)
-    return below[1] if delimiter == "\t" and below and not tabs else []
 
 
 def counts_up(row: list[str]) -> bool:

@@ -70,22 +70,19 @@ def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]
             copy.write_bytes(content)
             with asammdf.MDF(copy) as mdf:
                 for channel in mdf.iter_channels():
-                    values = np.asarray(channel.samples)
+                    values, name = np.asarray(channel.samples), channel.name
                     if values.ndim != 1 or values.dtype.kind not in "fiub":
-                        left.append(f"{channel.name!r} (no numbers)")
-                    elif channel.name in signals:
-                        left.append(f"{channel.name!r} (again)")
+                        left.append(f"{name!r} (no numbers)")
+                    elif name in signals:
+                        left.append(f"{name!r} (again)")
                     elif len(values):
                         time = np.array(channel.timestamps, float)
-                        signal = Signal(time, values.astype(float), channel.unit or "")
-                        signals[channel.name] = signal
+                        signals[name] = Signal(time, values.astype(float), channel.unit or "")
     except Exception as error:  # asammdf raises many kinds on damaged files
         raise _damaged("MDF file", path, error) from error
     channels = on_one_clock(signals, is_known, str(path))
-    notes = ["read as a log of MDF", *channels.notes]
-    if left:
-        notes.append(f"channels not read: {', '.join(left)}")
-    return channels._replace(notes=tuple(notes))
+    unread = [f"channels not read: {', '.join(left)}"] if left else []
+    return channels._replace(notes=("read as a log of MDF", *channels.notes, *unread))
 
 
 def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
@@ -113,15 +110,12 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
             signals, left = _signals_of(place)
     except Exception as error:  # rosbags raises many kinds on damaged files
         raise _damaged("bag", path, error) from error
-    unread = f"topics not read: {', '.join(left)}"
+    unread = [f"topics not read: {', '.join(left)}"] if left else []
     if left and not signals:
         remedy = "record messages with numbers, and their definitions"
-        raise DataError(unread, remedy, str(path))
+        raise DataError(unread[0], remedy, str(path))
     channels = on_one_clock(signals, is_known, str(path))
-    notes = ["read as a bag of ROS messages", *channels.notes]
-    if left:
-        notes.append(unread)
-    return channels._replace(notes=tuple(notes))
+    return channels._replace(notes=("read as a bag of ROS messages", *channels.notes, *unread))
 
 
 def _damaged(kind: str, path: Place, error: Exception) -> DataError:
@@ -156,16 +150,18 @@ def _topic(
     messages: Iterable[tuple[Any, int, bytes]], topic: str, is_ros1: bool
 ) -> dict[str, Signal] | str:
     """Fields of the messages of a topic, or the reason why it has none to read."""
-    decoders: dict[int, Callable[[bytes], Any]] = {}
+    stores: dict[int, Any] = {}
     recorded: list[float] = []
     stamped: list[float] = []
     rows: list[dict[str, float]] = []
     for connection, nanoseconds, raw in messages:
         if len(raw) > _LARGEST_MESSAGE:
             return f"messages of {len(raw)} bytes"
-        if connection.id not in decoders:
-            decoders[connection.id] = _decoder(connection, is_ros1)
-        message = decoders[connection.id](raw)
+        if connection.id not in stores:
+            stores[connection.id] = _types_of(connection)
+        store = stores[connection.id]
+        decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+        message = decode(raw, connection.msgtype)
         recorded.append(nanoseconds / 1e9)
         stamped.append(_stamp(message))
         rows.append(dict(_fields(message)))
@@ -176,24 +172,21 @@ def _topic(
     return named or ("no numbers" if rows else "no messages")
 
 
-def _decoder(connection: Any, is_ros1: bool) -> Callable[[bytes], Any]:
-    """A function from bytes to a message. It uses the definition of the type in the bag,
-    or that of ROS 2 if the bag has none."""
+def _types_of(connection: Any) -> Any:
+    """The types of messages by their definition in the bag, or those of ROS 2 if it has none."""
     from rosbags import typesys
 
-    text, name = connection.msgdef.data, connection.msgtype
-    store = typesys.get_typestore(typesys.Stores.LATEST)
-    if text:
-        store = typesys.get_typestore(typesys.Stores.EMPTY)
-        if connection.msgdef.format.name == "IDL":
-            types: dict[str, Any] = {}
-            for part in re.split(r"=+\nIDL: .*\n", text):
-                types |= typesys.get_types_from_idl(part)
-        else:
-            types = typesys.get_types_from_msg(text, name)
-        store.register(types)
-    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-    return lambda raw: decode(raw, name)
+    text = connection.msgdef.data
+    if not text:
+        return typesys.get_typestore(typesys.Stores.LATEST)
+    store = typesys.get_typestore(typesys.Stores.EMPTY)
+    if connection.msgdef.format.name == "IDL":
+        parts = re.split(r"=+\nIDL: .*\n", text)
+        types = {k: v for part in parts for k, v in typesys.get_types_from_idl(part).items()}
+    else:
+        types = typesys.get_types_from_msg(text, connection.msgtype)
+    store.register(types)
+    return store
 
 
 def _stamp(message: Any) -> float:
@@ -243,15 +236,13 @@ def on_one_clock(
     best = max(clocks, key=clocks.__getitem__)
     base = np.frombuffer(best, float)
     columns = {"time": base - base[0]}
-    units = {"time": "s"}
+    units = {"time": "s"} | {n: signal.unit for n, signal in signals.items() if n != "time"}
     moved = []
     for name, signal in signals.items():
-        if name == "time":
-            continue
-        is_base = signal.time.tobytes() == best
-        columns[name] = signal.values if is_base else _moved(signal, base)
-        units[name] = signal.unit
-        moved += [] if is_base else [repr(name)]
+        if name != "time":
+            is_base = signal.time.tobytes() == best
+            columns[name] = signal.values if is_base else _moved(signal, base)
+            moved += [] if is_base else [repr(name)]
     notes = [f"time counts from {base[0]:.9g} s of the log"]
     if moved:
         notes.append(

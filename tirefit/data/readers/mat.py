@@ -58,17 +58,34 @@ def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) 
             many known columns.
     """
     is_hdf5 = content.startswith(_V73)
+    contents: dict[str, Any] = {}
     try:
-        contents = _of_hdf5(content) if is_hdf5 else _of_v5(content)
+        if is_hdf5:
+            import h5py  # 0.1 s
+
+            with h5py.File(io.BytesIO(content), "r") as hdf5:
+                named = [(key, item) for key, item in hdf5.items() if not key.startswith("#")]
+                contents = {key: _of_item(item, hdf5) for key, item in named}
+        else:
+            contents = _of_v5(content)
     except Exception as error:  # the readers raise many kinds on damaged files
         reason = f"the MATLAB file cannot be read: {error}"
         remedy = "save it again, or as version 7: save('file.mat', ..., '-v7')"
         raise DataError(reason, remedy, file) from error
     place, channels = _best(contents, file, is_known)
+    units: dict[str, str] = {}  # of a struct ``channel`` or ``units``
+    for name, struct in _structs(contents):
+        folded = {key.casefold(): value for key, value in struct.items()}
+        if name.split(".")[-1].casefold() == "units":
+            units |= {n: text for n, text in struct.items() if isinstance(text, str)}
+        names, texts = folded.get("name"), folded.get("units")
+        if isinstance(names, list) and isinstance(texts, list):
+            if len(names) == len(texts) and _are_texts(names + texts):
+                units |= dict(zip(names, texts, strict=True))
     version = "7.3" if is_hdf5 else "5"
     where = f", struct {place!r}" if place else ""
     notes = (f"read as a MATLAB file of version {version}{where}", *channels.notes)
-    return channels._replace(units=_stated(contents) | channels.units, notes=notes)
+    return channels._replace(units=units | channels.units, notes=notes)
 
 
 # --- the two formats, as plain values ----------------------------------------------
@@ -81,15 +98,13 @@ def _of_v5(content: bytes) -> dict[str, Any]:
     with warnings.catch_warnings():  # of objects, which are refused by name below
         warnings.simplefilter("ignore")
         raw = loadmat(io.BytesIO(content), chars_as_strings=True)
-    named = [(_name(key, value), value) for key, value in raw.items()]
-    return {key: _plain(value) for key, value in named if key[:2] != "__"}
-
-
-def _name(key: str, value: Any) -> str:
-    """The name of a variable that contains an object."""
-    if type(value).__name__ != "MatlabOpaque":
-        return key
-    return value.reshape(-1)[0]["s0"].decode()
+    contents = {}
+    for key, value in raw.items():
+        if type(value).__name__ == "MatlabOpaque":  # the name of a variable with an object
+            key = value.reshape(-1)[0]["s0"].decode()
+        if key[:2] != "__":
+            contents[key] = _plain(value)
+    return contents
 
 
 def _plain(value: Any) -> Any:
@@ -111,13 +126,6 @@ def _plain(value: Any) -> Any:
         texts = [str(text).rstrip() for text in value.reshape(-1)]
         return texts[0] if len(texts) == 1 else texts
     return value
-
-
-def _of_hdf5(content: bytes) -> dict[str, Any]:
-    import h5py  # 0.1 s
-
-    with h5py.File(io.BytesIO(content), "r") as file:
-        return {key: _of_item(item, file) for key, item in file.items() if not key.startswith("#")}
 
 
 def _of_item(item: Any, file: Any) -> Any:
@@ -154,7 +162,13 @@ def _best(
     scores = {place: sum(map(is_known, read[place].columns)) for place in read}
     best = [place for place in scores if scores[place] == max(scores.values())]
     if not best:
-        raise _nothing(contents, file)
+        listed = ", ".join(f"{name!r} ({_described(value)})" for name, value in contents.items())
+        reason = f"no columns in this MATLAB file: {listed or 'it is empty'}"
+        objects = [(n, value.kind) for n, value in contents.items() if isinstance(value, _Opaque)]
+        if objects:
+            kinds = ", ".join(f"{name!r} is a {kind}" for name, kind in objects)
+            reason = f"{kinds}, which only MATLAB can read"
+        raise DataError(reason, _HOW_TO_SAVE, file)
     if len(best) > 1 and scores[best[0]] and best[0]:
         listed = ", ".join(map(repr, best))
         reason = f"several structs hold columns that are known: {listed}"
@@ -266,27 +280,3 @@ def _described(value: Any) -> str:
     if hasattr(value, "nnz"):
         return "sparse matrix"
     return "text" if isinstance(value, str) else f"{type(value).__name__} of {len(value)}"
-
-
-def _stated(contents: Mapping[str, Any]) -> dict[str, str]:
-    """Units that a struct ``channel`` or ``units`` of the file states, by column."""
-    units: dict[str, str] = {}
-    for place, struct in _structs(contents):
-        folded = {key.casefold(): value for key, value in struct.items()}
-        if place.split(".")[-1].casefold() == "units":
-            units |= {n: text for n, text in struct.items() if isinstance(text, str)}
-        names, texts = folded.get("name"), folded.get("units")
-        if isinstance(names, list) and isinstance(texts, list):
-            if len(names) == len(texts) and _are_texts(names + texts):
-                units |= dict(zip(names, texts, strict=True))
-    return units
-
-
-def _nothing(contents: Mapping[str, Any], file: str) -> DataError:
-    listed = ", ".join(f"{name!r} ({_described(value)})" for name, value in contents.items())
-    reason = f"no columns in this MATLAB file: {listed or 'it is empty'}"
-    objects = [n for n, value in contents.items() if isinstance(value, _Opaque)]
-    if objects:
-        kinds = ", ".join(f"{n!r} is a {contents[n].kind}" for n in objects)
-        reason = f"{kinds}, which only MATLAB can read"
-    return DataError(reason, _HOW_TO_SAVE, file)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -146,7 +146,9 @@ def table_of_text(
     """Cells of a text; ``is_known`` tells whether a name is that of a known column."""
     # A StringIO would take four bytes for each character.
     raw = list(io.TextIOWrapper(io.BytesIO(text.encode()), "utf-8", newline=""))
-    lines = _content_lines(raw, "#" in text)
+    # Lines without content, such as comments, are reduced to line ends.
+    blank = ("", "#") if "#" in text else ("",)
+    lines = ["\n" if line.lstrip()[:1] in blank else line for line in raw]
     if header := commented_header(raw):
         lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
         notes.append(f"header read from the comment in line {header[0] + 1}")
@@ -166,7 +168,10 @@ def table_of_text(
         notes.append(f"lines before the header in line {start + 1} skipped")
     if logger:
         notes.append(f"export of {logger}")
-    table = _table(lines, start, path, digest, notes, delimiter, bool(logger), is_known)
+    rows = _split_rows(lines[start:], delimiter, start, path)
+    lead = list(itertools.islice(rows, _LEAD))
+    table, count = _head(lead, path, digest, notes, bool(logger))
+    table = _filled(replace(table, delimiter=delimiter), lead[count:], rows, lines, path, is_known)
     layout, doubts = stated_convention(raw[:start], str(path))
     above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
     stated = re.findall(r".*, constants (.*)", above)
@@ -183,32 +188,17 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
     return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
 
 
-def _content_lines(lines: list[str], comments: bool) -> list[str]:
-    """The same lines, with those without content (such as comments) reduced to line ends."""
-    if not comments:
-        return ["\n" if line.isspace() else line for line in lines]
-    return ["\n" if line.lstrip()[:1] in ("", "#") else line for line in lines]
-
-
 def table_of_rows(rows: list[Row], path: Place, digest: str, notes: list[str]) -> Table:
     """A table of rows of cells, the header first."""
-    head = _head(rows[:2], path, notes, False)
-    return _table_of([_of_rows(rows[head.rows :])], head, path, digest, notes)
+    table, count = _head(rows[:2], path, digest, notes, False)
+    return _with_rows(table, [_of_rows(rows[count:])])
 
 
-class _Head(NamedTuple):
-    """The header of a table."""
-
-    headers: list[str]
-    header_line: int
-    units_row: list[str] | None
-    units_line: int | None
-    rows: int  # rows before the first of data
-
-
-def _head(rows: list[Row], path: Place, notes: list[str], is_export: bool) -> _Head:
-    """The header among the first rows of a file; those below it may be units and, in an
-    export of a logger, channel numbers."""
+def _head(
+    rows: list[Row], path: Place, digest: str, notes: list[str], is_export: bool
+) -> tuple[Table, int]:
+    """A table without rows, and the number of rows above those of data: of the header, units
+    and, in an export of a logger, channel numbers."""
     header_line, header = rows[0]
     headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in header]
     if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
@@ -224,7 +214,11 @@ def _head(rows: list[Row], path: Place, notes: list[str], is_export: bool) -> _H
         elif not (is_export and counts_up(row)):
             break
         count += 1
-    return _Head(headers, header_line, units_row, units_line, count)
+    empty = Table(
+        str(path), stem_of(path), headers, [], np.empty(0), np.empty(0), header_line,
+        units_row=units_row, units_line=units_line, sha256=digest, notes=tuple(notes),
+    )  # fmt: skip
+    return empty, count
 
 
 _LEAD = 4  # rows of header, units and channel numbers, and one of data
@@ -232,22 +226,17 @@ _LEAD = 4  # rows of header, units and channel numbers, and one of data
 _BLOCK = 2**14  # lines that are converted at once
 
 
-def _table(
+def _filled(
+    table: Table,
+    data: list[Row],
+    rows: Iterator[Row],
     lines: list[str],
-    start: int,
     path: Place,
-    digest: str,
-    notes: list[str],
-    delimiter: str,
-    is_export: bool,
     is_known: Callable[[str], bool],
 ) -> Table:
-    """The table of the lines from the header's, at ``start``. The first rows of the known
-    columns decide whether a comma is the decimal mark."""
-    rows = _split_rows(lines[start:], delimiter, start, path)
-    lead = list(itertools.islice(rows, _LEAD))
-    head = _head(lead, path, notes, is_export)
-    data, some = lead[head.rows :], list[Row]()
+    """The table with the rows of a text: the first ones, the following ones, and all lines. The
+    first rows of the known columns decide whether a comma is the decimal mark."""
+    some, delimiter = list[Row](), table.delimiter
     first = data[0][0] - 1 if data else len(lines)
     text = "".join(lines[first:])
     is_quoted, commas = '"' in text, delimiter != "," and "," in text
@@ -256,21 +245,20 @@ def _table(
     if commas:
         # Names of runs, as "dry, lap 1" or "2024.1", say nothing of the numbers.
         run = Guess("run", None)
-        known = [k for k, x in enumerate(head.headers) if is_known(x) and guess(x) != run]
+        known = [k for k, x in enumerate(table.headers) if is_known(x) and guess(x) != run]
         cells = (row[k] for _, row in some for k in known or range(len(row)) if k < len(row))
         commas = has_decimal_comma(cells)
-    starts = range(first, len(lines), _BLOCK)
     blocks = [_of_rows(some)] if is_quoted else []
-    for k in () if is_quoted else starts:
+    for k in () if is_quoted else range(first, len(lines), _BLOCK):
         block = lines[k : k + _BLOCK]
         grid = Lines(block, delimiter)
         values = grid.numbers(commas)
-        if values is None or len(values) != len(head.headers):
+        if values is None or len(values) != len(table.headers):
             blocks.append(_of_rows(list(_split_rows(block, delimiter, k, path))))
         else:
             places = np.flatnonzero([line != "\n" for line in block])
             blocks.append(Block(k + 1 + places, grid, values))
-    return _table_of(blocks, head, path, digest, notes, delimiter, commas)
+    return _with_rows(replace(table, commas=commas), blocks)
 
 
 def _of_rows(rows: Sequence[Row]) -> Block:
@@ -278,21 +266,13 @@ def _of_rows(rows: Sequence[Row]) -> Block:
     return Block(np.array([line for line, _ in rows], int), [row for _, row in rows], ())
 
 
-def _table_of(
-    blocks: Sequence[Block],
-    head: _Head,
-    path: Place,
-    digest: str,
-    notes: list[str],
-    delimiter: str = "",
-    commas: bool = False,
-) -> Table:
-    """The table of blocks of rows. Rows of another length than the header become NaN; delimiters
+def _with_rows(table: Table, blocks: Sequence[Block]) -> Table:
+    """The table with blocks of rows. Rows of another length than the header become NaN; delimiters
     at the end of a line do not count."""
     if not any(len(block.rows) for block in blocks):
         reason = "there are no data rows below the header"
-        raise _refusal(reason, "give at least as many rows as parameters", path)
-    width, lines = len(head.headers), np.concatenate([block.lines for block in blocks])
+        raise _refusal(reason, "give at least as many rows as parameters", table.file)
+    width, lines = len(table.headers), np.concatenate([block.lines for block in blocks])
     wrong, count = dict[int, str](), 0
     for block in blocks:
         rows = block.rows if isinstance(block.rows, list) else []
@@ -307,11 +287,8 @@ def _table_of(
     ragged[list(wrong)] = True
     rule = f"where the header has {width}"
     faults = (BadRows(None, [*wrong], [*wrong.values()], rule),) if wrong else ()
-    return Table(
-        str(path), stem_of(path), head.headers, [Column(blocks, k) for k in range(width)], lines,
-        ragged, head.header_line, delimiter, head.units_row, head.units_line, digest,
-        tuple(notes), faults, commas=commas,
-    )  # fmt: skip
+    cells = [Column(blocks, k) for k in range(width)]
+    return replace(table, cells=cells, lines=lines, ragged=ragged, faults=faults)
 
 
 def stem_of(path: Place) -> str:
@@ -352,7 +329,11 @@ def table_of_frame(frame: Any, name: str) -> Table:
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
         values = [_shown(frame[name]) for name in names]
-    values = [_seconds(value) if value.dtype.kind in "mM" else value for value in values]
+    for k, value in enumerate(values):
+        if value.dtype.kind == "M":
+            known = value[~np.isnat(value)]
+            value = value - (known.min() if len(known) else np.datetime64(0, "s"))
+        values[k] = value / np.timedelta64(1, "s") if value.dtype.kind == "m" else value
     lengths = {value.shape for value in values}
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
         shapes = ", ".join(f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True))
@@ -371,11 +352,3 @@ def _shown(values: ArrayLike) -> np.ndarray:
     if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiub":
         return np.ma.filled(values.astype(float), np.nan)
     return np.asarray(values)
-
-
-def _seconds(values: np.ndarray) -> np.ndarray:
-    """Durations in seconds; dates and times in seconds since the first one."""
-    if values.dtype.kind == "M":
-        known = values[~np.isnat(values)]
-        values = values - (known.min() if len(known) else np.datetime64(0, "s"))
-    return values / np.timedelta64(1, "s")

@@ -115,22 +115,16 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         f"the measurement offset of {moved} was added before the factor, but in some"
         " files it must be subtracted: compare a value with the report of the rig"
     )
+    read = (*channels, *constants)
     return Table(
-        file,
-        stem_of(path),
-        [entry.name for entry in (*channels, *constants)],
+        file, stem_of(path), [entry.name for entry in read],
         cells + [np.full(len(rows), float(c.values[0])) for c in constants],
-        np.array(lines),
-        ragged,
-        channels[0].line,
-        units_row=[entry.unit for entry in (*channels, *constants)],
-        sha256=digest,
+        np.array(lines), ragged, channels[0].line,
+        units_row=[entry.unit for entry in read], sha256=digest,
         notes=(*notes, *_said(sections, channels, constants, unread, meant), *origins.values()),
-        faults=faults,
-        layout=Layout(meant, "unit of the channel", "iso-w"),
-        doubts=(doubts,) if moved else (),
-        constants=of_tire,
-    )
+        faults=faults, layout=Layout(meant, "unit of the channel", "iso-w"),
+        doubts=(doubts,) if moved else (), constants=of_tire,
+    )  # fmt: skip
 
 
 # --- sections and their lines -------------------------------------------------------
@@ -150,22 +144,21 @@ def _sections(text: str) -> dict[str, list[tuple[int, str]]]:
 
 
 def _channels(lines: Iterable[tuple[int, str]], file: str) -> list[_Entry]:
-    channels: list[_Entry] = []
+    channels: dict[str, _Entry] = {}
     for line, text in lines:
         entry = _entry(line, text)
         if entry is None:
             reason = f"this is not a channel of TYDEX: {text.strip()!r}"
             remedy = "give name, comment, unit and conversion factor in columns of 10"
             raise DataError(reason, remedy, file, line)
-        if entry.name in [other.name for other in channels]:
-            reason, remedy = f"the channel {entry.name} is there twice", "rename one"
-            raise DataError(reason, remedy, file, line, entry.name)
+        reason, remedy = f"the channel {entry.name} is there twice", "rename one"
         if entry.conversion[0] == 0:
             reason = f"the conversion factor of {entry.name} is 0"
             remedy = "give the factor that turns its values into its unit"
+        if entry.name in channels or entry.conversion[0] == 0:
             raise DataError(reason, remedy, file, line, entry.name)
-        channels.append(entry)
-    return channels
+        channels[entry.name] = entry
+    return [*channels.values()]
 
 
 def _entry(number: int, line: str) -> _Entry | None:
@@ -196,28 +189,22 @@ def _records(
     """Rows of ``width`` texts, which may continue over lines; the first line of each row;
     and the rows with another number of values."""
     rows: list[list[str]] = []
-    numbers, wrong = [], []
+    numbers, wrong = [], dict[int, str]()
     goes_on = all(len(_words(line, width)) < width for _, line in lines[:_SEARCHED])
     words: list[str] = []
-    for number, line in lines:
+    for k, (number, line) in enumerate(lines, 1):
         if not words:
             numbers.append(number)
         words = [*words, *_words(line, width - len(words))]
-        if len(words) < width and goes_on:
+        if len(words) < width and goes_on and k < len(lines):
             continue
         if len(words) != width:
-            wrong.append((len(rows), f"{len(words)} values"))
+            wrong[len(rows)] = f"{len(words)} values"
             words = ["nan"] * width
         rows.append(words)
         words = []
-    if words:
-        wrong.append((len(rows), f"{len(words)} values"))
-        rows.append(["nan"] * width)
-    if not wrong:
-        return rows, numbers, ()
-    indices, shown = zip(*wrong, strict=True)
-    fault = BadRows(None, indices, shown, f"where there are {width} channels")
-    return rows, numbers, (fault,)
+    rule = f"where there are {width} channels"
+    return rows, numbers, (BadRows(None, [*wrong], [*wrong.values()], rule),) if wrong else ()
 
 
 def _words(line: str, missing: int) -> list[str]:
@@ -290,7 +277,9 @@ def _of_tire(
                 value = _si(float(entry.values[0]), entry.unit, dimension)
                 take(key, factor * value, line)
     for _, line in [*lines, *header]:
-        take("UNLOADED_RADIUS", _radius_of_size(line), line)
+        if size := _SIZE.search(line):
+            width, ratio, rim = map(float, size.groups())
+            take("UNLOADED_RADIUS", rim * _INCH / 2 + width * ratio * 1e-5, line)
     return found, notes
 
 
@@ -306,14 +295,6 @@ def _si(value: float, unit: str, dimension: str) -> float:
     known = known_unit(unit)
     same = known is not None and known.dimension == dimension
     return float(known.to_si(value)) if known and same else np.nan
-
-
-def _radius_of_size(text: str) -> float:
-    """Radius [m] of the free tire from its nominal size, NaN if the text has none."""
-    if size := _SIZE.search(text):
-        width, ratio, rim = map(float, size.groups())
-        return rim * _INCH / 2 + width * ratio * 1e-5
-    return np.nan
 
 
 def _meant(names: Collection[str], constants: Sequence[_Entry]) -> dict[str, str]:

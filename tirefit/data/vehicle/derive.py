@@ -43,7 +43,6 @@ from tirefit.data.vehicle.motion import (
     slip_and_force,
 )
 from tirefit.data.vehicle.point import PointCheck, check_point, zero_of_alpha
-from tirefit.data.vehicle.stated import assumptions_of, stated_of
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -132,9 +131,11 @@ class DerivedFiles:
     stated: Mapping[str, float] = field(repr=False)  # constants in the first line of the CSV
 
     def summary(self) -> str:
-        """The summary of each log, what they show together, then the files written."""
-        together = _together(self.logs, self.stated)
-        return f"{_summary(self.logs)}{together}\nwrote {self.data} and {self.metadata}"
+        """The summary of each log, what several show together in the words of ``fit`` and
+        ``diagnose``, then the files written."""
+        together = findings(self.stated) if len(self.logs) > 1 else ()
+        lines = [_summary(self.logs), *(fill(t, 80, subsequent_indent="  ") for t in together)]
+        return "\n".join([*lines, f"wrote {self.data} and {self.metadata}"])
 
 
 def derive(
@@ -169,8 +170,13 @@ def derive(
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
         raise DataError(_none_left(track, motion, vehicle, dropped, str(file)))
-    warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
-    warnings = _hardly_any(kept, dropped) + warnings
+    few = max(dropped, key=lambda name: dropped[name])
+    warnings = [*vehicle.doubts(), *doubts(columns, motion, kept, vehicle)]
+    if dropped[few] > _NEARLY_ALL * len(kept):
+        warnings[:0] = [
+            f"only {np.count_nonzero(kept)} of {len(kept)} samples are kept,"
+            f" {dropped[few]} are dropped as {few!r}: check the units of the log"
+        ]
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
     # A contradicting channel changes the slip angle in the same way as a wrong point.
     checked = kept & (not compared.problems)
@@ -202,7 +208,7 @@ def derive(
             *point.warnings,
             *warnings,
         ),
-        assumptions=assumptions_of(track, vehicle, axle),
+        assumptions=_assumptions(track, vehicle, axle),
         source={"path": file.name, "sha256": track.sha256, "epoch": track.epoch},
     )
 
@@ -246,9 +252,11 @@ def derive_files(
     vehicle = load_vehicle(vehicle_toml, units)
     metadata = out.parent / f"{out.stem}.derive.json"
     paths = listed(paths)
-    _check_names(paths, vehicle_toml, (out, metadata))
+    problems = output_problems(out, ".csv") or output_problems(metadata)
+    UsageError.raise_for([*problems, *name_problems(paths)])
+    inputs = {"LOG": paths, "--vehicle": [vehicle_toml]}
+    DataError.raise_for(replaced_inputs((out, metadata), inputs))
     logs: list[DerivedLog] = []
-    problems: list[InputProblem] = []
     for path in paths:
         try:
             logs.append(derive(path, vehicle, axle, believe))
@@ -259,7 +267,7 @@ def derive_files(
         name: np.concatenate([log.columns[name] for log in logs]) for name in logs[0].columns
     }
     columns["run"] = np.concatenate([log.run for log in logs])
-    written = {k: f"{v:.4g}" for k, v in {**stated_of(vehicle), **found_in(logs)}.items()}
+    written = {k: f"{v:.4g}" for k, v in {**_stated(vehicle), **found_in(logs)}.items()}
     first = _FIRST.format(" ".join(f"{k}={v}" for k, v in written.items()))
     stated = {k: float(v) for k, v in written.items()}  # rounded as in the file
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
@@ -280,12 +288,6 @@ def _summary(logs: Sequence[DerivedLog]) -> str:
     for text in merged((log.name, log.warnings) for log in logs):
         lines.append(fill(f"warning: {text}", 80, subsequent_indent="  "))
     return "\n".join(lines)
-
-
-def _together(logs: Sequence[DerivedLog], stated: Mapping[str, float]) -> str:
-    """The findings of several logs in the words of ``fit`` and ``diagnose``; empty for one."""
-    texts = findings(stated) if len(logs) > 1 else ()
-    return "".join(f"\n{fill(text, 80, subsequent_indent='  ')}" for text in texts)
 
 
 def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:
@@ -372,18 +374,54 @@ def _none_left(
     return InputProblem(reason, remedy, file)
 
 
-def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]:
-    """A warning if nearly all samples are dropped for one reason."""
-    reason = max(dropped, key=lambda name: dropped[name])
-    if dropped[reason] <= _NEARLY_ALL * len(kept):
-        return ()
-    return (
-        f"only {np.count_nonzero(kept)} of {len(kept)} samples are kept,"
-        f" {dropped[reason]} are dropped as {reason!r}: check the units of the log",
-    )
-
-
 # --- words ----------------------------------------------------------------------
+
+_POSE_CLOCK = 0.005
+"""Standard error [s] of the time between x, y and yaw, which are from one instrument."""
+
+
+def _stated(vehicle: Vehicle) -> dict[str, float]:
+    """Values that the vehicle file states, so that they need not be assumed, by key."""
+    stated = dict(
+        wheelbase=vehicle.wheelbase,
+        yaw_inertia=vehicle.yaw_inertia,
+        tracked_point=None if vehicle.tracked_point is None else vehicle.tracked_point[0],
+        clock=vehicle.clock or (_POSE_CLOCK if vehicle.columns.motion == POSE else None),
+        wheel_radius=vehicle.wheel_radius,
+    )
+    return {key: value for key, value in stated.items() if value is not None}
+
+
+def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
+    """Sentences on bandwidth, model and all assumptions of a log."""
+    settings = vehicle.filter
+    messages = [
+        f"bandwidth {settings.bandwidth:.3g} Hz (-3 dB): Butterworth of order"
+        f" {settings.order}, {settings.cutoff:g} Hz, run both ways, then central"
+        f" differences at {settings.sample_rate:g} Hz; neighbouring samples are"
+        " correlated and do not count as independent",
+        f"gaps over {track.max_gap:.3g} s are not interpolated; shorter ones and uneven"
+        " sampling are bridged by a cubic spline",
+        "one rigid body on a flat floor, one wheel per axle: no roll, pitch, lateral"
+        " load transfer or drag, and no yaw moment but that of the axles' side forces",
+        "alpha > 0 where the axle slides to the left; fy > 0 to the right, as the force"
+        " then acts: alpha and fy are negative in a left turn (the canonical convention)",
+        "fz is the static axle load (h_cg is not given)"
+        if vehicle.h_cg is None
+        else "fz is the axle load with the load transfer m a_x h_cg / L",
+    ]
+    if vehicle.tracked_point is None:
+        messages.append("the log describes the centre of gravity (no tracked_point)")
+    if axle == "front":
+        assert vehicle.steering is not None
+        delay = vehicle.steering.delay
+        late = f"{delay:g} s later" if delay else "at once"
+        messages.append(f"the road wheels follow the steering command {late}")
+    if vehicle.driven not in (axle, "all"):
+        messages.append(f"the {axle} axle neither drives nor brakes")
+    elif vehicle.driven == "all" and vehicle.rear_share is None:
+        messages.append("the rear axle has half of the drive force (no rear_share)")
+    return (*messages, *vehicle.columns.notes, *track.notes)
 
 
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[str, Any]:
@@ -408,7 +446,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[s
                 "heading": log.heading,
                 "alpha_zero": log.zero,
                 "point": log.point.estimate,
-                "agreement": log.compared.as_dicts(),
+                "agreement": [agreement.as_dict() for agreement in log.compared.pairs],
                 "warnings": list(log.warnings),
                 "assumptions": list(log.assumptions),
             }
@@ -443,14 +481,3 @@ def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:
         InputProblem(f"two logs are named {name!r}", remedy)
         for name in sorted({name for name in names if names.count(name) > 1})
     ]
-
-
-def _check_names(
-    paths: Sequence[str | Place], vehicle_toml: str | Path, made: tuple[Path, Path]
-) -> None:
-    """Raise an error unless the first of ``made`` can be written as CSV, all logs have
-    different names, and no input would be replaced."""
-    out, beside = made
-    problems = output_problems(out, ".csv") or output_problems(beside)
-    UsageError.raise_for([*problems, *name_problems(paths)])
-    DataError.raise_for(replaced_inputs(made, {"LOG": paths, "--vehicle": [vehicle_toml]}))

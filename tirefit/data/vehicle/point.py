@@ -4,7 +4,7 @@ A point x further ahead lowers the slip angle by :math:`x r / v_x` and the later
 acceleration by :math:`x \\dot r`. At moderate slip
 :math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
 c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
-:mod:`tirefit.data.vehicle.agreement`, values before and after a row are its instruments, and
+:mod:`tirefit.data.vehicle.pairs`, values before and after a row are its instruments, and
 standard errors use the effective number of rows. The fit is repeated with signals below a
 fifth of the filter's cutoff, as noise of a pose that is differentiated twice may hide the
 force (:func:`_point`). A wrong yaw inertia, a delay and
@@ -18,18 +18,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.vehicle.agreement import (
+from tirefit.data.vehicle.findings import point_words
+from tirefit.data.vehicle.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
+from tirefit.data.vehicle.pairs import (
+    ALIKE,
     AROUND,
+    CHANGED,
     EACH,
     FEWEST,
+    SURE,
     Fit,
     around,
     instrumented,
     surrounded,
 )
-from tirefit.data.vehicle.faults import ALIKE, CHANGED, SURE
-from tirefit.data.vehicle.findings import point_words
-from tirefit.data.vehicle.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
 from tirefit.data.vehicle.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
@@ -146,7 +148,16 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
         words = f"v_y or {other} has the wrong sign"
         remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
     elif found.is_off:
-        words, remedy = _words(found, vehicle)
+        stated, left = found.at - found.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
+        words = f"the tracked point is {found.at:.3g} ± {found.std:.1g} m ahead of the rear axle,"
+        words += f" not {stated:.3g} m"
+        remedy = f"set tracked_point = [{found.at:.3g}, {left:g}] in vehicle.toml"
+        if not vehicle.tracked_point:
+            words += " (the centre of gravity, which is assumed, as tracked_point is not stated)"
+            remedy += " (or correct l_r)"
+        sensor = "the place of the a_y sensor, " if "a_y" in vehicle.columns.motion else ""
+        remedy += ", unless one of these is wrong, which acts alike: the time of a channel,"
+        remedy += f" {sensor}yaw_inertia ({vehicle.inertia_ratio:.2g} mass l_f l_r)"
     elif against:
         words = "no point on the car explains it"
         remedy = "check tracked_point, the signs of the channels and yaw_inertia, which is"
@@ -158,22 +169,6 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
     reason = "channels contradict each other: the lateral force acts in the direction"
     reason += f" of the axle's slip ({-found.slope:.0f} standard errors): {words}"
     return check._replace(problems=(InputProblem(reason, remedy, file),))
-
-
-def _words(found: _Point, vehicle: Vehicle) -> tuple[str, str]:
-    """Reason and remedy of a wrong point."""
-    stated, left = found.at - found.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
-    reason = f"the tracked point is {found.at:.3g} ± {found.std:.1g} m ahead of the rear axle,"
-    reason += f" not {stated:.3g} m"
-    if not vehicle.tracked_point:
-        reason += " (the centre of gravity, which is assumed, as tracked_point is not stated)"
-    remedy = f"set tracked_point = [{found.at:.3g}, {left:g}] in vehicle.toml"
-    remedy += "" if vehicle.tracked_point else " (or correct l_r)"
-    sensor = "the place of the a_y sensor, " if "a_y" in vehicle.columns.motion else ""
-    return reason, (
-        f"{remedy}, unless one of these is wrong, which acts alike: the time of a channel,"
-        f" {sensor}yaw_inertia ({vehicle.inertia_ratio:.2g} mass l_f l_r)"
-    )
 
 
 def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept: np.ndarray, found: _Point) -> bool:

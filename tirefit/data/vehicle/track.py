@@ -32,14 +32,6 @@ standard deviation of a channel, for a note on its quantisation."""
 
 _JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
 
-_SI = {
-    "time": "s",
-    "length": "m",
-    "angle": "rad",
-    "speed": "m/s",
-    "angular speed": "rad/s",
-    "acceleration": "m/s2",
-}
 _MEANT = {"yaw": "heading", "v_x": "v"}
 """Quantity of a log -> its canonical column, if that has another name."""
 
@@ -93,9 +85,12 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     label = _labels(table, vehicle, notes)
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
+    read = [c.header for c in (clock, *channels[:needed])]
     if not finite.any():
         raise DataError(_no_row(table.file, [clock, *channels[:needed]], columns))
-    lacking = _lacking(table, [clock, *channels[:needed]], columns)
+    absent = {h: np.flatnonzero(~np.isfinite(columns[h])) for h in read}
+    faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items() if len(rows)]
+    lacking, _ = excluded(faults, table.lines, table.file, False)
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
     max_gap = vehicle.filter.max_gap or 3.5 * period
@@ -112,24 +107,15 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     }
     signals = signals[fresh]
     notes += _steps(channels, signals)
-    for place, channel in enumerate(channels):
+    for channel, values in zip(channels, signals.T, strict=True):
         if channel.quantity == "yaw":
-            signals[:, place] = _unwrapped(signals[:, place]) + vehicle.yaw_offset
+            there = np.isfinite(values)
+            values[there] = np.unwrap(values[there]) + vehicle.yaw_offset
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
         max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
-        tuple(notes), run[fresh], runs, (*table.doubts, *lacking),
+        tuple(notes), run[fresh], runs, (*table.doubts, *([lacking] if lacking else [])),
     )  # fmt: skip
-
-
-def _lacking(
-    table: Table, channels: Sequence[Channel], columns: Mapping[str, np.ndarray]
-) -> tuple[str, ...]:
-    """A sentence that names the rows without a value in one of the channels, if any."""
-    absent = {c.header: np.flatnonzero(~np.isfinite(columns[c.header])) for c in channels}
-    faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items()]
-    warning, _ = excluded([f for f in faults if len(f.rows)], table.lines, table.file, False)
-    return (warning,) if warning else ()
 
 
 def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
@@ -175,14 +161,6 @@ def _in_runs(
     return time, run, names if len(names) > 1 else ("",)
 
 
-def _unwrapped(yaw: np.ndarray) -> np.ndarray:
-    """Yaw (n,) without steps of a full turn; NaN stays NaN."""
-    there = np.isfinite(yaw)
-    whole = yaw.copy()
-    whole[there] = np.unwrap(yaw[there])
-    return whole
-
-
 # --- the file -------------------------------------------------------------------
 
 
@@ -218,15 +196,14 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
 def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]:
     """The columns to read: time, those of the motion, steering command, comparisons."""
     names, problems = vehicle.columns, list[InputProblem]()
-    channels = []
-    for quantity in ("time", *names.motion):
-        header = getattr(names, quantity)
-        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
-    if names.steering:
-        channels.append(Channel("steering", names.steering, "", 1.0, True))
-    for quantity in names.beyond:
-        header = getattr(names, quantity)
-        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
+    steering = ["steering"] if names.steering else []
+    channels = [
+        Channel(quantity, header, "", 1.0, True)
+        if quantity == "steering"
+        else _channel(table, quantity, header, vehicle, notes, problems)
+        for quantity in ("time", *names.motion, *steering, *names.beyond)
+        for header in [getattr(names, quantity)]
+    ]
     DataError.raise_for(problems)
     taken = {channel.header for channel in channels}
     for quantity in CHECKS:
@@ -236,11 +213,11 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
         headers = [h for h in table.headers if (g := guess(h)) and g.name == meant]
         if len(headers) == 1 and headers[0] not in taken:
             # A column that the vehicle does not name may have any content: skip odd ones.
-            odd: list[InputProblem] = []
-            channel = _channel(table, quantity, headers[0], vehicle, notes, odd, False)
+            channel = _channel(table, quantity, headers[0], vehicle, notes, problems, False)
             cells = table.cells[table.headers.index(headers[0])]
             faults = read_numbers(cells, headers[0], table.ragged, gaps=True)[1]
-            channels += [] if odd or faults else [channel]
+            channels += [] if problems or faults else [channel]
+            problems.clear()
     return channels
 
 
@@ -255,44 +232,37 @@ def _channel(
 ) -> Channel:
     """The column with its unit: declared, from the header, or from the row below it."""
     dimension = QUANTITIES[quantity]
+    usual = units_of(dimension)
     text, where = vehicle.units.get(quantity), ""
     in_header = stated_unit(header)
-    remedy = f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml'
-    remedy += f" (--unit {quantity}={_SI[dimension]})"
-    if table.units_row is not None and table.units_row[table.headers.index(header)] == ARC:
+    place = table.headers.index(header)
+    below = None if table.units_row is None else table.units_row[place]
+    remedy = f'correct [columns], or set units.{quantity} = "{usual[0]}" in vehicle.toml'
+    remedy += f" (--unit {quantity}={usual[0]})"
+    if below == ARC:
         text, remedy = ARC, "name columns in metres; these are latitude and longitude"
     if text is None and in_header:
-        text, where = in_header, ""
-    elif text is None and table.units_row is not None:
-        text = table.units_row[table.headers.index(header)].strip().strip("[](){}")
-        where = " (units row)"
+        text = in_header
+    elif text is None and below is not None:
+        text, where = below.strip().strip("[](){}"), " (units row)"
     elif text is not None and in_header not in (None, text):
         where = f" (declared; the header says {in_header!r})"
     if text == NO_UNIT:
         remedy = f"state it: {quantity} = ... in [units] of vehicle.toml, or --unit {quantity}=..."
-        remedy += f" ({', '.join(units_of(dimension))})"
+        remedy += f" ({', '.join(usual)})"
     unit = unit_of(text, quantity) if text else None
     # Round brackets may contain other text, as in ``W (IMU)``.
     bracketed = text if f"({in_header})" in header and text == in_header else None
     label = bracketed is not None and known_unit(bracketed.removeprefix("-")) is None
     if text and text != "-" and unit is None and not label:
-        problems.append(
-            InputProblem(
-                f"unit {text!r} is not a unit of {dimension}, as {quantity} needs",
-                remedy,
-                table.file,
-                table.header_line,
-                header,
-            )
-        )
+        reason = f"unit {text!r} is not a unit of {dimension}, as {quantity} needs"
+        problems.append(InputProblem(reason, remedy, table.file, table.header_line, header))
     if unit is None:
         where = f" ({text!r} is not a unit)" if label else " (no unit stated)"
-        text, scale = _SI[dimension], 1.0
-    else:
-        scale = unit.scale
-    if named or text != _SI[dimension]:
+        text = usual[0]
+    if named or text != usual[0]:
         notes.append(f"column {header!r} read as {quantity} in {text}{where}")
-    return Channel(quantity, header, text or "", scale, named)
+    return Channel(quantity, header, text or "", unit.scale if unit else 1.0, named)
 
 
 def _numbers(
