@@ -115,20 +115,16 @@ def like_slips(data: TireData, slip: str) -> np.ndarray:
 def problem_at(data: TireData, row: int, column: str, reason: str, remedy: str) -> InputProblem:
     """A problem with one row (counted from 0), placed in its own file."""
     source = data.source
-    paths = source.paths
-    file = paths[data.run[row]] if paths else data.file
+    file = source.paths[data.run[row]] if source.paths else data.file
     line = row if source.line is None else int(source.line[row])
-    header = source.columns.get(column, column)
-    return InputProblem(reason, remedy, file, line, header)
+    return InputProblem(reason, remedy, file, line, source.columns.get(column, column))
 
 
 def why_far(value: FarValue) -> str:
     """The reason of a far value, for :func:`problem_at`."""
-    unit = CANONICAL[value.column][0]
-    unit = "" if unit == "-" else f" {unit}"
-    ends = f"{value.low:.4g}", f"{value.high:.4g}"
-    have = f"{' to '.join(dict.fromkeys(ends))}{unit}"
-    return f"{value.value:.6g}{unit} is far from {value.among}, which have {have}"
+    unit = f" {CANONICAL[value.column][0]}".removesuffix(" -")
+    ends = " to ".join(dict.fromkeys((f"{value.low:.4g}", f"{value.high:.4g}")))
+    return f"{value.value:.6g}{unit} is far from {value.among}, which have {ends}{unit}"
 
 
 def _rules(data: TireData, column: str, values: np.ndarray) -> Iterator[tuple[str, Beyond]]:
@@ -150,8 +146,12 @@ def _rules(data: TireData, column: str, values: np.ndarray) -> Iterator[tuple[st
         slip = _SLIP_OF[column]
         yield f"rows of similar {slip}", _beside(values, like_slips(data, slip))
         if column != "mz":
-            among = f"forces with this sign of {slip}"
-            yield among, _against(values, data.usable(slip))
+            # A force that is large and has the sign that belongs to the opposite slip.
+            slips, size = data.usable(slip), max(map(abs, _inner_range(values)))
+            clear = np.abs(slips) > np.quantile(np.abs(slips), _SMALL_SLIPS)
+            far = (values * slips < 0) & (np.abs(values) > _AGAINST * size) & clear
+            ends = np.where(slips > 0, 0.0, -size), np.where(slips > 0, size, 0.0)
+            yield f"forces with this sign of {slip}", (far, *ends)
 
 
 def _beyond_all(
@@ -205,15 +205,6 @@ def _beside(values: np.ndarray, order: np.ndarray) -> Beyond:
     far = (np.maximum(low - values, values - high) > reach) & (whole > 0)
     far[order[:_BESIDE]] = far[order[-_BESIDE:]] = False
     return far, low, high
-
-
-def _against(values: np.ndarray, slip: np.ndarray) -> Beyond:
-    """Rows whose force is large and has the sign that belongs to the opposite slip."""
-    outer = _inner_range(values)
-    size = max(abs(outer[0]), abs(outer[1]))
-    clear = np.abs(slip) > np.quantile(np.abs(slip), _SMALL_SLIPS)
-    far = (values * slip < 0) & (np.abs(values) > _AGAINST * size) & clear
-    return far, np.where(slip > 0, 0.0, -size), np.where(slip > 0, size, 0.0)
 
 
 def _inner_range(values: np.ndarray) -> tuple[float, float]:

@@ -232,7 +232,7 @@ def _supports(data: TireData) -> Iterator[Support]:
         reason = f"no {' and no '.join(lacking)}"
         if not lacking:
             values = data.usable(slip)
-            varies = data.n > 0 and np.ptp(values) >= 1e-9
+            varies = data.n > 0 and bool(np.ptp(values) >= 1e-9)
             distinct = len(np.unique(np.round(values, 9)))
             reason = f"{data.n} rows, {distinct} different values of {slip}"
             reason = reason if varies else f"{slip} is constant"

@@ -11,6 +11,11 @@ from tirefit.data.rig.slips import MOVED, SWEPT, Leg, number_of
 
 _PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
 
+_RISE = 5.0  # smallest rise of temperature [K] by which a warm-up is found
+_WARM = 0.8  # share of the rise of temperature above which the tire is warm
+_STILL_WARMING = 0.1
+"""Share of the rise above which a tire that still warms in the last third is not warm."""
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -144,3 +149,55 @@ def trimmed(parts: list[Segment], margin: int, piece_ends: set[int]) -> list[Seg
                     last = max(last - margin, first)
         out.append(replace(part, first=first, last=last))
     return out
+
+
+def with_warmth(
+    parts: list[Segment], time: np.ndarray, temperature: np.ndarray | None, declared: float | None
+) -> tuple[list[Segment], str]:
+    """The segments with ``warm-up`` marked, and a note on how.
+
+    Args:
+        time: (n,) [s].
+        temperature: (n,) of the tire [degC], smoothed, if it was measured.
+        declared: seconds from the start for which the tire was not warm, if given.
+    """
+    held = [part for part in parts if part.is_held]
+
+    def cut(until: float) -> list[Segment]:
+        """The segments with those that begin before ``until`` marked ``warm-up``."""
+        return [
+            replace(part, kind="warm-up") if part.is_held and time[part.begin] < until else part
+            for part in parts
+        ]
+
+    if declared is not None:
+        return cut(time[0] + declared), f"warm-up: the first {declared:g} s, as declared"
+    if temperature is None:
+        how = "not searched, as there is no temperature; give its end with --warm-up"
+        return parts, f"warm-up: {how}"
+    if not held:
+        return parts, "warm-up: none, as no condition is held"
+    late = [part for part in held if part.begin >= held[len(held) // 2].begin]
+    hot = float(np.median(np.concatenate([temperature[p.begin : p.end] for p in late])))
+    begin = held[0].begin
+    start = float(np.median(temperature[begin : begin + max(len(time) // 200, 3)]))
+    rise = hot - start
+    if rise < _RISE:
+        message = f"{start:.0f} degC at the start, {hot:.0f} degC later"
+        return parts, f"warm-up: none, as the tire was warm at the start ({message})"
+    last = max(len(time) // 3, 1)
+    still = float(np.median(temperature[-last // 10 :]) - temperature[-last])
+    if still > _STILL_WARMING * rise:
+        message = f"{still:.0f} K in the last third of the test"
+        return parts, (
+            f"warm-up: none cut, as the tire was warming all the time ({message}); if part"
+            " of it was warm-up, give its end with --warm-up"
+        )
+    levels = (temperature - start) / rise
+    warm = int(np.argmax(levels >= _WARM))
+    message = (
+        f"warm-up: until {time[warm]:.4g} s, when the tire was at"
+        f" {temperature[warm]:.0f} degC, {_WARM:.0%} of the way from"
+        f" {start:.0f} to {hot:.0f} degC"
+    )
+    return cut(time[warm]), message

@@ -166,7 +166,11 @@ def _assigned(
     change = np.abs(values[later] - values[before])
     for piece in pieces:
         part = code[piece]
-        _fill(part, half)
+        runs = runs_of(part)
+        # Fill short absences from a setting to which the channel returns.
+        for (_, a), (b, c), (d, _) in zip(runs, runs[1:], runs[2:], strict=False):
+            if part[b] < 0 and c - b <= half and part[a - 1] == part[d]:
+                part[b:c] = part[d]
         for begin, end in runs_of(part):
             if part[begin] < 0:
                 continue
@@ -192,14 +196,6 @@ def _end_of_way(goes: np.ndarray, longest: int) -> int:
             break
         rows = row + 1
     return rows
-
-
-def _fill(code: np.ndarray, longest: int) -> None:
-    """Fill, in place, short absences from a setting to which the channel returns."""
-    runs = runs_of(code)
-    for (_, a), (b, c), (d, _) in zip(runs, runs[1:], runs[2:], strict=False):
-        if code[b] < 0 and c - b <= longest and code[a - 1] == code[d]:
-            code[b:c] = code[d]
 
 
 SHOWN = {

@@ -66,7 +66,13 @@ def legs(
         part = slip[piece]
         stops = _stops(part, still, shortest)
         moving = _between(part, stops, reversal)
-        kept = [stop for stop in stops if not _is_turn(stop, moving)]
+        kept = []
+        for a, b in stops:
+            beside = [leg for leg in moving if leg.end == a or leg.begin == b]
+            opposite = len(beside) > 1 and not sum(leg.direction for leg in beside)
+            # Else it is only the turning point of sweeps.
+            if not opposite or b - a >= _PAUSE * min(leg.rows for leg in beside):
+                kept.append((a, b))
         if len(kept) < len(stops):
             moving = _between(part, kept, reversal)
         here = sorted([*(Leg(*stop, HELD) for stop in kept), *moving])
@@ -157,14 +163,6 @@ def _cut(slip: np.ndarray, turn: int) -> int:
     before = abs(slip[turn] - slip[turn - 1])
     after = abs(slip[turn + 1] - slip[turn]) if turn + 1 < len(slip) else np.inf
     return turn + 1 if before <= after else turn
-
-
-def _is_turn(stop: tuple[int, int], moving: list[Leg]) -> bool:
-    """Whether a stop is only the turning point of sweeps."""
-    beside = [leg for leg in moving if leg.end == stop[0] or leg.begin == stop[1]]
-    if sum(leg.direction for leg in beside) or len(beside) < 2:
-        return False
-    return stop[1] - stop[0] < _PAUSE * min(leg.rows for leg in beside)
 
 
 def _without_steps(all_legs: list[Leg]) -> list[Leg]:

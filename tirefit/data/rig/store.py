@@ -1,6 +1,7 @@
 """Write a prepared test: a table to fit, a table of segments, and a record."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -57,15 +58,6 @@ def prepared_csv(prepared: Prepared) -> str:
     return first + csv_text(columns)
 
 
-def segment_columns(prepared: Prepared) -> dict[str, list[Any]]:
-    """The table of segments: one row for each, settings in SI units."""
-    columns: dict[str, list[Any]] = {}
-    for k, part in enumerate(prepared.segments):
-        for key, value in _segment(prepared, k, part).items():
-            columns.setdefault(key, []).append(value)
-    return columns
-
-
 def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
     time, line = prepared.series.time, prepared.data.source.line
     row = {
@@ -95,10 +87,9 @@ def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path
     Only the table to fit ends in ``.csv``, so that ``*.csv`` matches no other table.
     """
     name = name or prepared.data.name
-    texts = {
-        f"{name}.csv": prepared_csv(prepared),
-        f"{name}.segments.tsv": csv_text(segment_columns(prepared), "\t"),
-    }
+    rows = [_segment(prepared, k, part) for k, part in enumerate(prepared.segments)]
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
+    texts = {f"{name}.csv": prepared_csv(prepared), f"{name}.segments.tsv": csv_text(columns, "\t")}
     digests = {key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()}
     texts[f"{name}.prepare.json"] = json_text(record_of(prepared, digests))
     write_texts({folder / key: text for key, text in texts.items()})
@@ -163,9 +154,7 @@ def summary(prepared: Prepared) -> str:
     """A summary of the segments, in a few lines."""
     rows = prepared.rows_by_kind()
     total, kept = len(prepared.data), int(prepared.kept.sum())
-    count: dict[str, int] = {}
-    for part in prepared.segments:
-        count[part.kind] = count.get(part.kind, 0) + 1
+    count = Counter(part.kind for part in prepared.segments)
     lines = [
         f"{prepared.data.name}: {kept} of {total} rows kept"
         f" ({', '.join(prepared.config.keep)}), convention braking, SI units"

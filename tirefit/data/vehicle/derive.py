@@ -22,7 +22,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from textwrap import fill, wrap
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -51,8 +51,6 @@ from tirefit.files import listed, write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
-
-_FIRST = "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
 
 _NEARLY_ALL = 0.9
 """Share of the samples dropped for one reason above which units are probably wrong."""
@@ -107,15 +105,12 @@ class DerivedLog:
                 f" fy {force.min():+.4g} to {force.max():+.4g} N,"
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
                 *(
-                    line
+                    fill(message, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
                     for message in (
-                        self.compared.line,
-                        self.heading,
-                        self.point.line,
+                        *(self.compared.line, self.heading, self.point.line),
                         *delays(found_in([self])),
                         *(f"warning: {w}" for w in self.warnings),
                     )
-                    for line in wrap(message, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
                 ),
             ]
         )
@@ -165,7 +160,8 @@ def derive(
         )
     track, motion, gaps = read_motion(file, vehicle)
     compared = compare(track, motion, vehicle, str(file))
-    _refuse(compared.problems, believe)
+    if not believe:
+        DataError.raise_for(compared.problems)
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
@@ -181,7 +177,8 @@ def derive(
     # A contradicting channel changes the slip angle in the same way as a wrong point.
     checked = kept & (not compared.problems)
     point = check_point(motion, vehicle, checked, str(file))
-    _refuse(point.problems, believe)
+    if not believe:
+        DataError.raise_for(point.problems)
     runs = np.array(names_of_runs(file, track))
     last_row = np.searchsorted(track.time, motion.time[kept], side="right") - 1
     contradictions = (*compared.problems, *point.problems)
@@ -268,7 +265,8 @@ def derive_files(
     }
     columns["run"] = np.concatenate([log.run for log in logs])
     written = {k: f"{v:.4g}" for k, v in {**_stated(vehicle), **found_in(logs)}.items()}
-    first = _FIRST.format(" ".join(f"{k}={v}" for k, v in written.items()))
+    first = "# tirefit: derived from vehicle logs, SI units, convention braking, constants "
+    first += " ".join(f"{k}={v}" for k, v in written.items()) + "\n"
     stated = {k: float(v) for k, v in written.items()}  # rounded as in the file
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
@@ -290,11 +288,6 @@ def _summary(logs: Sequence[DerivedLog]) -> str:
     return "\n".join(lines)
 
 
-def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:
-    if problems and not believe:
-        raise DataError(problems)
-
-
 # --- the axle -------------------------------------------------------------------
 
 
@@ -307,14 +300,8 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
     if vehicle.h_cg is not None:
         transfer = vehicle.mass * motion.a_x * vehicle.h_cg / wheelbase
         load = load + transfer if axle == "rear" else load - transfer
-    columns = {
-        "time": motion.time,
-        "alpha": alpha,
-        "fy": force,
-        "fz": load,
-        "v": speed,
-        "alpha_rate": motion.rate_of(alpha),
-    }
+    columns = {"time": motion.time, "alpha": alpha, "fy": force, "fz": load, "v": speed}
+    columns["alpha_rate"] = motion.rate_of(alpha)
     names = ["a_x", "a_y", "yaw_rate", "yaw_acceleration"]
     names += ["heading", "x", "y"] if vehicle.columns.motion == POSE else []
     columns |= {name: getattr(motion, name) for name in names}

@@ -236,7 +236,14 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     rate = vehicle.filter.sample_rate
     broken = (np.diff(track.time) > track.max_gap) | (np.diff(track.run) != 0)
     splits = np.flatnonzero(broken) + 1
-    _check_size(track, splits, rate)
+    steps = np.diff(track.time)
+    steps[splits - 1] = 0.0
+    count = float(steps.sum()) * rate
+    if count > _MOST_SAMPLES:  # the grid would not fit in memory
+        raise DataError(
+            f"at {rate:g} Hz the log has {count:.2g} samples, more than {_MOST_SAMPLES:,}",
+            "lower filter.sample_rate, split the log, or check the unit of time",
+        )
     margin = vehicle.margin
     convert = _from_pose if vehicle.columns.motion == POSE else _from_rates
     names = [channel.quantity for channel in track.channels]
@@ -262,18 +269,6 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
         rates = convert(of, vehicle)
         parts.append((grid, *rates, command, part, within, inside, signals))
     return Motion(*map(np.concatenate, zip(*parts, strict=True))), len(splits)
-
-
-def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
-    """Raises DataError if the grid would not fit in memory."""
-    steps = np.diff(track.time)
-    steps[splits - 1] = 0.0
-    count = float(steps.sum()) * rate
-    if count > _MOST_SAMPLES:
-        raise DataError(
-            f"at {rate:g} Hz the log has {count:.2g} samples, more than {_MOST_SAMPLES:,}",
-            "lower filter.sample_rate, split the log, or check the unit of time",
-        )
 
 
 def _on_grid(
@@ -316,14 +311,8 @@ def _from_pose(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
     def body(world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return cos * world[0] + sin * world[1], cos * world[1] - sin * world[0]
 
-    return (
-        *body(velocity),
-        *body(acceleration),
-        yaw_rate,
-        np.gradient(yaw_rate, 1 / rate),
-        yaw,
-        *position,
-    )
+    turning = yaw_rate, np.gradient(yaw_rate, 1 / rate)
+    return (*body(velocity), *body(acceleration), *turning, yaw, *position)
 
 
 def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:

@@ -86,21 +86,17 @@ def _template(
     if "steering" in found:
         header = found["steering"]
         beside = units[list(headers).index(header)] if units else ""
-        lines += _steering(" ".join((stated_unit(header) or beside).split()))
+        text = " ".join((stated_unit(header) or beside).split())
+        unit = known_unit(text) if text else None
+        scale = unit.scale if unit and unit.dimension == "angle" else 1.0
+        reach = 1.0 if scale == 1.0 else _REACH / scale
+        angle = f"[{-reach * scale:.4g}, {reach * scale:.4g}]"
+        lines += [
+            "[steering]  # from the column to the road wheel angle [rad]",
+            f"command = [{-reach:.4g}, {reach:.4g}]  # {text or 'rad'}",
+            f"angle = {angle}  # of a steering wheel: divide by the steering ratio",
+        ]
     return "".join(f"\n      {line}" for line in lines)
-
-
-def _steering(text: str) -> list[str]:
-    """Lines of the steering map of a column in a unit, as for the angle of the road wheel."""
-    unit = known_unit(text) if text else None
-    scale = unit.scale if unit and unit.dimension == "angle" else 1.0
-    reach = 1.0 if scale == 1.0 else _REACH / scale
-    angle = reach * scale
-    return [
-        "[steering]  # from the column to the road wheel angle [rad]",
-        f"command = [{-reach:.4g}, {reach:.4g}]  # {text or 'rad'}",
-        f"angle = [{-angle:.4g}, {angle:.4g}]  # of a steering wheel: divide by the steering ratio",
-    ]
 
 
 def vehicle_log(
