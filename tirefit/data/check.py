@@ -163,7 +163,14 @@ def range_faults(
             continue
         text, remedy = rule.rule, rule.remedy + _CORRECT
         if rule.column == "fz" and np.nanmedian(values) < 0:
-            text, remedy = _load_hint(text, columns, convention)
+            up = CONVENTIONS[convention].fz < 0
+            look = "z up (loads positive)" if up else "SAE (z down: loads are negative)"
+            finite = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+            sides = {n: columns[n][finite] for n in ("alpha", "fy", "mz") if n in columns}
+            fitting = fitting_conventions(evidence_of(sides), convention, load=-1)
+            fitting = fitting or [n for n, other in CONVENTIONS.items() if (other.fz > 0) == up]
+            text += f"; the file looks like {look}, but is read as {convention!r}"
+            remedy = f"declare the convention: --convention {' or '.join(fitting)}"
         if rule.column == "sigma_x":
             low, high = np.nanmin(values), np.nanmax(np.where(values < LOCKED, values, np.nan))
             # Else some sign convention has the slips in range: they are no percentages.
@@ -175,20 +182,6 @@ def range_faults(
         header = headers.get(rule.column, f"--constant {rule.column}")
         faults.append(BadRows(header, rows, raw, text, remedy, is_systematic=True))
     return faults
-
-
-def _load_hint(text: str, columns: Mapping[str, np.ndarray], convention: str) -> tuple[str, str]:
-    sign = CONVENTIONS[convention].fz
-    look = "SAE (z down: loads are negative)" if sign > 0 else "z up (loads positive)"
-    finite = np.all([np.isfinite(values) for values in columns.values()], axis=0)
-    sides = {n: columns[n][finite] for n in ("alpha", "fy", "mz") if n in columns}
-    evidence = evidence_of(sides)
-    fitting = fitting_conventions(evidence, convention, load=-1)
-    fitting = fitting or [n for n, other in CONVENTIONS.items() if other.fz != sign]
-    return (
-        f"{text}; the file looks like {look}, but is read as {convention!r}",
-        f"declare the convention: --convention {' or '.join(fitting)}",
-    )
 
 
 def list_problems(
@@ -205,24 +198,21 @@ def list_problems(
         Problems of single rows, and of whole columns, which masking does not solve.
     """
     of_rows, of_columns = [], []
-    for fault in faults:
-        count = len(fault.rows)
-        rule, remedy, column = fault.rule, fault.remedy, fault.column
-        if fault.is_systematic and count > max(1, len(lines) / 2):
+    for column, rows, values, rule, remedy, is_systematic in faults:
+        if is_systematic and len(rows) > max(1, len(lines) / 2):
             remedy = remedy.removesuffix(_CORRECT).removesuffix("; ")
             remedy = remedy or "check the column's unit, sign and meaning"
-            first = f"{fault.values[0]} in row {lines[fault.rows[0]]}"
-            reason = f"{count} of {len(lines)} rows ({first}, ...): {rule}"
+            first = f"{values[0]} in row {lines[rows[0]]}"
+            reason = f"{len(rows)} of {len(lines)} rows ({first}, ...): {rule}"
             of_columns.append(InputProblem(reason, remedy, file, column=column))
             continue
-        for row, value in list(zip(fault.rows, fault.values, strict=True))[:SHOWN]:
-            line = int(lines[row])
-            of_rows.append(InputProblem(f"{value} {rule}", remedy, file, line, column))
-        if (more := count - SHOWN) > 0:
+        for row, value in list(zip(rows, values, strict=True))[:SHOWN]:
+            reason = f"{value} {rule}"
+            of_rows.append(InputProblem(reason, remedy, file, int(lines[row]), column))
+        if (more := len(rows) - SHOWN) > 0:
             # A rule is half a sentence; its subject is the text of a row.
-            next_one = f"row {lines[fault.rows[SHOWN]]}: {fault.values[SHOWN]} {rule}"
-            rows = "rows" if more > 1 else "row"
-            reason = f"and {more} more {rows} with the same fault, next in {next_one}"
+            reason = f"and {more} more row{'s' * (more > 1)} with the same fault, next in"
+            reason += f" row {lines[rows[SHOWN]]}: {values[SHOWN]} {rule}"
             of_rows.append(InputProblem(reason, remedy, file, column=column))
     return of_rows, of_columns
 
@@ -256,20 +246,19 @@ def check_columns(
     if no_tire and not (has_force or idle):
         if log := vehicle_log(headers, file, not has_slip, units):
             return [log]
-    header_list = ", ".join(repr(header) for header in headers)
+    there = f"columns found: {', '.join(map(repr, headers))}"
     if len(headers) == 1:
-        header_list += " only; separate columns by comma, semicolon, tab, | or spaces"
+        there += " only; separate columns by comma, semicolon, tab, | or spaces"
     if not has_slip:
-        remedy = f"name one, as in --column kappa=HEADER; columns found: {header_list}"
+        remedy = f"name one, as in --column kappa=HEADER; {there}"
         if {"omega", "v"} <= set(columns):
             remedy = "give --rolling-radius R [m] to compute it from omega and v"
         reason = "no slip: one of sigma_x, kappa, s, slip_ratio, alpha is needed"
         problems.append(InputProblem(reason, remedy, file))
     if forces and not has_force:
-        remedy = f"name one, as in --column fx=HEADER; columns found: {header_list}"
         reason = "no force: one of fx, fy, mz is needed"
-        if idle:
-            reason += f"; {' and '.join(map(repr, idle))} is zero in all rows"
+        reason += f"; {' and '.join(map(repr, idle))} is zero in all rows" if idle else ""
+        remedy = f"name one, as in --column fx=HEADER; {there}"
         problems.append(InputProblem(reason, remedy, file))
     if "fz" not in columns:
         remedy = "name it with --column fz=HEADER, or give --constant fz=4000 [N]"

@@ -72,8 +72,7 @@ _DECLARED_BY = {
 }
 
 
-_LONGEST = 200
-"""Characters of the longest header; a longer text is a line that was not split."""
+_LONGEST = 200  # characters of the longest header; a longer text is a line that was not split
 
 
 class Guess(NamedTuple):

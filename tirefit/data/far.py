@@ -17,12 +17,9 @@ FAR_COLUMNS = ("fz", "sigma_x", "alpha", "fx", "fy", "mz", "v", "gamma", "pressu
 _GAP = 3.0
 """Gap between a value and all others, over the range of the others, above which it is an
 outlier and not a setting."""
-_FEW = 0.05
-"""Largest share of outliers in the rows; more of them are part of the measurement."""
-_LEAST_RANGE = 0.3
-"""Smallest range of a column that is assumed, over its median."""
-_OTHER_LOAD = 3.0
-"""Factor between a load and all others above which its unit is wrong."""
+_FEW = 0.05  # largest share of outliers in the rows; more of them are part of the measurement
+_LEAST_RANGE = 0.3  # smallest range of a column that is assumed, over its median
+_OTHER_LOAD = 3.0  # factor between a load and all others above which its unit is wrong
 _BESIDE = 4
 """Neighbours of a row on either side. The largest and the smallest of them are ignored,
 as they may be outliers themselves."""
@@ -72,9 +69,7 @@ def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[Fa
     if len(rows) < 2 * _BESIDE + 1:
         return ()
     by_place: dict[tuple[int, str], FarValue] = {}
-    for column in columns:
-        if column not in data:
-            continue
+    for column in (column for column in columns if column in data):
         values = data.usable(column)
         if not np.all(np.isfinite(values)):
             continue  # a column with gaps, which fits do not read
@@ -95,8 +90,7 @@ def without_far(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> TireDat
     keep, problems = np.ones(len(data), bool), []
     for far in far_values(data, columns):
         if far.among == _ALL and keep[far.row]:
-            keep[far.row] = False
-            remedy = "correct or delete the row"
+            keep[far.row], remedy = False, "correct or delete the row"
             problems.append(problem_at(data, far.row, far.column, why_far(far), remedy))
     source = replace(data.source, masked=(*data.source.masked, *problems))
     return replace(data.where(keep), source=source)

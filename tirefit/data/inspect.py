@@ -20,8 +20,7 @@ from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 _WIDTH = 80
 _COMBINED = 10  # smallest number of rows for combined slip to be intended
 _FAR_ROWS = 8  # far rows that the text names one by one
-_VARIES = 0.2
-"""Smallest relative range of load or speed that shows a dependence despite noise."""
+_VARIES = 0.2  # smallest relative range of load or speed that shows a dependence despite noise
 
 
 @dataclass(frozen=True)

@@ -82,15 +82,11 @@ def excluded(
     if limited and len(rows) > MOST * len(lines):
         remedy = f"fill the cells, or exclude the rows with --mask-bad-rows: up to {MOST:.0%} of"
         remedy += " the rows are excluded without it"
-        return None, [
-            InputProblem(
-                f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.1%}) lack a value"
-                f" ({where[column]})",
-                remedy,
-                file,
-                column=column,
-            )
-            for column, each in places.items()
-        ]
+        problems = []
+        for column, each in places.items():
+            reason = f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.1%}) lack a value"
+            reason += f" ({where[column]})"
+            problems.append(InputProblem(reason, remedy, file, column=column))
+        return None, problems
     named = "; ".join(f"{column!r} in {where[column]}" for column in places)
     return f"excluded {len(rows)} of {len(lines)} rows, which lack a value: {named}", []

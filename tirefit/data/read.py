@@ -261,13 +261,11 @@ def _canonical(name: str) -> str:
 
 def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     """Codes (n,) int in order of appearance, and the names of the runs."""
-    column = reading.plan.columns.get("run")
-    n = len(reading.table.lines)
+    column, table = reading.plan.columns.get("run"), reading.table
     if column is None:
-        return np.zeros(n, int), (reading.table.name,)
-    names = words_of(reading.table.cells[column.index])
-    skip = reading.table.ragged
-    empty = [i for i, name in enumerate(names) if name in ("", "nan") and not skip[i]]
+        return np.zeros(len(table.lines), int), (table.name,)
+    names = words_of(table.cells[column.index])
+    empty = [i for i, name in enumerate(names) if name in ("", "nan") and not table.ragged[i]]
     if empty:
         values = ["an empty cell"] * len(empty)
         reading.faults.append(BadRows(column.header, empty, values, check.NO_RUN))

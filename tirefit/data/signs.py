@@ -136,11 +136,9 @@ def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int
 _ALONE = {"fx": "N", "fy": "N", "fx_sim": "N", "fy_sim": "N", "mz": "Nm"}
 """Columns whose sign is often opposite alone -> a unit with which to flip it."""
 
-_DRIVING = 0.01
-"""Driving slip above the noise about zero in a braking test."""
+_DRIVING = 0.01  # driving slip above the noise about zero in a braking test
 
-_SLIGHT = 0.002
-"""Difference of slips that rounding of a rolling radius may cause."""
+_SLIGHT = 0.002  # difference of slips that rounding of a rolling radius may cause
 
 _LIMIT = 0.01
 """Median difference of slip ratios that noise and an offset of the slip may cause; a
@@ -285,40 +283,33 @@ def check_slip(
     def apart(sigma: np.ndarray) -> float:
         return float(np.median(abs(slip_ratio_from_sigma(sigma) - rolled)))
 
+    def causes() -> Iterator[tuple[str, np.ndarray]]:
+        """Sentence on a cause -> the slip sigma_x (n,) that would then be right."""
+        logged = slip_from_sigma(given, definition, alpha)
+        meant = slip_from_sigma(computed, definition, alpha)
+        mirrored = "it has the opposite sign: declare the file's --convention"
+        yield mirrored, slip_to_sigma(-logged, definition, alpha)
+        for other in ("kappa", "sigma_x", "slip_ratio"):
+            if other != definition and (definition, other) != ("s", "kappa"):
+                text = f"it agrees if read as {other}: pass --slip {other}"
+                yield text, slip_to_sigma(logged, other)
+        clear = abs(meant) > max(np.median(abs(meant)), _SLIGHT)
+        factor = np.median(logged[clear] / meant[clear]) if clear.any() else 0.0
+        if factor > 0:
+            text = f"it agrees if divided by {factor:.3g}: check its unit and scale"
+            yield text, slip_to_sigma(logged / factor, definition, alpha)
+        ratio = np.median((1 + given) / (1 + computed))
+        text = f"a rolling radius of {radius / ratio:.4g} m would give it, not {radius:g} m"
+        yield text, (1 + given) / ratio - 1
+
     difference = apart(given)
     contradicts = difference > max(_LIMIT, 0.2 * np.std(slip_ratio_from_sigma(given)))
-    causes = dict(_causes(given, computed, definition, alpha, radius))
-    cause = min(causes, key=lambda text: apart(causes[text]))
-    if difference <= _SLIGHT or apart(causes[cause]) > difference / 3:
+    possible = dict(causes())
+    cause = min(possible, key=lambda text: apart(possible[text]))
+    if difference <= _SLIGHT or apart(possible[cause]) > difference / 3:
         cause = "check the rolling radius, the slip definition (--slip), the units"
         if not contradicts:
             return SlipCheck(radius, difference, False)
     verb = "contradicts" if contradicts else "differs from"
     text = f"the slip {verb} (v - omega R)/(omega R): by {difference:.3g} in the median; {cause}"
     return SlipCheck(radius, difference, contradicts, text)
-
-
-def _causes(
-    given: np.ndarray,
-    computed: np.ndarray,
-    definition: str,
-    alpha: np.ndarray | None,
-    radius: float,
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Sentence on a cause of a difference -> the slip sigma_x (n,) that would then be right."""
-    logged = slip_from_sigma(given, definition, alpha)
-    meant = slip_from_sigma(computed, definition, alpha)
-    mirrored = "it has the opposite sign: declare the file's --convention"
-    yield mirrored, slip_to_sigma(-logged, definition, alpha)
-    for other in ("kappa", "sigma_x", "slip_ratio"):
-        if other != definition and (definition, other) != ("s", "kappa"):
-            text = f"it agrees if read as {other}: pass --slip {other}"
-            yield text, slip_to_sigma(logged, other)
-    clear = abs(meant) > max(np.median(abs(meant)), _SLIGHT)
-    factor = np.median(logged[clear] / meant[clear]) if clear.any() else 0.0
-    if factor > 0:
-        text = f"it agrees if divided by {factor:.3g}: check its unit and scale"
-        yield text, slip_to_sigma(logged / factor, definition, alpha)
-    ratio = np.median((1 + given) / (1 + computed))
-    text = f"a rolling radius of {radius / ratio:.4g} m would give it, not {radius:g} m"
-    yield text, (1 + given) / ratio - 1

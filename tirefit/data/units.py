@@ -48,8 +48,7 @@ class Unit(NamedTuple):
 _TURN = 2 * np.pi
 
 _DEG, _FOOT, _INCH = np.pi / 180, 0.3048, 0.0254
-_LBF = 4.4482216152605
-"""Pound-force [N]."""
+_LBF = 4.4482216152605  # pound-force [N]
 
 _USUAL = {
     "time": {1: "s sec second seconds", 1e-3: "ms millisecond milliseconds", 1e-6: "us microsecond",

@@ -35,7 +35,9 @@ def _header_above_numbers(
     """
     headers = []
     for index in searched:
-        width = _numbers_below(lines, index)
+        content = (line.split() for line in lines[index + 1 :] if line.strip())
+        rows = (row for row in itertools.islice(content, _BELOW) if all(map(_is_cell, row)))
+        width = len(next(rows, []))
         for cells in (_WIDE_GAP.split(lines[index].strip()), _words(lines[index])):
             if width > 1 and len(cells) == width and not any(map(is_number, cells)):
                 headers.append((index, cells))
@@ -45,16 +47,6 @@ def _header_above_numbers(
 
 def _words(line: str) -> list[str]:
     return [word.strip('"').strip() for word in _TOKEN.findall(line)]
-
-
-def _numbers_below(lines: Sequence[str], index: int) -> int:
-    """Number of values in the first row below that has only numbers; 0 without one."""
-    content = (line for line in lines[index + 1 :] if line.strip())
-    for line in itertools.islice(content, _BELOW):
-        words = line.split()
-        if all(map(_is_cell, words)):
-            return len(words)
-    return 0
 
 
 def _is_cell(word: str) -> bool:
@@ -117,7 +109,11 @@ def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
             continue
         cells = [[cell.strip(' "') for cell in row] for row in split]
         rows = dict(zip(searched, cells, strict=True))
-        found = [i for i, row in rows.items() if _is_numeric(row) and not counts_up(row)]
+        found = []  # rows of several cells, all numbers or empty
+        for i, row in rows.items():
+            filled = [cell.replace(",", ".", 1) for cell in row if cell]
+            if len(filled) > 1 and all(map(is_number, filled)) and not counts_up(row):
+                found.append(i)
         names = [
             i
             for i, row in rows.items()
@@ -127,12 +123,6 @@ def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
         if names:
             return names[-1]
     return lines.index("\n") + 1 if "\n" in lines else 1
-
-
-def _is_numeric(row: Sequence[str]) -> bool:
-    """Whether a row has several cells, all numbers or empty."""
-    cells = [cell.replace(",", ".", 1) for cell in row if cell]
-    return len(cells) > 1 and all(map(is_number, cells))
 
 
 def find_header(

@@ -24,8 +24,7 @@ _BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
 _LARGEST_MESSAGE = 4096
 """Largest message [bytes] that is read; larger ones are images or point clouds."""
 _LONGEST_ARRAY = 16
-_GAP = 5.0
-"""Largest gap between two samples, in periods of their channel, that is interpolated."""
+_GAP = 5.0  # largest gap between two samples, in periods of their channel, that is interpolated
 
 
 class Signal(NamedTuple):

@@ -174,13 +174,11 @@ def _best(
         reason = f"several structs hold columns that are known: {listed}"
         remedy = "save each to a file of its own: save('one.mat', '-struct', 'one')"
         raise DataError(reason, remedy, file)
-    others = [p for p in best[1:] + [p for p in read if p not in best] if p]
-    others = [place for place in others if place != "channel"]
+    others = [*best[1:], *(place for place in read if place not in best)]
+    listed = ", ".join(repr(place) for place in others if place not in ("", "channel"))
+    notes = [f"structs not read: {listed}"] if listed else []
     channels = read[best[0]]
-    if others:
-        note = f"structs not read: {', '.join(map(repr, others))}"
-        channels = channels._replace(notes=(*channels.notes, note))
-    return best[0], channels
+    return best[0], channels._replace(notes=(*channels.notes, *notes))
 
 
 def _structs(
@@ -207,8 +205,7 @@ def _channels(struct: Mapping[str, Any], is_known: Callable[[str], bool]) -> Cha
             columns[name] = value
     numbers = [k for k in columns if isinstance(columns[k], np.ndarray)]
     if not numbers:
-        columns = _of_matrix(struct)
-        numbers = list(columns)
+        numbers = list(columns := _of_matrix(struct))
     weights = Counter[int]()
     for name in numbers:
         weights[len(columns[name])] += 1 + 1000 * is_known(name)
@@ -251,12 +248,10 @@ def _logged(struct: Mapping[str, Any]) -> Channels | None:
     columns = {"Time": times[kept[0]]}
     columns |= {name: np.ravel(parts[name]["value"]) for name in kept}
     units = {name: parts[name].get("units", "") for name in kept}
-    others = [name for name in parts if name not in kept]
-    notes = ["each channel a struct with Time and Value"]
-    if others:
-        listed = ", ".join(map(repr, others))
-        notes.append(f"channels not read, sampled at other times: {listed}")
     texts = {name: unit for name, unit in units.items() if isinstance(unit, str)}
+    notes = ["each channel a struct with Time and Value"]
+    if others := ", ".join(repr(name) for name in parts if name not in kept):
+        notes.append(f"channels not read, sampled at other times: {others}")
     return Channels(columns, {"Time": "s"} | texts, tuple(notes))
 
 
@@ -264,12 +259,9 @@ def _left_out(struct: Mapping[str, Any], kept: Collection[str]) -> list[str]:
     """Notes on the other content of a struct; texts in full."""
     others = {n: value for n, value in struct.items() if n not in kept}
     texts = [f"{n} = {value!r}" for n, value in others.items() if isinstance(value, str)]
-    left = [
-        f"{n!r} ({_described(value)})"
-        for n, value in others.items()
-        if not isinstance(value, dict | str)
-    ]
-    return [*texts, *([f"variables not read: {', '.join(left)}"] if left else [])]
+    left = (f"{n!r} ({_described(x)})" for n, x in others.items() if not isinstance(x, dict | str))
+    listed = ", ".join(left)
+    return [*texts, *([f"variables not read: {listed}"] if listed else [])]
 
 
 def _described(value: Any) -> str:

@@ -59,8 +59,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     except Exception as error:  # pyarrow raises many kinds on damaged files
         reason = f"the {kind} file cannot be read: {error}"
         raise DataError(reason, "write it again", file) from error
-    if left:
-        notes.append(f"columns not read: {', '.join(left)}")
+    notes += [f"columns not read: {', '.join(left)}"] if left else []
     return Channels(columns, units, (f"read as a file of {kind}", *notes))
 
 
@@ -144,9 +143,8 @@ def sheet_of_excel(
     notes = [f"read from the sheet {title!r}"]
     if start:
         notes.append(f"rows before the header in row {filled[title][start][0]} skipped")
-    others = [other for other in sheets if other != title]
-    if others:
-        notes.append(f"sheets not read: {', '.join(map(repr, others))}")
+    if others := ", ".join(repr(other) for other in sheets if other != title):
+        notes.append(f"sheets not read: {others}")
     rows = filled[title][start:]
     width = max((i + 1 for i, cell in enumerate(rows[0][1]) if cell), default=0)
     return [(n, [*row[:width], *filter(None, row[width:])]) for n, row in rows], notes

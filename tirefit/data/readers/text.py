@@ -75,23 +75,19 @@ def read_bytes(path: Place) -> bytes:
     except FileNotFoundError:
         if isinstance(path, Path) and path.is_symlink():
             reason = f"it is a link to {path.readlink()}, which does not exist"
-            raise _refusal(reason, "correct the link", path) from None
+            raise DataError(reason, "correct the link", str(path)) from None
         beside = list[str]()
         with suppress(OSError):  # no such folder, or no permission to list it
             beside = [x.name for x in path.parent.iterdir()] if isinstance(path, Path) else beside
         remedy = did_you_mean(path.name, beside).strip() or "check the path"
-        raise _refusal("the file does not exist", remedy, path) from None
+        raise DataError("the file does not exist", remedy, str(path)) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         cause = getattr(error, "strerror", None) or error
         reason = f"the file cannot be read: {cause}"
-        raise _refusal(reason, "check the path and its permissions", path) from error
+        raise DataError(reason, "check the path and its permissions", str(path)) from error
     if len(raw) > DATA:
         raise too_large(str(path), DATA)
     return raw
-
-
-def _refusal(reason: str, remedy: str, path: Place | str, row: int | None = None) -> DataError:
-    return DataError(reason, remedy, str(path), row)
 
 
 def gunzipped(raw: bytes, path: Place) -> bytes:
@@ -103,7 +99,7 @@ def gunzipped(raw: bytes, path: Place) -> bytes:
             content = packed.read(DATA + 1)
     except (OSError, EOFError, zlib.error) as error:
         reason = f"the gzip file is damaged: {error}"
-        raise _refusal(reason, "copy or compress it again", path) from error
+        raise DataError(reason, "copy or compress it again", str(path)) from error
     if len(content) > DATA:
         raise too_large(str(path), DATA)
     return content
@@ -114,7 +110,7 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
     export = "give a text file: CSV, semicolon- or tab-separated, also gzipped (.gz)"
     if raw.startswith(b"PK\x03\x04"):
         reason = "not a text file but a zip archive or spreadsheet"
-        raise _refusal(reason, "export the sheet as CSV", path)
+        raise DataError(reason, "export the sheet as CSV", str(path))
     try:
         if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             text, notes = raw.decode("utf-16"), ["read as UTF-16"]
@@ -122,7 +118,7 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
             text, notes = raw.decode("utf-8"), []
     except UnicodeDecodeError as error:
         if error.encoding.startswith("utf-16"):
-            raise _refusal("not a text file: broken UTF-16", export, path) from error
+            raise DataError("not a text file: broken UTF-16", export, str(path)) from error
         raw = raw.removeprefix(codecs.BOM_UTF8)
         text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
     # Joined files have byte order marks inside; DOS ends a text with \x1a.
@@ -136,7 +132,7 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
         if text.count("\0") > len(text) / 3:
             reason = "it looks like UTF-16 or UTF-32 without a byte order mark"
             export = "save it as UTF-8"
-        raise _refusal(reason, export, path, row)
+        raise DataError(reason, export, str(path), row)
     return text, notes
 
 
@@ -155,7 +151,7 @@ def table_of_text(
     content = (i for i, line in enumerate(lines) if line != "\n")
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:
-        raise _refusal("the file is empty", "give a header line and data rows", path)
+        raise DataError("the file is empty", "give a header line and data rows", str(path))
     if logger := exported_by(raw[0]):
         start = names_of_export(lines, searched)
         searched = [index for index in searched if index >= start] or searched
@@ -181,11 +177,11 @@ def table_of_text(
 
 def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table:
     """Cells of a .vbo file of Racelogic."""
-    found = vbo_table(text, str(path))
-    notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
-    table = table_of_rows(found.rows, path, digest, notes)
+    vbo = vbo_table(text, str(path))
+    notes = [*notes, "read as a .vbo file of Racelogic", *vbo.notes]
+    table = table_of_rows(vbo.rows, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
-    return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
+    return replace(table, units_row=vbo.units, layout=layout, doubts=vbo.doubts)
 
 
 def table_of_rows(rows: list[Row], path: Place, digest: str, notes: list[str]) -> Table:
@@ -204,7 +200,7 @@ def _head(
     if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
-        raise _refusal(reason, remedy, path, header_line)
+        raise DataError(reason, remedy, str(path), header_line)
     units_row = units_line = None
     count = 1
     for number, row in rows[1:]:
@@ -271,7 +267,7 @@ def _with_rows(table: Table, blocks: Sequence[Block]) -> Table:
     at the end of a line do not count."""
     if not any(len(block.rows) for block in blocks):
         reason = "there are no data rows below the header"
-        raise _refusal(reason, "give at least as many rows as parameters", table.file)
+        raise DataError(reason, "give at least as many rows as parameters", table.file)
     width, lines = len(table.headers), np.concatenate([block.lines for block in blocks])
     wrong, count = dict[int, str](), 0
     for block in blocks:
@@ -312,9 +308,9 @@ def _split_rows(lines: list[str], delimiter: str, start: int, path: Place) -> It
     except csv.Error as error:
         reason = f"the line cannot be split: {error}"
         remedy = "look for a quotation mark that is not closed"
-        raise _refusal(reason, remedy, path, number) from error
+        raise DataError(reason, remedy, str(path), number) from error
     reason = "a quotation mark is not closed"
-    raise _refusal(reason, "close or remove it", path, last)
+    raise DataError(reason, "close or remove it", str(path), last)
 
 
 def table_of_frame(frame: Any, name: str) -> Table:
@@ -338,7 +334,7 @@ def table_of_frame(frame: Any, name: str) -> Table:
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
         shapes = ", ".join(f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True))
         reason = f"columns must be one-dimensional, equally long and not empty ({shapes})"
-        raise _refusal(reason, "give arrays of shape (n,)", name)
+        raise DataError(reason, "give arrays of shape (n,)", name)
     cells = [
         value if value.dtype.kind in "fiub" else ["" if x is None else str(x) for x in value]
         for value in values

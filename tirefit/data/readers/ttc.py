@@ -45,9 +45,17 @@ def recognised(table: Table) -> Table:
     if not ("FZ" in names and names & _SLIPS and names & _MARKS):
         return table
     own = table.layout
-    convention, reason = _convention(table)
+    load = _median(table, "FZ")
+    slip, force = _numbers(table, "SA"), _numbers(table, "FY")
+    usable = np.isfinite(slip + force) if len(slip) and len(force) else []
+    turned = "FZ is positive, so the file was converted: signs read as"
+    convention, reason = "iso-w", f"{turned} 'iso-w'"
     if own.convention:
         convention, reason = own.convention, f"signs stated in line {own.stated_in}"
+    elif load is None or load < 0:
+        convention, reason = "sae", "signs read as 'sae', as FZ is negative"
+    elif np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
+        convention, reason = "adapted-sae", f"{turned} 'adapted-sae', by SA and FY"
     notes = [f"laid out as Tire Test Consortium files are: {reason}"]
     meant = {"N": "omega"}
     if {"SL", "SR"} <= names:
@@ -67,19 +75,6 @@ def recognised(table: Table) -> Table:
             notes.append(f"no units stated: P of {pressure:.4g} is {system} units")
     layout = Layout(meant, units_from, convention, own.stated_in)
     return replace(table, layout=layout, units_row=units, notes=(*table.notes, *notes))
-
-
-def _convention(table: Table) -> tuple[str, str]:
-    """The convention of the signs, and a sentence with the reason."""
-    load = _median(table, "FZ")
-    if load is None or load < 0:
-        return "sae", "signs read as 'sae', as FZ is negative"
-    turned = "FZ is positive, so the file was converted"
-    slip, force = _numbers(table, "SA"), _numbers(table, "FY")
-    usable = np.isfinite(slip + force) if len(slip) and len(force) else []
-    if np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
-        return "adapted-sae", f"{turned}: signs read as 'adapted-sae', by SA and FY"
-    return "iso-w", f"{turned}: signs read as 'iso-w'"
 
 
 def _numbers(table: Table, header: str) -> np.ndarray:

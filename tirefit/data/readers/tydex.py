@@ -10,7 +10,7 @@ Longitudinal slip, forces and moments are those of the axes W and H (ISO 8855).
 """
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,14 +47,12 @@ constant; the first match of a key is used."""
 _INCH = 0.0254
 _SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d\d)\s?[A-Z]*-?\s?(\d\d)\b", re.I)
 """Nominal size such as 205/60 R15: width [mm], aspect ratio [%], rim diameter [inch]."""
-_LARGEST = 2.1
-"""Radius [m] of the largest earthmover tires: a larger value has a wrong unit."""
+_LARGEST = 2.1  # radius [m] of the largest earthmover tires: a larger value has a wrong unit
 
 _SECTIONS = "HEADER COMMENTS CONSTANTS MEASURCHANNELS MEASURDATA END".split()
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
 _WIDTH = 10
-_SEARCHED = 50
-"""Number of data lines that all have too few values if a record spans several lines."""
+_SEARCHED = 50  # number of data lines that all have too few values if a record spans several lines
 
 
 class _Entry(NamedTuple):
@@ -103,11 +101,26 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         reason, remedy = "there are no data rows below **MEASURDATA", "give some"
         raise DataError(reason, remedy, file)
     pairs = zip(zip(*rows, strict=True), channels, strict=True)
-    cells = [_converted(texts, *channel.conversion) for texts, channel in pairs]
+    cells: list[np.ndarray | list[str]] = []  # in the unit of the channel
+    for texts, channel in pairs:
+        factor, before, after = channel.conversion
+        try:
+            with np.errstate(all="ignore"):  # the reader reports rows that are not finite
+                cells.append(factor * (np.array(texts, float) + before) + after)
+        except ValueError:  # one of them is not a number
+            numbers = (float(text) if is_number(text) else None for text in texts)
+            converted = (x if x is None else factor * (x + before) + after for x in numbers)
+            both = zip(texts, converted, strict=True)
+            cells.append([text if x is None else repr(x) for text, x in both])
     constants, others = _constants(sections.get("CONSTANTS", []), channels)
     of_tire, origins = _of_tire(others, sections.get("HEADER", []))
     unread = [line.split()[0] for _, line in others if line not in origins]
-    meant = _meant([channel.name for channel in channels], constants)
+    names = [channel.name for channel in channels]
+    meant: dict[str, str] = {}  # parameter -> column; "" if another one has the same meaning
+    for name, column in _NAMES.items():
+        if name in names:
+            meant[name] = "" if column in meant.values() else column
+    meant |= {entry.name: _NAMES[entry.name] for entry in constants}
     ragged = np.zeros(len(rows), bool)
     ragged[[row for fault in faults for row in fault.rows]] = True
     moved = ", ".join(channel.name for channel in channels if channel.conversion[1])
@@ -218,20 +231,6 @@ def _words(line: str, missing: int) -> list[str]:
     return columns if touching else words
 
 
-def _converted(
-    texts: Sequence[str], factor: float, before: float, after: float
-) -> np.ndarray | list[str]:
-    """Values in the unit of the channel; texts if one of them is not a number."""
-    try:
-        with np.errstate(all="ignore"):  # the reader reports rows that are not finite
-            return factor * (np.array(texts, float) + before) + after
-    except ValueError:
-        return [
-            repr(factor * (float(text) + before) + after) if is_number(text) else text
-            for text in texts
-        ]
-
-
 # --- constants and meanings -----------------------------------------------------------
 
 
@@ -274,37 +273,21 @@ def _of_tire(
             entry = _entry(number, line)
             is_it = re.match(meaning, " ".join(line.split()), re.IGNORECASE)
             if is_it and entry and entry.values:
-                value = _si(float(entry.values[0]), entry.unit, dimension)
+                # Without a unit, a length above 3 is in mm.
+                value, unit = float(entry.values[0]), known_unit(entry.unit)
+                if entry.unit.casefold() in ("in", "inch", '"', "zoll") and dimension == "length":
+                    value *= _INCH
+                elif entry.unit in ("", "-"):
+                    value *= 1e-3 if dimension == "length" and value > 3 else 1.0
+                else:
+                    same = unit is not None and unit.dimension == dimension
+                    value = float(unit.to_si(value)) if unit and same else np.nan
                 take(key, factor * value, line)
     for _, line in [*lines, *header]:
         if size := _SIZE.search(line):
             width, ratio, rim = map(float, size.groups())
             take("UNLOADED_RADIUS", rim * _INCH / 2 + width * ratio * 1e-5, line)
     return found, notes
-
-
-def _si(value: float, unit: str, dimension: str) -> float:
-    """A constant in SI units, NaN if its unit has another dimension.
-
-    Without a unit, a length above 3 is in mm.
-    """
-    if unit.casefold() in ("in", "inch", '"', "zoll"):
-        return value * _INCH if dimension == "length" else np.nan
-    if unit in ("", "-"):
-        return value * 1e-3 if dimension == "length" and value > 3 else value
-    known = known_unit(unit)
-    same = known is not None and known.dimension == dimension
-    return float(known.to_si(value)) if known and same else np.nan
-
-
-def _meant(names: Collection[str], constants: Sequence[_Entry]) -> dict[str, str]:
-    """Parameter -> column; "" if another parameter of the file has the same meaning."""
-    meant: dict[str, str] = {}
-    for name, column in _NAMES.items():
-        if name in names:
-            meant[name] = "" if column in meant.values() else column
-    meant |= {entry.name: _NAMES[entry.name] for entry in constants}
-    return meant
 
 
 def _said(

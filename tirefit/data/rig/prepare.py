@@ -22,8 +22,7 @@ from tirefit.settings import parse_settings
 CONDITIONS = ("fz", "gamma", "pressure", "v")
 FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
 
-_LOOK = 5.0
-"""Bandwidth [Hz] of the channels in which segments are searched; rigs are slower."""
+_LOOK = 5.0  # bandwidth [Hz] of the channels in which segments are searched; rigs are slower
 _SHARE_OF_RATE = 0.2
 _WINDOW = 1.0  # length [s] of the windows of a hold in which settings are searched
 _LEAST_ROWS = 4
@@ -201,9 +200,8 @@ def _lost_conditions(parts: list[Segment], kept: np.ndarray) -> list[str]:
             name = f"{part.bin} ({part.channel})" if part.channel else part.bin
             rows[name] = rows.get(name, 0) + int(kept[part.begin : part.end].sum())
     lost = [name for name, count in rows.items() if not count]
-    remedy = "if their warm-up was cut, shorten it with --warm-up"
-    words = f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)} ({remedy})"
-    return [words] if lost else []
+    words = f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)}"
+    return [f"{words} (if their warm-up was cut, shorten it with --warm-up)"] if lost else []
 
 
 def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, np.ndarray]:

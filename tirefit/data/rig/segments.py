@@ -1,5 +1,6 @@
 """Segments of a rig test: stretches of one kind, such as a sweep or a hold."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -61,7 +62,10 @@ def segments_of(
     if codes is not None:
         moving = (codes < 0) @ (1 << np.arange(len(names)))
     piece = np.repeat(np.arange(len(series.pieces)), [p.stop - p.start for p in series.pieces])
-    key = [piece, _lasting(bad, shortest), moving]
+    lasting = np.zeros(len(bad), int)  # bad rows, except those that only interrupt a segment
+    for begin, end in runs_of(bad):
+        lasting[begin:end] = bad[begin] and end - begin >= shortest
+    key = [piece, lasting, moving]
     still = moving == 0
     if codes is not None:
         key += list((codes * still[:, None]).T)
@@ -78,14 +82,14 @@ def segments_of(
         else:
             leg_of = {name: its[number[name][begin]] for name, its in legs.items()}
             here.append(_held(begin, end, level, leg_of, slips, shortest))
-    return _merged(here, piece)
-
-
-def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
-    """Stretches of bad rows, except those that only interrupt a segment."""
-    out = np.zeros(len(bad), int)
-    for begin, end in runs_of(bad):
-        out[begin:end] = bad[begin] and end - begin >= shortest
+    out = here[:1]  # with consecutive transitions joined
+    for last, part in itertools.pairwise(here):
+        if last.kind == part.kind == "transition" and piece[last.begin] == piece[part.begin]:
+            channels = dict.fromkeys([*out[-1].channel.split("+"), *part.channel.split("+")])
+            channel = "+".join(name for name in channels if name)
+            out[-1] = replace(out[-1], end=part.end, channel=channel)
+        else:
+            out.append(part)
     return out
 
 
@@ -115,24 +119,6 @@ def _held(
     leg = next(iter(swept.values()))
     direction = "up" if leg.direction > 0 else "down"
     return Segment("sweep", begin, end, "+".join(swept), direction, level)
-
-
-def _merged(parts: list[Segment], piece: np.ndarray) -> list[Segment]:
-    """The segments with consecutive transitions joined."""
-    out: list[Segment] = []
-    for part in parts:
-        last = out[-1] if out else None
-        if (
-            last is not None
-            and last.kind == part.kind == "transition"
-            and piece[last.begin] == piece[part.begin]
-        ):
-            ways = dict.fromkeys([*last.channel.split("+"), *part.channel.split("+")])
-            channel = "+".join(way for way in ways if way)
-            out[-1] = replace(last, end=part.end, channel=channel)
-        else:
-            out.append(part)
-    return out
 
 
 def trimmed(parts: list[Segment], margin: int, piece_ends: set[int]) -> list[Segment]:

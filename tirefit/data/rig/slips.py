@@ -13,16 +13,13 @@ LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
 
 _REVERSAL = 0.02  # share of the range by which a slip goes back when a sweep turns
 _STILL = 0.008  # share of the range within which a slip is held
-_LONGER = 3
-"""Factor by which windows are longer if the slip moves too little in shorter ones."""
+_LONGER = 3  # factor by which windows are longer if the slip moves too little in shorter ones
 _NOISES = 8.0  # smallest change [standard deviations of the noise] that is a movement
 _PAUSE = 0.3
 """A stop shorter than this share of the sweeps next to it is their turning point: a sine
 is within ``_STILL`` of its end for 0.11 of a sweep."""
-_STEP = 0.4
-"""A movement shorter than this share of both stops next to it is a step between them."""
-_HURRY = 2.5
-"""A movement faster than the next sweep by this factor only takes the slip back."""
+_STEP = 0.4  # A movement shorter than this share of both stops next to it is a step between them
+_HURRY = 2.5  # A movement faster than the next sweep by this factor only takes the slip back
 
 
 class Leg(NamedTuple):
@@ -79,7 +76,15 @@ def legs(
         all_legs += [
             leg._replace(begin=leg.begin + piece.start, end=leg.end + piece.start) for leg in here
         ]
-    return _without_returns(slip, _without_steps(all_legs))
+    # Legs between two stops are steps if they are short compared with both.
+    steps = list(all_legs)
+    for k in range(1, len(all_legs) - 1):
+        before, leg, after = steps[k - 1], all_legs[k], all_legs[k + 1]
+        joined = before.end == leg.begin and leg.end == after.begin
+        if leg.how == SWEPT and joined and {before.how, after.how} == {HELD}:
+            if leg.rows < _STEP * min(before.rows, after.rows):
+                steps[k] = leg._replace(how=MOVED, direction=0)
+    return _without_returns(slip, steps)
 
 
 def number_of(all_legs: list[Leg]) -> np.ndarray:
@@ -124,9 +129,14 @@ def _between(slip: np.ndarray, stops: Iterable[tuple[int, int]], reversal: float
             continue
         # Include the ends of the stops between which the slip moves.
         first, last = max(begin - 1, 0), min(end + 1, len(slip))
-        turns = [t + first for t in _turns(slip[first:last], reversal)]
-        inner = [_cut(slip, t) for t in turns if begin < t < end]
-        cuts = [begin, *inner, end]
+        cuts = [begin]
+        for turn in (t + first for t in _turns(slip[first:last], reversal)):
+            if begin < turn < end:
+                # First row of the leg after a turn; the extreme belongs to the slower leg.
+                before = abs(slip[turn] - slip[turn - 1])
+                after = abs(slip[turn + 1] - slip[turn]) if turn + 1 < len(slip) else np.inf
+                cuts.append(turn + 1 if before <= after else turn)
+        cuts.append(end)
         for a, b in zip(cuts[:-1], cuts[1:], strict=True):
             if a == b:  # a jump from one row to the next
                 continue
@@ -156,26 +166,6 @@ def _turns(slip: np.ndarray, reversal: float) -> list[int]:
             direction, high = 1, row
             low = row
     return turns
-
-
-def _cut(slip: np.ndarray, turn: int) -> int:
-    """First row of the leg after a turn; the extreme belongs to the slower leg."""
-    before = abs(slip[turn] - slip[turn - 1])
-    after = abs(slip[turn + 1] - slip[turn]) if turn + 1 < len(slip) else np.inf
-    return turn + 1 if before <= after else turn
-
-
-def _without_steps(all_legs: list[Leg]) -> list[Leg]:
-    """Mark legs between two stops as moved if they are short compared with both."""
-    out = list(all_legs)
-    for k in range(1, len(out) - 1):
-        before, leg, after = out[k - 1 : k + 2]
-        joined = before.end == leg.begin and leg.end == after.begin
-        if leg.how != SWEPT or not joined or {before.how, after.how} != {HELD}:
-            continue
-        if leg.rows < _STEP * min(before.rows, after.rows):
-            out[k] = leg._replace(how=MOVED, direction=0)
-    return out
 
 
 def _without_returns(slip: np.ndarray, all_legs: list[Leg]) -> list[Leg]:

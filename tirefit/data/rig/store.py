@@ -32,12 +32,9 @@ def prepared_csv(prepared: Prepared) -> str:
     ``segment`` is the number of the segment in the file, from 1. ``tirefit.read`` reads
     the constants and the convention from the first line.
     """
-    kept = prepared.kept
-    number = np.zeros(len(kept), int)
-    for k, part in enumerate(prepared.segments):
-        number[part.begin : part.end] = k
+    kept, parts, data = prepared.kept, prepared.segments, prepared.data
+    number = np.repeat(np.arange(len(parts)), [part.end - part.begin for part in parts])
     rows = number[kept].tolist()
-    parts, data = prepared.segments, prepared.data
     columns: dict[str, Any] = {
         "run": [data.runs[code] for code in data.run[kept]],
         "segment": [k + 1 for k in rows],
@@ -49,13 +46,10 @@ def prepared_csv(prepared: Prepared) -> str:
     for name in CANONICAL:
         if name in prepared.columns:
             columns[name] = [_number(v) for v in prepared.columns[name][kept]]
-    name = data.file
     stated = [f"{key}={value:.6g}" for key, value in data.source.constants.items()]
     constants = f", constants {' '.join(stated)}" if stated else ""
-    name = name.replace("\n", " ")
-    first = f"# tirefit {__version__}: prepared from {name}, SI units{constants},"
-    first += " convention braking\n"
-    return first + csv_text(columns)
+    first = f"# tirefit {__version__}: prepared from {data.file}".replace("\n", " ")
+    return f"{first}, SI units{constants}, convention braking\n{csv_text(columns)}"
 
 
 def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:

@@ -37,11 +37,9 @@ _PER_DEGREE = 2.0
 """Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of
 race tires 60 per radian, which is 1 per degree."""
 
-_OLDER = (5.0, 51.0, 60.0)
-"""FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1."""
+_OLDER = (5.0, 51.0, 60.0)  # FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1
 
-_NAMED = 6
-"""Largest number of keys or values that a sentence lists; it counts the others."""
+_NAMED = 6  # largest number of keys or values that a sentence lists; it counts the others
 
 
 def notes_on(tir: TirFile) -> list[str]:

@@ -163,9 +163,7 @@ def derive(
     if not believe:
         DataError.raise_for(compared.problems)
     columns = _axle(motion, vehicle, axle)
-    kept, dropped = _kept(motion, track, vehicle, axle)
-    if not kept.any():
-        raise DataError(_none_left(track, motion, vehicle, dropped, str(file)))
+    kept, dropped = _kept(motion, track, vehicle, axle, str(file))
     few = max(dropped, key=lambda name: dropped[name])
     warnings = [*vehicle.doubts(), *doubts(columns, motion, kept, vehicle)]
     if dropped[few] > _NEARLY_ALL * len(kept):
@@ -179,9 +177,7 @@ def derive(
     point = check_point(motion, vehicle, checked, str(file))
     if not believe:
         DataError.raise_for(point.problems)
-    runs = np.array(names_of_runs(file, track))
     last_row = np.searchsorted(track.time, motion.time[kept], side="right") - 1
-    contradictions = (*compared.problems, *point.problems)
     columns = {name: values[kept] for name, values in columns.items()}
     heading, zero = zero_of_alpha(vehicle, axle, alpha, force)
     return DerivedLog(
@@ -196,10 +192,10 @@ def derive(
         heading=heading,
         zero=zero,
         point=point,
-        run=runs[track.run[last_row]],
+        run=np.array(names_of_runs(file, track))[track.run[last_row]],
         compared=compared,
         warnings=(
-            *(f"{p.reason}; {p.remedy}" for p in contradictions),
+            *(f"{p.reason}; {p.remedy}" for p in (*compared.problems, *point.problems)),
             *track.missing,
             *compared.warnings,
             *point.warnings,
@@ -283,8 +279,8 @@ def _summary(logs: Sequence[DerivedLog]) -> str:
     if len(logs) == 1:
         return logs[0].summary()
     lines = [replace(log, warnings=()).summary() for log in logs]
-    for text in merged((log.name, log.warnings) for log in logs):
-        lines.append(fill(f"warning: {text}", 80, subsequent_indent="  "))
+    warnings = merged((log.name, log.warnings) for log in logs)
+    lines += [fill(f"warning: {text}", 80, subsequent_indent="  ") for text in warnings]
     return "\n".join(lines)
 
 
@@ -315,16 +311,17 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
 
 
 def _kept(
-    motion: Motion, track: Track, vehicle: Vehicle, axle: str
+    motion: Motion, track: Track, vehicle: Vehicle, axle: str, file: str
 ) -> tuple[np.ndarray, dict[str, int]]:
-    """Grid samples to keep (n,) bool, and reason -> samples dropped for it."""
+    """Grid samples to keep (n,) bool, and reason -> samples dropped for it.
+
+    Raises:
+        DataError: no sample is kept.
+    """
     last_row = np.searchsorted(track.time, motion.time, side="right") - 1
     keep = vehicle.keep
-    reasons = {
-        "near an edge or a gap": ~motion.settled,
-        "not active": ~track.active[last_row],
-        **not_ahead(motion, vehicle),
-    }
+    reasons = {"near an edge or a gap": ~motion.settled, "not active": ~track.active[last_row]}
+    reasons |= not_ahead(motion, vehicle)
     if keep.a_y_max is not None:
         # The filter spreads a glitch over its settling time, which is dropped as well.
         glitches = motion.time[np.abs(motion.a_y) > keep.a_y_max]
@@ -337,28 +334,22 @@ def _kept(
         command = vehicle.steering.command
         inside = (motion.command >= command[0]) & (motion.command <= command[-1])
         reasons["steering command outside the map"] = ~inside
-    kept = np.ones(len(motion.time), bool)
-    dropped = {}
+    kept, dropped = np.ones(len(motion.time), bool), {}
     for reason, rows in reasons.items():
         dropped[reason] = int(np.count_nonzero(kept & rows))
         kept &= ~rows
+    if not kept.any():
+        reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
+        if motion.settled.any():
+            reason += f" (at most {np.max(motion.v_x[motion.settled]):.3g} m/s ahead)"
+            remedy = "check the units and [keep] of vehicle.toml"
+        else:
+            reason += f"; the longest stretch is {2 * np.max(motion.within):.2g} s"
+            reason += f" of {len(track.runs)} runs" if len(track.runs) > 1 else ""
+            remedy = f"record more than {2 * vehicle.margin:.2g} s without a gap, or raise"
+            remedy += " cutoff in [filter] of vehicle.toml, which shortens keep.margin"
+        raise DataError(reason, remedy, file)
     return kept, dropped
-
-
-def _none_left(
-    track: Track, motion: Motion, vehicle: Vehicle, dropped: Mapping[str, int], file: str
-) -> InputProblem:
-    """The error that no sample is kept, with a remedy."""
-    reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
-    if motion.settled.any():
-        reason += f" (at most {np.max(motion.v_x[motion.settled]):.3g} m/s ahead)"
-        remedy = "check the units and [keep] of vehicle.toml"
-    else:
-        reason += f"; the longest stretch is {2 * np.max(motion.within):.2g} s"
-        reason += f" of {len(track.runs)} runs" if len(track.runs) > 1 else ""
-        remedy = f"record more than {2 * vehicle.margin:.2g} s without a gap, or raise"
-        remedy += " cutoff in [filter] of vehicle.toml, which shortens keep.margin"
-    return InputProblem(reason, remedy, file)
 
 
 # --- words ----------------------------------------------------------------------
@@ -443,8 +434,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[s
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    counted = [f"{reason} {count}" for reason, count in counts.items() if count]
-    return ", ".join(counted) or "none"
+    return ", ".join(f"{reason} {count}" for reason, count in counts.items() if count) or "none"
 
 
 def run_name(path: Place) -> str:
@@ -464,7 +454,5 @@ def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:
     if not names:
         return [InputProblem("no log given", "name at least one")]
     remedy = "rename one: the run gets the name of its file"
-    return [
-        InputProblem(f"two logs are named {name!r}", remedy)
-        for name in sorted({name for name in names if names.count(name) > 1})
-    ]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    return [InputProblem(f"two logs are named {name!r}", remedy) for name in twice]

@@ -195,16 +195,13 @@ class Agreement:
     def as_dict(self) -> dict[str, Any]:
         """The estimates, for the companion file."""
         numbers = zip(self.pair.terms, self.gains, self.gain_stds, strict=True)
+        gains = [{"of": t.words, "value": gain, "std": std} for t, gain, std in numbers]
+        names = ("delay", "delay_std", "offset", "offset_std", "correlation", "samples")
         return {
             "channel": self.pair.channel,
             "against": self.pair.words,
-            "gains": [{"of": t.words, "value": gain, "std": std} for t, gain, std in numbers],
-            "delay": self.delay,
-            "delay_std": self.delay_std,
-            "offset": self.offset,
-            "offset_std": self.offset_std,
-            "correlation": self.correlation,
-            "samples": self.samples,
+            "gains": gains,
+            **{name: getattr(self, name) for name in names},
             "effective_samples": self.effective,
             "judged": any(self.judged),
         }
@@ -224,7 +221,8 @@ def agreements(
     of, usable = _signals(track, motion, vehicle, swapped)
     if not usable.any():
         return []
-    found = []
+    speed = float(np.sqrt(np.mean(of["speed"][usable] ** 2)))
+    estimates = []
     for channel, words, products in _PAIRS:
         terms = []
         for text, product in products.items():
@@ -240,12 +238,11 @@ def agreements(
         own = "yaw_turn" if channel == "yaw" else channel
         if own in of and terms:
             words = words or " + ".join(term.words for term in terms)
-            speed = float(np.sqrt(np.mean(of["speed"][usable] ** 2)))
             zero = _SENSORS[channel][0] or 0.02 * speed
             exact = channel not in ("yaw", "steering") and words != "v_x r"
             pair = Pair(channel, words, of[own], tuple(terms), zero, exact)
-            found.append(_agreement(pair, motion.part, usable, vehicle))
-    return [agreement for agreement in found if agreement is not None]
+            estimates.append(_agreement(pair, motion.part, usable, vehicle))
+    return [agreement for agreement in estimates if agreement is not None]
 
 
 def _signals(
@@ -338,6 +335,10 @@ def _agreement(
         return None
     # Values of rows that are not usable, as at standstill, are arbitrary.
     terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
+
+    def zero(factors: np.ndarray) -> float:
+        return pair.zero * float(np.linalg.norm(factors[:-1]))
+
     shift, gains = _delay(pair.values, terms, rows, latest)
     # This is wrong only next to a break, where no row is used.
     rates, k = np.gradient(terms, 1 / rate, axis=0), terms.shape[1]
@@ -345,12 +346,7 @@ def _agreement(
         along = gains if gains.any() else np.ones(k)  # the gains of a dead channel are 0
         sides = np.column_stack([terms, rates @ along])
         own = pair.values[rows + shift]
-        fit = instrumented(
-            own,
-            sides[rows],
-            around(sides, rows, step),
-            lambda factors: pair.zero * float(np.linalg.norm(factors[:-1])),
-        )
+        fit = instrumented(own, sides[rows], around(sides, rows, step), zero)
         if fit is None:
             return None
         about = np.abs(fit.error - np.median(fit.error))

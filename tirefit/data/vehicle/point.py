@@ -83,22 +83,11 @@ _ZERO = 0.02
 """Zero error [rad] of heading or mounting that is assumed if a log turns to one side
 only: 1 deg, twice the errors found in measured logs."""
 
-_ON_CAR = (-0.5, 1.5)
-"""Smallest and largest position on a car [wheelbases ahead of the rear axle]."""
+_ON_CAR = (-0.5, 1.5)  # positions on a car [wheelbases ahead of the rear axle]
 
 _KNOWN = 0.15
 """Largest standard error [wheelbases] of an estimate that is reported: a quarter of
 the distance from the centre of gravity to an axle, about."""
-
-_ONE_POINT = 0.05
-"""Standard deviation of the force over the strong force below which the log has one
-operating point and its slope is undefined."""
-
-_BETTER = 2.0
-"""Ratio of the standard errors above which the fit below a fifth of the cutoff counts."""
-
-_BIAS = 0.01
-"""Error [wheelbases] by the cube of a filtered force, in simulated drives."""
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
@@ -137,10 +126,10 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
         kept: (n,) bool, the samples that will be written.
     """
     found = _point(motion, vehicle, kept)
-    check = PointCheck("tracked point: this log does not determine it", None)
+    line, estimate = "this log does not determine it", None
     if found.known:
-        line = f"tracked point: {point_words(found.ahead, found.std)}"
-        check = PointCheck(line, (found.at, found.std))
+        line, estimate = point_words(found.ahead, found.std), (found.at, found.std)
+    check = PointCheck(f"tracked point: {line}", estimate)
     against = found.slope <= -SURE
     if (found.is_off or not found.known) and _fits_mirrored(motion, vehicle, kept, found):
         other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
@@ -232,16 +221,16 @@ def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Point:
     """The point by the filtered signals, or by the slower ones if only these determine it or, of a
     pose, if these determine it better or contradict it."""
     each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
-    known = [one for one in each if one.known]
+    known = [point for point in each if point.known]
     best = known[-1] if known else _Point()
     if len(known) > 1:
         apart = abs(known[0].at - best.at) > SURE * math.hypot(known[0].std, best.std)
-        better = apart or _BETTER * best.std < known[0].std
+        better = apart or 2.0 * best.std < known[0].std
         if not (better and vehicle.columns.motion == POSE):  # rates are differentiated less
             best = known[0]
         best = best._replace(misfit=math.inf if apart else best.misfit)
-    effect = max((one.effect for one in known), default=0.0)
-    return best._replace(effect=effect, slope=min((one.slope for one in each), default=0.0))
+    effect = max((point.effect for point in known), default=0.0)
+    return best._replace(effect=effect, slope=min((point.slope for point in each), default=0.0))
 
 
 def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Iterator[_Lines]:
@@ -270,8 +259,7 @@ def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Iterator[_Line
 def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     """Fit of the tracked point; starts at the best point of a grid."""
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
-    none = _Point(slope=_slope(lines))
-    start, misfit = 0.0, math.inf
+    slope, start, misfit = _slope(lines), 0.0, math.inf
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
         rows, strong, offset = lines.moderate(x)
@@ -295,7 +283,7 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
             if abs(fit.theta[2]) < 0.05 * fit.std[2]:
                 break
     except np.linalg.LinAlgError:
-        return none
+        return _Point(slope=slope)
     assert fit is not None  # the loop has at least one round
     size = max(float(np.mean(alpha[rows] ** 2)), 1e-300)
     effect = abs(x) * math.sqrt(np.mean(sides[rows, 2] ** 2) / size)
@@ -303,13 +291,12 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     # Jaeger, Baker, JASA 1995, eq. 7.
     share, count = fit.seen[2], sides.shape[1] * len(AROUND)
     strength = share / max(1 - share, 1e-9) * fit.effective / count
-    bias = _BIAS * vehicle.wheelbase
+    bias = 0.01 * vehicle.wheelbase  # by the cube of a filtered force, in simulated drives
     std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9), bias)
     on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
     stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
     known = on_car and stable and std < _KNOWN * vehicle.wheelbase
-    misfit = math.sqrt(np.mean(fit.error**2))
-    return _Point(stated + x, x, std, effect, misfit, known, none.slope)
+    return _Point(stated + x, x, std, effect, math.sqrt(np.mean(fit.error**2)), known, slope)
 
 
 def _slope(lines: _Lines) -> float:
@@ -318,7 +305,7 @@ def _slope(lines: _Lines) -> float:
     rows, strong, offset = lines.moderate(0.0)
     alpha, sides = lines.at(0.0, strong)
     share, slopes = sides[rows, :1], [0.0]
-    if np.std(share) < _ONE_POINT:
+    if np.std(share) < 0.05:  # one operating point, at which the slope is undefined
         return 0.0
     for free in {offset, math.inf}:
         try:

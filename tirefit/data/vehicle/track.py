@@ -19,8 +19,7 @@ from tirefit.data.vehicle.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit
 from tirefit.results import DataError, InputProblem
 
 _CORRECT = "correct the cell, or name another column in [columns] of vehicle.toml"
-_CLOSEST = 0.3
-"""Samples closer than this share of the sampling period are repeats of one sample."""
+_CLOSEST = 0.3  # samples closer than this share of the sampling period are repeats of one sample
 
 _LASTING = 1.0
 """A new run begins if time stamps go back and stay back for this time [s]; rows that a
@@ -29,8 +28,6 @@ recorder wrote late end sooner."""
 _HELD, _COARSE = 0.02, 1e-3
 """Smallest share of samples that repeat the one before, and smallest half step over the
 standard deviation of a channel, for a note on its quantisation."""
-
-_JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
 
 _MEANT = {"yaw": "heading", "v_x": "v"}
 """Quantity of a log -> its canonical column, if that has another name."""
@@ -82,12 +79,27 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     active = np.ones(len(time), bool)
     if vehicle.keep.active:
         active = columns[vehicle.keep.active] == vehicle.keep.active_value
-    label = _labels(table, vehicle, notes)
+    headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
+    header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
+    label = np.full(len(table.lines), "")
+    if header is not None:
+        notes.append(f"column {header!r} read as the run")
+        label = np.array(words_of(table.cells[table.headers.index(header)]))
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
     read = [c.header for c in (clock, *channels[:needed])]
     if not finite.any():
-        raise DataError(_no_row(table.file, [clock, *channels[:needed]], columns))
+        remedy = "fill the column, or name another one in [columns] of vehicle.toml"
+        reason = "has no value in any row, but {} is needed"
+        empty = [c for c in (clock, *channels[:needed]) if not np.isfinite(columns[c.header]).any()]
+        where = f"no row has a value in all of {', '.join(map(repr, read))}"
+        raise DataError(
+            [
+                InputProblem(reason.format(c.quantity), remedy, table.file, None, c.header)
+                for c in empty
+            ]
+            or [InputProblem(where, remedy, table.file)]
+        )
     absent = {h: np.flatnonzero(~np.isfinite(columns[h])) for h in read}
     faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items() if len(rows)]
     lacking, _ = excluded(faults, table.lines, table.file, False)
@@ -116,17 +128,6 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
         tuple(notes), run[fresh], runs, (*table.doubts, *([lacking] if lacking else [])),
     )  # fmt: skip
-
-
-def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
-    """The run of each row (n,) as text, from the named column or the one recognised by
-    its header; all "" without one."""
-    headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
-    header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
-    if header is None:
-        return np.full(len(table.lines), "")
-    notes.append(f"column {header!r} read as the run")
-    return np.array(words_of(table.cells[table.headers.index(header)]))
 
 
 def _in_runs(
@@ -180,16 +181,10 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
         vehicle = vehicle.model_copy(update={"columns": columns})
         wanted = [headings[name] if name == yaw else name for name in wanted]
     absent = [name for name in dict.fromkeys(wanted) if name not in table.headers]
-    if absent:
-        known = ", ".join(table.headers)
-        remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
-        remedy += "".join(f"; {note}" for note in table.notes if "not read" in note)
-        raise DataError(
-            [
-                InputProblem("the column is missing", remedy, table.file, column=name)
-                for name in absent
-            ]
-        )
+    remedy = f"correct [columns] of vehicle.toml; the file has: {', '.join(table.headers)}"
+    remedy += "".join(f"; {note}" for note in table.notes if "not read" in note)
+    what = "the column is missing"
+    DataError.raise_for([InputProblem(what, remedy, table.file, column=name) for name in absent])
     return table, vehicle
 
 
@@ -283,21 +278,6 @@ def _numbers(
     return columns
 
 
-def _no_row(
-    file: str, needed: Sequence[Channel], columns: Mapping[str, np.ndarray]
-) -> list[InputProblem]:
-    """The columns without any value, or that no row has a value in all of them."""
-    remedy = "fill the column, or name another one in [columns] of vehicle.toml"
-    empty = [c for c in needed if not np.isfinite(columns[c.header]).any()]
-    if empty:
-        reason = "has no value in any row, but {} is needed"
-        return [
-            InputProblem(reason.format(c.quantity), remedy, file, None, c.header) for c in empty
-        ]
-    names = ", ".join(repr(c.header) for c in needed)
-    return [InputProblem(f"no row has a value in all of {names}", remedy, file)]
-
-
 # --- usable samples -------------------------------------------------------------
 
 
@@ -306,25 +286,21 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
     steps = np.diff(time)
     steps = steps[steps > 0]
     cutoff = vehicle.filter.cutoff
-    needed = f"a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
-    if len(steps) == 0:
-        column = vehicle.columns.time
-        reason, remedy = "holds fewer than two samples", f"give {needed}"
-        if len(time) > 1:
-            reason = "time does not rise from any sample to the next"
-            remedy = "sort the log by time, or name the right column"
-        raise DataError(reason, remedy, file, column=column)
-    period = float(np.median(steps))
-    if period > _JITTER / (4 * cutoff):
-        lower = math.floor(100 / (4 * period)) / 100
-        raise DataError(
-            f"is sampled at {1 / period:.3g} Hz only",
-            f"give {needed}, set cutoff = {max(lower, 0.001):g} in [filter] of"
-            " vehicle.toml, or check the unit of time",
-            file,
-            column=vehicle.columns.time,
-        )
-    return period
+    remedy = f"give a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
+    period = float(np.median(steps)) if len(steps) else math.inf
+    # Allow for jitter: 20 Hz by the clock of a bus is 19.9 Hz.
+    if period <= 1.05 / (4 * cutoff):
+        return period
+    reason = f"is sampled at {1 / period:.3g} Hz only"
+    if len(steps):
+        lower = max(math.floor(100 / (4 * period)) / 100, 0.001)
+        remedy += f", set cutoff = {lower:g} in [filter] of vehicle.toml, or check the unit of time"
+    elif len(time) > 1:
+        reason = "time does not rise from any sample to the next"
+        remedy = "sort the log by time, or name the right column"
+    else:
+        reason = "holds fewer than two samples"
+    raise DataError(reason, remedy, file, column=vehicle.columns.time)
 
 
 def _steps(channels: Iterable[Channel], signals: np.ndarray) -> list[str]:
@@ -339,17 +315,14 @@ def _steps(channels: Iterable[Channel], signals: np.ndarray) -> list[str]:
         if step > _COARSE * math.sqrt(12) * float(np.std(values)):
             text = f"{step / abs(channel.factor):.3g} {channel.unit.removeprefix('-')}"
             coarse.append(f"{channel.quantity} {text.strip()}")
-    if not coarse:
-        return []
-    return [f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"]
+    what = f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"
+    return [what] if coarse else []
 
 
 def _later(time: np.ndarray, period: float) -> np.ndarray:
     """Which samples (n,) bool are clearly later than the last one taken."""
-    taken = np.zeros(len(time), bool)
-    last = -math.inf
+    taken, last = np.zeros(len(time), bool), -math.inf
     for index, stamp in enumerate(time.tolist()):
         if stamp - last > _CLOSEST * period:
-            taken[index] = True
-            last = stamp
+            taken[index], last = True, stamp
     return taken

@@ -191,10 +191,6 @@ class Steering(Section):
             yield InputProblem("an angle is 90 deg or more", "give the angles in rad")
 
 
-_DENSITIES, _INERTIAS, _ARMS = (5.0, 3000.0), (0.15, 4.0), (0.2, 5.0)
-_HEIGHTS, _GRAVITIES = (0.0, 1.0), (9.7, 9.9)
-"""Ranges of road vehicles, including racing cars (17 kg/m3) and scale models (300)."""
-
 _SHORTEST, _LONGEST = 0.005, 50.0
 """Lengths [m] that a vehicle can have: below those of scale models, above those of lorries."""
 
@@ -261,7 +257,7 @@ class Vehicle(Section):
         given = dict(given)
 
         def positive(*names: str) -> bool:
-            values = [given.get(name) for name in names]
+            values = map(given.get, names)
             return all(type(value) in (int, float) and value > 0 for value in values)
 
         if positive("mass_front", "mass_rear"):
@@ -327,17 +323,18 @@ class Vehicle(Section):
         Lengths are compared with the wheelbase, masses with its third power, so that the
         limits apply to cars and to scale models.
         """
+        # Ranges of road vehicles, including racing cars (17 kg/m3) and scale models (300).
         compared = (
-            ("mass / wheelbase^3", self.mass / self.wheelbase**3, _DENSITIES, "kg/m3"),
-            ("yaw_inertia / (mass l_f l_r)", self.inertia_ratio, _INERTIAS, ""),
-            ("l_f / l_r", self.l_f / self.l_r, _ARMS, ""),
-            ("h_cg / wheelbase", (self.h_cg or 0.0) / self.wheelbase, _HEIGHTS, ""),
-            ("gravity", self.gravity, _GRAVITIES, "m/s2"),
+            ("mass / wheelbase^3", self.mass / self.wheelbase**3, 5.0, 3000.0, " kg/m3"),
+            ("yaw_inertia / (mass l_f l_r)", self.inertia_ratio, 0.15, 4.0, ""),
+            ("l_f / l_r", self.l_f / self.l_r, 0.2, 5.0, ""),
+            ("h_cg / wheelbase", (self.h_cg or 0.0) / self.wheelbase, 0.0, 1.0, ""),
+            ("gravity", self.gravity, 9.7, 9.9, " m/s2"),
         )
         return tuple(
-            f"{what} = {value:.3g}{unit and ' '}{unit}, where vehicles have {low:g} to"
+            f"{what} = {value:.3g}{unit}, where vehicles have {low:g} to"
             f" {high:g}: check the units of vehicle.toml (kg, m, kg m2)"
-            for what, value, (low, high), unit in compared
+            for what, value, low, high, unit in compared
             if not low <= value <= high
         )
 
@@ -356,14 +353,12 @@ class Vehicle(Section):
     @property
     def margin(self) -> float:
         """Time dropped next to every edge, gap and glitch [s]."""
-        given = self.keep.margin
-        return self.filter.settling if given is None else given
+        return self.filter.settling if self.keep.margin is None else self.keep.margin
 
     @property
     def v_min(self) -> float:
         """Lowest forward speed that is kept [m/s]."""
-        given = self.keep.v_min
-        return _FROUDE * math.sqrt(self.gravity * self.wheelbase) if given is None else given
+        return self.keep.v_min or _FROUDE * math.sqrt(self.gravity * self.wheelbase)
 
 
 def vehicle_toml(vehicle: Vehicle, note: str) -> str:

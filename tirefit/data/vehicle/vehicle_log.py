@@ -130,11 +130,10 @@ def vehicle_log(
             beside = _message(header) == message != _message(found.get(name, ""))
             if ends & set(known.split()) and (name not in found or beside and name in _OF_ONE):
                 found[name] = header
-    motion = POSE if by_pose and found.keys() >= {*POSE} else RATES
     # A message with both has measured both: speeds are differentiated once, not twice.
     messages = {_message(found.get(name, "")) for name in ("x", *RATES)}
-    if len(messages) == 1 and messages != {""}:
-        motion = RATES
+    has_pose = by_pose and found.keys() >= {*POSE}
+    motion = POSE if has_pose and (len(messages) > 1 or messages == {""}) else RATES
     if not found.keys() >= {*motion}:
         return _incomplete(found, file, headers, units)
     # The index of a data frame often has no header; in such logs it is the time.
