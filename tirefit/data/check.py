@@ -7,7 +7,6 @@ are masked. A doubt is a warning: the data can be used, but may have another mea
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +23,8 @@ SHOWN = 5  # rows of one fault that are listed; the others are counted
 
 _LOWEST_SIGMA = -1.05
 _LARGEST = 1e100  # no measurement; its square still fits in a float
-_OR_MASK = ", or mask bad rows with --mask-bad-rows"
-_CORRECT = f"correct the row{_OR_MASK}"
+OR_MASK = ", or mask bad rows with --mask-bad-rows"
+_CORRECT = f"correct the row{OR_MASK}"
 _CLOCK = re.compile(r"\d{1,2}:\d{2}|\d{1,4}([-./])\d{1,2}\1\d{1,4}(\D|$)")
 _IS_TEXT = "is text where a number is needed"
 _IS_CLOCK = "is a date or a time of day where a number is needed"
@@ -215,11 +214,6 @@ def list_problems(
             reason += f" row {lines[rows[SHOWN]]}: {values[SHOWN]} {rule}"
             of_rows.append(InputProblem(reason, remedy, file, column=column))
     return of_rows, of_columns
-
-
-def without_masking(problem: InputProblem) -> InputProblem:
-    """The problem of a row that is masked, without the advice to mask it."""
-    return replace(problem, remedy=problem.remedy.replace(_OR_MASK, ""))
 
 
 def check_columns(

@@ -423,7 +423,8 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
         of_rows = []  # a vehicle log has no slip and force to check
     if whole or (of_rows and not mask):
         raise DataError([*whole, *of_rows])
-    return tuple(check.without_masking(problem) for problem in of_rows)
+    # Without the advice to mask them.
+    return tuple(replace(p, remedy=p.remedy.replace(check.OR_MASK, "")) for p in of_rows)
 
 
 def _warnings(reading: _Reading, run: np.ndarray) -> tuple[str, ...]:

@@ -136,13 +136,7 @@ def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int
 _ALONE = {"fx": "N", "fy": "N", "fx_sim": "N", "fy_sim": "N", "mz": "Nm"}
 """Columns whose sign is often opposite alone -> a unit with which to flip it."""
 
-_DRIVING = 0.01  # driving slip above the noise about zero in a braking test
-
 _SLIGHT = 0.002  # difference of slips that rounding of a rolling radius may cause
-
-_LIMIT = 0.01
-"""Median difference of slip ratios that noise and an offset of the slip may cause; a
-fifth of the scatter of the slips if that is larger."""
 
 
 def judge_signs(
@@ -234,7 +228,8 @@ def _undeclared(
     speeds = sum(item.trend for item in pairs if item.columns == ("sigma_x", "omega"))
     header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
-    has_driving = np.percentile(slip, 1) < -_DRIVING
+    # Driving slip above the noise about zero in a braking test.
+    has_driving = np.percentile(slip, 1) < -0.01
     if speeds > 0 or not (speeds or has_driving):
         return []
     brakes = sign > 0  # whether a positive slip was read as braking
@@ -303,7 +298,9 @@ def check_slip(
         yield text, (1 + given) / ratio - 1
 
     difference = apart(given)
-    contradicts = difference > max(_LIMIT, 0.2 * np.std(slip_ratio_from_sigma(given)))
+    # Median difference of slip ratios that noise and an offset of the slip may cause; a fifth of
+    # the scatter of the slips if that is larger.
+    contradicts = difference > max(0.01, 0.2 * np.std(slip_ratio_from_sigma(given)))
     possible = dict(causes())
     cause = min(possible, key=lambda text: apart(possible[text]))
     if difference <= _SLIGHT or apart(possible[cause]) > difference / 3:

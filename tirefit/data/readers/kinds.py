@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.data.columns import guess
 from tirefit.data.readers import logs, tables, tydex
 from tirefit.data.readers.loggers import VBO, is_vbo
-from tirefit.data.readers.mat import Channels, channels_of_mat, is_mat
+from tirefit.data.readers.mat import MAT, Channels, channels_of_mat
 from tirefit.data.readers.remote import Place
 from tirefit.data.readers.text import (
     Table,
@@ -90,13 +90,13 @@ def _read(path: Place, is_known: Callable[[str], bool]) -> Table:
         remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns"
         raise DataError(reason, f"{remedy} or a frame (pandas.read_json)", file)
     digest = hashlib.sha256(raw).hexdigest()
-    if is_mat(content):
+    if content.startswith(MAT):
         return _of_channels(channels_of_mat(content, file, is_known), path, digest)
-    if logs.is_mdf(content):
+    if content.startswith(logs.MDF):
         return _of_channels(logs.channels_of_mdf(path, content, is_known), path, digest)
     if logs.bag_suffix(content):
         return _of_channels(logs.channels_of_bag(path, content, is_known), path, digest)
-    if tables.is_arrow(content):
+    if content.startswith(tables.ARROW):
         channels = tables.channels_of_arrow(content, file)
         return _of_channels(channels, path, digest, "metadata of the column")
     if tables.is_excel(content):

@@ -20,6 +20,7 @@ from tirefit.data.readers.mat import Channels
 from tirefit.data.readers.remote import Place
 from tirefit.results import DataError
 
+MDF = b"MDF     "  # first bytes of a finished file (.mf4, .mdf)
 _BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
 _LARGEST_MESSAGE = 4096
 """Largest message [bytes] that is read; larger ones are images or point clouds."""
@@ -33,11 +34,6 @@ class Signal(NamedTuple):
     time: np.ndarray
     values: np.ndarray
     unit: str = ""
-
-
-def is_mdf(content: bytes) -> bool:
-    """Whether these are the bytes of a finished MDF file (.mf4, .mdf)."""
-    return content.startswith(b"MDF     ")
 
 
 def bag_suffix(content: bytes) -> str:
@@ -100,13 +96,28 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
         DataError: rosbags is missing, or the bag is damaged or empty.
     """
     extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
+    from rosbags import rosbag1, rosbag2
+
+    signals: dict[str, Signal] = {}
+    left: list[str] = []  # topics that are not read, with the reason
     try:
         with tempfile.TemporaryDirectory() as folder:
             place = Path(str(path))
             if content:
                 place = Path(folder) / f"log{bag_suffix(content)}"
                 place.write_bytes(content)
-            signals, left = _signals_of(place)
+            is_ros1 = place.suffix == ".bag"
+            with (rosbag1 if is_ros1 else rosbag2).Reader(place) as reader:
+                for topic in sorted({connection.topic for connection in reader.connections}):
+                    connections = [c for c in reader.connections if c.topic == topic]
+                    try:
+                        read = _topic(reader.messages(connections), topic, is_ros1)
+                    except Exception as error:  # rosbags raises many kinds
+                        kinds = " or ".join({c.msgtype for c in connections})
+                        why = f"{type(error).__name__}: {error}"
+                        read = f"no {kinds} by its definition: {why}"
+                    signals |= read if isinstance(read, dict) else {}
+                    left += [f"{topic!r} ({read})"] if isinstance(read, str) else []
     except Exception as error:  # rosbags raises many kinds on damaged files
         raise _damaged("bag", path, error) from error
     unread = [f"topics not read: {', '.join(left)}"] if left else []
@@ -121,28 +132,6 @@ def _damaged(kind: str, path: Place, error: Exception) -> DataError:
     reason = f"the {kind} cannot be read: {type(error).__name__}: {error}"
     remedy = "close the recording properly, or export it as CSV"
     return DataError(reason, remedy, str(path))
-
-
-def _signals_of(place: Path) -> tuple[dict[str, Signal], list[str]]:
-    """Fields of all topics of a bag, and the topics that are not read, with the reason."""
-    from rosbags import rosbag1, rosbag2
-
-    is_ros1 = place.suffix == ".bag"
-    signals: dict[str, Signal] = {}
-    left = []
-    with (rosbag1 if is_ros1 else rosbag2).Reader(place) as reader:
-        for topic in sorted({connection.topic for connection in reader.connections}):
-            connections = [c for c in reader.connections if c.topic == topic]
-            try:
-                found = _topic(reader.messages(connections), topic, is_ros1)
-            except Exception as error:  # rosbags raises many kinds
-                kinds = " or ".join({c.msgtype for c in connections})
-                why = f"{type(error).__name__}: {error}"
-                left.append(f"{topic!r} (no {kinds} by its definition: {why})")
-                continue
-            signals |= found if isinstance(found, dict) else {}
-            left += [f"{topic!r} ({found})"] if isinstance(found, str) else []
-    return signals, left
 
 
 def _topic(

@@ -18,7 +18,7 @@ import numpy as np
 from tirefit.data.readers.mat_sound import check_sound
 from tirefit.results import DataError
 
-_V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+MAT = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"  # first bytes of a file
 
 _HOW_TO_SAVE = (
     "save its columns as vectors: S = table2struct(T, 'ToScalar', true);"
@@ -40,11 +40,6 @@ class _Opaque(NamedTuple):
     kind: str
 
 
-def is_mat(content: bytes) -> bool:
-    """Whether these are the bytes of a MATLAB file of version 5 or later."""
-    return content.startswith((_V5, _V73))
-
-
 def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) -> Channels:
     """The columns of a MATLAB file.
 
@@ -57,7 +52,7 @@ def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) 
         DataError: the file is damaged, has no vectors, or has several structs with as
             many known columns.
     """
-    is_hdf5 = content.startswith(_V73)
+    is_hdf5 = content.startswith(MAT[1])
     contents: dict[str, Any] = {}
     try:
         if is_hdf5:

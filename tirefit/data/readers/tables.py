@@ -13,17 +13,12 @@ from tirefit.data.readers.mat import Channels
 from tirefit.door import DATA, MIB, too_large
 from tirefit.results import DataError
 
-_PARQUET, _ARROW = b"PAR1", b"ARROW1"
+ARROW = b"PAR1", b"ARROW1"  # first bytes of a Parquet and of an Arrow (Feather 2) file
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 _SEARCHED = 60  # first rows of a sheet, which must contain the header
 
 
 # --- Parquet and Arrow --------------------------------------------------------------
-
-
-def is_arrow(content: bytes) -> bool:
-    """Whether these are the bytes of a Parquet or an Arrow (Feather 2) file."""
-    return content.startswith((_PARQUET, _ARROW))
 
 
 def channels_of_arrow(content: bytes, file: str) -> Channels:
@@ -34,7 +29,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     Raises:
         DataError: pyarrow is missing, or the file is damaged.
     """
-    is_parquet = content.startswith(_PARQUET)
+    is_parquet = content.startswith(ARROW[0])
     kind = "Parquet" if is_parquet else "Arrow"
     pyarrow = extra("pyarrow", f"{kind} files", file)
     try:

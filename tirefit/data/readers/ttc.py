@@ -31,9 +31,6 @@ _IMPERIAL = _METRIC | {
     "TSTC": "degF",
 }
 
-_MOST_PSI = 35.0
-"""Pressures below this number are in psi, above in kPa; racing tires have 8 to 14 psi."""
-
 
 def recognised(table: Table) -> Table:
     """The table with signs, meanings and, unless stated, units by its layout.
@@ -66,7 +63,8 @@ def recognised(table: Table) -> Table:
     units, units_from = table.units_row, table.layout.units_from
     if units is None:
         pressure = _median(table, "P")
-        is_imperial = pressure is not None and pressure < _MOST_PSI
+        # Pressures below this number are in psi, above in kPa; racing tires have 8 to 14 psi.
+        is_imperial = pressure is not None and pressure < 35.0
         by = _IMPERIAL if is_imperial else _METRIC
         units = [by.get(header, "") for header in table.headers]
         units_from = "as in Tire Test Consortium files"

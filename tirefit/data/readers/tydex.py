@@ -52,7 +52,6 @@ _LARGEST = 2.1  # radius [m] of the largest earthmover tires: a larger value has
 _SECTIONS = "HEADER COMMENTS CONSTANTS MEASURCHANNELS MEASURDATA END".split()
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
 _WIDTH = 10
-_SEARCHED = 50  # number of data lines that all have too few values if a record spans several lines
 
 
 class _Entry(NamedTuple):
@@ -203,7 +202,8 @@ def _records(
     and the rows with another number of values."""
     rows: list[list[str]] = []
     numbers, wrong = [], dict[int, str]()
-    goes_on = all(len(_words(line, width)) < width for _, line in lines[:_SEARCHED])
+    # Number of data lines that all have too few values if a record spans several lines.
+    goes_on = all(len(_words(line, width)) < width for _, line in lines[:50])
     words: list[str] = []
     for k, (number, line) in enumerate(lines, 1):
         if not words:

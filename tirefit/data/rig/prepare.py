@@ -163,8 +163,7 @@ def prepare(data: DataLike, config: PrepareConfig | dict[str, Any] | None = None
     kept = np.zeros(len(data), bool)
     for part in parts:
         if part.kind in config.keep:
-            first = part.first if part.is_held else part.begin
-            kept[first : part.last if part.is_held else part.end] = True
+            kept[part.first : part.last] = True
     kept &= data.used
     if chosen is not None:
         kept &= chosen.independent(series)

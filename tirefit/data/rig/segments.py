@@ -12,10 +12,7 @@ from tirefit.data.rig.slips import MOVED, SWEPT, Leg, number_of
 
 _PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
 
-_RISE = 5.0  # smallest rise of temperature [K] by which a warm-up is found
 _WARM = 0.8  # share of the rise of temperature above which the tire is warm
-_STILL_WARMING = 0.1
-"""Share of the rise above which a tire that still warms in the last third is not warm."""
 
 
 @dataclass(frozen=True)
@@ -168,12 +165,14 @@ def with_warmth(
     begin = held[0].begin
     start = float(np.median(temperature[begin : begin + max(len(time) // 200, 3)]))
     rise = hot - start
-    if rise < _RISE:
+    # Smallest rise of temperature [K] by which a warm-up is found.
+    if rise < 5.0:
         message = f"{start:.0f} degC at the start, {hot:.0f} degC later"
         return parts, f"warm-up: none, as the tire was warm at the start ({message})"
     last = max(len(time) // 3, 1)
     still = float(np.median(temperature[-last // 10 :]) - temperature[-last])
-    if still > _STILL_WARMING * rise:
+    # Share of the rise above which a tire that still warms in the last third is not warm.
+    if still > 0.1 * rise:
         message = f"{still:.0f} K in the last third of the test"
         return parts, (
             f"warm-up: none cut, as the tire was warming all the time ({message}); if part"

@@ -18,12 +18,7 @@ _SHARE = 0.02
 """Share of the range of a channel: a channel that changes by more in a second is between
 settings, and two settings are further apart."""
 _SCATTERS = 3.0  # smallest distance of two settings, in scatters of the channel about a setting
-_RESTLESS = 3.0  # a window with this multiple of the usual movement has no setting
 _ROOM = 1.3  # factor on the usual deviation of a channel from its setting while it is held
-_WIDER = 2.5
-"""Factor by which a deviation may be larger for a short time if no other setting is near
-and the channel returns."""
-_MOST = 0.25  # largest deviation from a setting, over the distance of two settings
 
 
 class Window(NamedTuple):
@@ -117,7 +112,8 @@ def _candidates(
     for kind in (sweep, ~sweep):
         if kind.any():
             usual = float(np.median(np.array(scatter)[kind]))
-            calm |= kind & (np.array(scatter) <= _RESTLESS * usual)
+            # A window with this multiple of the usual movement has no setting.
+            calm |= kind & (np.array(scatter) <= 3.0 * usual)
     at_rest = np.array(trend) <= max(_SHARE * float(np.ptp(values)), 2 * float(np.median(trend)))
     held = calm & (sweep | at_rest)
     still = [window for window, is_held in zip(windows, held, strict=True) if is_held]
@@ -126,7 +122,8 @@ def _candidates(
 
 def _room(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest deviations from each setting, downward and upward, given its neighbours."""
-    gaps = _MOST * np.diff(center)
+    # Largest deviation from a setting, over the distance of two settings.
+    gaps = 0.25 * np.diff(center)
     return np.append(np.inf, gaps), np.append(gaps, np.inf)
 
 
@@ -145,7 +142,9 @@ def _assigned(
     between = (center[1:] + center[:-1]) / 2
     nearest = np.searchsorted(between, values)
     above = values - center[nearest]
-    down, up = (np.minimum(_WIDER * width, room)[nearest] for room in _room(center))
+    # Factor by which a deviation may be larger for a short time if no other setting is near and the
+    # channel returns.
+    down, up = (np.minimum(2.5 * width, room)[nearest] for room in _room(center))
     code = np.where((-down <= above) & (above <= up), nearest, -1)
     half = max(shortest // 2, 1)
     row = np.arange(len(values))

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from tirefit.data.rig.series import runs_of
+
 HELD, SWEPT, MOVED = "held", "swept", "moved"
 
 LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
@@ -19,7 +21,6 @@ _PAUSE = 0.3
 """A stop shorter than this share of the sweeps next to it is their turning point: a sine
 is within ``_STILL`` of its end for 0.11 of a sweep."""
 _STEP = 0.4  # A movement shorter than this share of both stops next to it is a step between them
-_HURRY = 2.5  # A movement faster than the next sweep by this factor only takes the slip back
 
 
 class Leg(NamedTuple):
@@ -107,11 +108,9 @@ def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int
     mark = np.zeros(n + 1, int)
     np.add.at(mark, begins, 1)
     np.add.at(mark, begins + shortest, -1)
-    inside = np.concatenate([[False], np.cumsum(mark)[:-1] > 0, [False]])
-    edges = np.flatnonzero(inside[1:] != inside[:-1])
-    stops = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    inside = np.cumsum(mark)[:-1] > 0
     kept = []
-    for a, b in stops:
+    for a, b in ((a, b) for a, b in runs_of(inside) if inside[a]):
         if np.ptp(slip[a:b]) <= 2 * still:
             kept.append((a, b))
         else:  # overlapping windows can follow a slow sweep, so use longer ones
@@ -184,7 +183,8 @@ def _without_returns(slip: np.ndarray, all_legs: list[Leg]) -> list[Leg]:
             and leg.direction != other.direction
             and (other.end == leg.begin or leg.end == other.begin)
         ]
-        if any(speed(leg) > _HURRY * speed(other) for other in slower):
+        # A movement faster than the next sweep by this factor only takes the slip back.
+        if any(speed(leg) > 2.5 * speed(other) for other in slower):
             leg = leg._replace(how=MOVED, direction=0)
         out.append(leg)
     return out

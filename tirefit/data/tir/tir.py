@@ -33,10 +33,6 @@ __all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 PRESSURES = (1e4, 5e6)
 """Range of inflation pressures [Pa], from a kart to an aircraft."""
 
-_PER_DEGREE = 2.0
-"""Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of
-race tires 60 per radian, which is 1 per degree."""
-
 _OLDER = (5.0, 51.0, 60.0)  # FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1
 
 _NAMED = 6  # largest number of keys or values that a sentence lists; it counts the others
@@ -102,7 +98,9 @@ def _of_units(tir: TirFile) -> Iterator[InputProblem]:
         remedy = f"write the file with one of {', '.join(sizes)}"
         yield _problem(tir, quantity, reason, remedy, "UNITS")
     entry, stiffness = tir.find("ANGLE", "UNITS"), tir.numbers.get("PKY1", 0.0)
-    if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < _PER_DEGREE:
+    # Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of race tires
+    # 60 per radian, which is 1 per degree.
+    if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < 2.0:
         reason = f"ANGLE = {entry.value}, and PKY1 = {stiffness:g} is per degree"
         remedy = "write the coefficients per radian, with ANGLE = 'radians'"
         yield _problem(tir, "ANGLE", reason, remedy, "UNITS")

@@ -52,9 +52,6 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
 
-_NEARLY_ALL = 0.9
-"""Share of the samples dropped for one reason above which units are probably wrong."""
-
 
 @dataclass(frozen=True)
 class DerivedLog:
@@ -166,7 +163,8 @@ def derive(
     kept, dropped = _kept(motion, track, vehicle, axle, str(file))
     few = max(dropped, key=lambda name: dropped[name])
     warnings = [*vehicle.doubts(), *doubts(columns, motion, kept, vehicle)]
-    if dropped[few] > _NEARLY_ALL * len(kept):
+    # Share of the samples dropped for one reason above which units are probably wrong.
+    if dropped[few] > 0.9 * len(kept):
         warnings[:0] = [
             f"only {np.count_nonzero(kept)} of {len(kept)} samples are kept,"
             f" {dropped[few]} are dropped as {few!r}: check the units of the log"

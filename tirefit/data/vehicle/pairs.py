@@ -429,7 +429,16 @@ def instrumented(
     try:
         for _ in range(2):
             error = values - columns @ theta
-            count = _effective(error)
+            # The autocorrelation is summed while pairs of neighbouring lags are positive (Geyer).
+            n = len(error)
+            power = np.abs(np.fft.rfft(error - error.mean(), 2 * n)) ** 2
+            covariance = np.fft.irfft(power)[: n // 2]
+            count = float(n)
+            if covariance[0] > 0:
+                pairs = covariance[: len(covariance) // 2 * 2].reshape(-1, 2).sum(axis=1)
+                until = np.flatnonzero([*(pairs <= 0), True])[0]
+                total = 2 * float(np.sum(pairs[:until])) / float(covariance[0]) - 1
+                count = n / max(total, 1.0)
             noise = float(np.var(error)) * len(values) / count
             level = zero((theta / scale)[:-1])
             prior[-1, -1] = noise / max(level, 1e-9) ** 2
@@ -447,19 +456,3 @@ def instrumented(
         own, whole = (each[:, k] - np.delete(each, k, axis=1) @ part for each in (seen, columns))
         shares.append(float(np.mean(own**2) / max(np.mean(whole**2), _TINY)))
     return Fit(theta / scale, std / scale, np.array(shares), count, values - columns @ theta)
-
-
-def _effective(error: np.ndarray) -> float:
-    """Effective number of independent residuals (n,): the autocorrelation is summed as
-    long as pairs of neighbouring lags are positive (Geyer)."""
-    n = len(error)
-    about = error - error.mean()
-    power = np.abs(np.fft.rfft(about, 2 * n)) ** 2
-    covariance = np.fft.irfft(power)[: n // 2]
-    if covariance[0] <= 0:
-        return float(n)
-    pairs = covariance[: len(covariance) // 2 * 2].reshape(-1, 2).sum(axis=1)
-    negative = np.flatnonzero(pairs <= 0)
-    until = negative[0] if len(negative) else len(pairs)
-    total = 2 * float(np.sum(pairs[:until])) / float(covariance[0]) - 1
-    return n / max(total, 1.0)

@@ -85,10 +85,6 @@ only: 1 deg, twice the errors found in measured logs."""
 
 _ON_CAR = (-0.5, 1.5)  # positions on a car [wheelbases ahead of the rear axle]
 
-_KNOWN = 0.15
-"""Largest standard error [wheelbases] of an estimate that is reported: a quarter of
-the distance from the centre of gravity to an axle, about."""
-
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
 
@@ -295,7 +291,9 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9), bias)
     on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
     stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
-    known = on_car and stable and std < _KNOWN * vehicle.wheelbase
+    # Largest standard error [wheelbases] of an estimate that is reported: a quarter of the distance
+    # from the centre of gravity to an axle, about.
+    known = on_car and stable and std < 0.15 * vehicle.wheelbase
     return _Point(stated + x, x, std, effect, math.sqrt(np.mean(fit.error**2)), known, slope)
 
 

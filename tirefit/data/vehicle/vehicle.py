@@ -40,9 +40,6 @@ CHECKS = (*POSE, *RATES, "a_y", "a_x")
 _FROUDE = 0.5
 """Default of the lowest speed that is kept, over sqrt(g L): 0.65 m/s for a model car with
 a wheelbase of 0.17 m, 2.6 m/s for a car with 2.7 m. Below, noise dominates alpha."""
-_AXLE_TOLERANCE = 0.01
-"""Largest relative difference of axle masses and the position of the centre of gravity,
-which are measured separately."""
 
 
 class Columns(Section):
@@ -272,7 +269,9 @@ class Vehicle(Section):
 
     def contradictions(self) -> Iterator[InputProblem]:
         def differ(value: float, other: float) -> bool:
-            return abs(value - other) > _AXLE_TOLERANCE * abs(other)
+            # Largest relative difference of axle masses and the position of the centre of gravity,
+            # which are measured separately.
+            return abs(value - other) > 0.01 * abs(other)
 
         arms = self.l_f + self.l_r
         if differ(self.wheelbase, arms):
