@@ -31,7 +31,6 @@ from tirefit import __version__
 from tirefit.data.merged import merged
 from tirefit.data.readers.remote import Place, file_at
 from tirefit.data.vehicle.contradictions import Comparison, compare
-from tirefit.data.vehicle.doubts import doubts
 from tirefit.data.vehicle.findings import delays, findings, found_in
 from tirefit.data.vehicle.motion import (
     Motion,
@@ -42,7 +41,7 @@ from tirefit.data.vehicle.motion import (
     road_wheel,
     slip_and_force,
 )
-from tirefit.data.vehicle.point import PointCheck, check_point, zero_of_alpha
+from tirefit.data.vehicle.point import PointCheck, check_point, doubts, zero_of_alpha
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
