@@ -131,15 +131,6 @@ REMEDIES = {
 }
 
 
-@pytest.mark.parametrize("fault", IN_RATES)
-def test_an_error_in_a_log_with_rates_is_reported_with_its_remedy(tmp_path, fault):
-    put_in, said = IN_RATES[fault]
-    log = log_of()
-    log |= put_in(log)
-    text = refused(tmp_path, log, RATES)
-    assert said in text and REMEDIES.get(fault, "") in text
-
-
 IN_POSES = {
     "yaw in deg": (times(c9=DEG), "yaw is in deg, but read in rad"),
     "yaw clockwise": (times(c9=-1), 'yaw has the wrong sign | set yaw = "-rad"'),
@@ -162,12 +153,16 @@ IN_POSES = {
 }
 
 
-@pytest.mark.parametrize("fault", IN_POSES)
-def test_an_error_in_a_log_with_poses_is_reported_with_its_remedy(tmp_path, fault):
-    put_in, said = IN_POSES[fault]
+ERRORS = [(fault, RATES) for fault in IN_RATES] + [(fault, POSE | BESIDE) for fault in IN_POSES]
+
+
+@pytest.mark.parametrize(("fault", "columns"), ERRORS)
+def test_an_error_in_a_log_is_reported_with_its_remedy(tmp_path, fault, columns):
+    put_in, said = (IN_RATES if columns == RATES else IN_POSES)[fault]
     log = log_of()
-    log |= put_in(log)
-    assert said in refused(tmp_path, log, POSE | BESIDE)
+    text = refused(tmp_path, log | put_in(log), columns)
+    assert said in text
+    assert columns != RATES or REMEDIES.get(fault, "") in text
 
 
 def test_a_pose_alone_does_not_identify_the_mirrored_axis(tmp_path):
@@ -247,9 +242,8 @@ def test_a_consistent_log_gives_only_one_line(tmp_path, name, columns, extra):
 
 
 def pair(result, channel, against):
-    (found,) = [
-        p for p in result.compared.as_dicts() if (p["channel"], p["against"]) == (channel, against)
-    ]
+    each = [agreement.as_dict() for agreement in result.compared.pairs]
+    (found,) = [p for p in each if (p["channel"], p["against"]) == (channel, against)]
     return found
 
 
@@ -299,6 +293,9 @@ def test_a_delayed_or_tilted_accelerometer_gives_a_warning(tmp_path):
     late = log | {"c4": np.r_[np.repeat(log["c4"][0], 10), log["c4"][:-10]]}
     said, _ = derived(tmp_path, late, RATES).warnings
     assert re.match(r"a_y is 0\.(19|2|21) ± 0.0\d+ s late", said)
+    assert derived(tmp_path, log | {"c4": log["c4"] + 0.2}, RATES).warnings == ()
+    (said,) = derived(tmp_path, log | {"c4": log["c4"] + 0.4}, RATES).warnings
+    assert said.startswith("a_y is +0.4 ± 0.00")
     (said,) = derived(tmp_path, log | {"c4": log["c4"] + 0.8}, RATES).warnings
     assert said.startswith("a_y is +0.8 ± 0.00") and "1.2e+03 N" in said
 
@@ -408,3 +405,22 @@ def test_every_wrong_unit_of_a_log_is_found(tmp_path):
         scale = known_unit(text).scale
         wrong = log | {"c1": log["c1"] / scale, "c2": log["c2"] / scale}
         assert f"v_x and v_y are in {text}, " in refused(tmp_path, wrong, RATES)
+
+
+def test_a_delay_of_parts_of_a_sample_is_recovered(tmp_path):
+    """25.4 ms on a grid of 10 ms: the sign of the part beyond whole samples counts."""
+    true = driven()
+    late = np.interp(true["time"] - 0.0254, true["time"], true["c4"])
+    found = pair(derived(tmp_path, true | {"c4": late}, RATES), "a_y", "v_x r + dv_y/dt")
+    assert found["delay"] == pytest.approx(0.0254, abs=2e-3)
+
+
+def test_a_steady_circle_determines_the_gain_by_the_zero_error_of_a_good_sensor(tmp_path):
+    """Gain and offset act alike there: 0.5 m/s2 of an accelerometer, over 3 m/s2, which the
+    noise of the other term lowers somewhat."""
+    time = np.arange(0, 40, 0.02)
+    noise = 0.002 * np.random.default_rng(5).standard_normal((4, len(time)))
+    log = {"time": time, "c1": 10 + noise[0], "c2": noise[1], "c3": 0.3 + 0.1 * noise[2]}
+    log["c4"] = 3.0 + noise[3]
+    found = pair(derived(tmp_path, log, RATES, believe=True), "a_y", "v_x r + dv_y/dt")
+    assert 0.5 * 0.5 / 3 < found["gains"][0]["std"] < 1.2 * 0.5 / 3

@@ -83,18 +83,12 @@ def test_an_undriven_axle_has_no_longitudinal_force(tmp_path):
 
 def test_the_error_of_the_drive_force_states_its_assumption(tmp_path):
     """Rolling resistance and 30 % of the braking force, 5 % of the driving force."""
-    path, car = steered_car(tmp_path, 'driven = "rear"\n')
-    found = derive(path, car).columns
-    rolling = 0.02 * MASS * 9.80665
-    share = np.where(found["fx"] > 0, 0.3, 0.05)
-    expected = np.hypot(share * found["fx"], rolling)
-    np.testing.assert_allclose(found["fx_std"], expected)
-    path, car = steered_car(tmp_path, 'driven = "rear"\ndrag = 0.1\n')
-    found = derive(path, car).columns
-    known = 0.005 * MASS * 9.80665
-    share = np.where(found["fx"] > 0, 0.3, 0.05)
-    expected = np.hypot(share * found["fx"], known)
-    np.testing.assert_allclose(found["fx_std"], expected)
+    for drag, rolling in (("", 0.02), ("drag = 0.1\n", 0.005)):
+        path, car = steered_car(tmp_path, f'driven = "rear"\n{drag}')
+        found = derive(path, car).columns
+        known = rolling * MASS * 9.80665
+        share = np.where(found["fx"] > 0, 0.3, 0.05)
+        np.testing.assert_allclose(found["fx_std"], np.hypot(share * found["fx"], known))
     # Half of an unknown split is known to 0.15 of the whole.
     path, car = steered_car(tmp_path, 'driven = "all"\ndrag = 0.1\n')
     assumed = derive(path, car)

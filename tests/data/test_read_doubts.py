@@ -135,6 +135,15 @@ def test_a_slip_that_contradicts_the_speeds_is_reported(logged, others, said):
     assert f": by {apart:.3g} in the median" in text
 
 
+def test_a_slip_by_another_rolling_radius_is_reported_with_it():
+    turning = speeds(KAPPA)
+    sigma = turning["v"] / (turning["omega"] * 0.33) - 1
+    columns = frame(sigma, header="sigma_x", **turning)
+    columns["fx"] = LOAD * np.tanh(12 * sigma)
+    (text,) = warned(columns, rolling_radius=0.3, **BRAKING)
+    assert text.endswith("a rolling radius of 0.33 m would give it, not 0.3 m")
+
+
 def _bounded(kappa):
     """The slip ratio of a kappa: kappa in braking, sigma in driving."""
     return np.where(kappa > 0, kappa, kappa / (1 - kappa))

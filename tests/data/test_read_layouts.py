@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 from rig_file import IMPERIAL_UNITS, METRIC_UNITS, truth, ttc
+from test_read_kinds import said
 
 from tirefit.data.read import read, read_frame
 from tirefit.results import DataError
 
 TITLE = 'Source_File_Name="B9999run7.SI"; Tire_Name="no such tire 16x7.5-10"'
-
-
-def said(data, fragment):
-    return any(fragment in note for note in data.source.notes)
 
 
 def written(tmp_path, lines, name="run.dat"):

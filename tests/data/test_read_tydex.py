@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rig_file import DEG, truth, tydex
+from test_read_kinds import said
 
 from tirefit.data.read import read
 from tirefit.data.table import join
@@ -13,10 +14,6 @@ def written(tmp_path, lines, name="test.tdx"):
     path = tmp_path / name
     path.write_text("\n".join(lines) + "\n")
     return path
-
-
-def said(data, fragment):
-    return any(fragment in note for note in data.source.notes)
 
 
 def same(data, columns):

@@ -143,7 +143,7 @@ def test_a_measured_a_x_is_used_and_filtered(tmp_path):
     result = derive(write_log(tmp_path / "a.csv", log), loaded(tmp_path, text))
     right = truth(result.columns["time"] + time[0]).a_x
     np.testing.assert_allclose(result.columns["a_x"], right, atol=0.02)
-    found = [p for p in result.compared.as_dicts() if p["channel"] == "a_x"]
+    found = [a.as_dict() for a in result.compared.pairs if a.pair.channel == "a_x"]
     assert found[0]["gains"][0]["value"] == pytest.approx(1, abs=0.05)
 
 

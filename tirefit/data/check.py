@@ -7,14 +7,12 @@ are masked. A doubt is a warning: the data can be used, but may have another mea
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.columns import is_number
 from tirefit.data.readers.cells import Column, parsed
-from tirefit.data.readers.own_tables import own_table
 from tirefit.data.signs import evidence_of, fitting_conventions
 from tirefit.data.units import base_column
 from tirefit.data.vehicle.vehicle_log import vehicle_log
@@ -23,12 +21,10 @@ from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
 SHOWN = 5  # rows of one fault that are listed; the others are counted
 
-_NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
 _LARGEST = 1e100  # no measurement; its square still fits in a float
-_NO_LOAD = 1e-6  # N, below which no tire is loaded and no quotient is a number
-_OR_MASK = ", or mask bad rows with --mask-bad-rows"
-_CORRECT = f"correct the row{_OR_MASK}"
+OR_MASK = ", or mask bad rows with --mask-bad-rows"
+_CORRECT = f"correct the row{OR_MASK}"
 _CLOCK = re.compile(r"\d{1,2}:\d{2}|\d{1,4}([-./])\d{1,2}\1\d{1,4}(\D|$)")
 _IS_TEXT = "is text where a number is needed"
 _IS_CLOCK = "is a date or a time of day where a number is needed"
@@ -48,6 +44,23 @@ INFINITE = "is infinite"
 NO_VALUE, NO_RUN = "the value is not available", "is not a run's name"
 _MISSING = (_EMPTY, _NOT_A_NUMBER, NO_VALUE, NO_RUN)
 """Rules that cells without a value break: their rows are excluded, not refused."""
+
+
+_OWN_TABLES = {
+    frozenset(("segment", "first_line", "last_line", "kept")): (
+        "the table of segments that tirefit prepare writes beside the rows to fit",
+        "give NAME.csv, not NAME.segments.tsv",
+    ),
+    frozenset(("masked",)): (
+        "the table of rows of tirefit diagnose: forces of models, not measurements",
+        "give the file that was diagnosed, not NAME.rows.csv",
+    ),
+    frozenset(("controller", "seed", "stopping_distance")): (
+        "the table of stops of tirefit brake",
+        "give series.csv, which has every sample",
+    ),
+}
+"""Headers of a table that tirefit wrote beside its results -> what it is, and the remedy."""
 
 
 class BadRows(NamedTuple):
@@ -72,26 +85,7 @@ class Rule(NamedTuple):
     column: str
     is_bad: Callable[[np.ndarray], np.ndarray]
     rule: str
-    remedy: str
-
-
-def _slip_rule(name: str) -> Rule:
-    return Rule(
-        name,
-        lambda slip: abs(slip) > _NEARLY_ONE,
-        f"is out of the physical range: |{name}| <= 1",
-        f"if the column is in percent: --unit {name}=%; if it is defined otherwise:"
-        " --slip sigma_x or --slip slip_ratio; " + _CORRECT,
-    )
-
-
-def _angle_rule(name: str) -> Rule:
-    return Rule(
-        name,
-        lambda angle: abs(angle) > np.pi / 2,
-        f"is out of range: |{name}| <= pi/2 rad",
-        f"if the column is in degrees: --unit {name}=deg; " + _CORRECT,
-    )
+    remedy: str = ""  # if the column is right; else the row is to be corrected
 
 
 _RULES = (
@@ -99,15 +93,32 @@ _RULES = (
         "sigma_x",
         lambda sigma: (sigma < _LOWEST_SIGMA) | ((sigma > 5) & (sigma < LOCKED)),
         "is out of the physical range: -1 <= sigma_x <= 5",
-        "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x:"
-        " --slip kappa; " + _CORRECT,
+        "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x: --slip kappa; ",
     ),
-    *(_slip_rule(name) for name in SLIP_DEFINITIONS if name != "sigma_x"),
-    _angle_rule("alpha"),
-    _angle_rule("gamma"),
-    Rule("fz", lambda load: load < _NO_LOAD, "is not a load: fz > 0 is needed", _CORRECT),
-    Rule("v", lambda speed: speed < 0, "is a negative speed", _CORRECT),
-    Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed", _CORRECT),
+    *(
+        Rule(
+            name,
+            lambda slip: abs(slip) > 1 + 1e-6,
+            f"is out of the physical range: |{name}| <= 1",
+            f"if the column is in percent: --unit {name}=%; if it is defined otherwise:"
+            " --slip sigma_x or --slip slip_ratio; ",
+        )
+        for name in SLIP_DEFINITIONS
+        if name != "sigma_x"
+    ),
+    *(
+        Rule(
+            name,
+            lambda angle: abs(angle) > np.pi / 2,
+            f"is out of range: |{name}| <= pi/2 rad",
+            f"if the column is in degrees: --unit {name}=deg; ",
+        )
+        for name in ("alpha", "gamma")
+    ),
+    # Below 1e-6 N no tire is loaded and no quotient is a number.
+    Rule("fz", lambda load: load < 1e-6, "is not a load: fz > 0 is needed"),
+    Rule("v", lambda speed: speed < 0, "is a negative speed"),
+    Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed"),
 )
 
 
@@ -140,7 +151,7 @@ def range_faults(
     """
     faults = []
     stds = (
-        Rule(name, lambda std: std <= 0, "is not a standard deviation: > 0 is needed", _CORRECT)
+        Rule(name, lambda std: std <= 0, "is not a standard deviation: > 0 is needed")
         for name in columns
         if name.endswith("_std")
     )
@@ -149,41 +160,27 @@ def range_faults(
         rows = np.flatnonzero(rule.is_bad(values))
         if not len(rows):
             continue
-        text, remedy = rule.rule, rule.remedy
+        text, remedy = rule.rule, rule.remedy + _CORRECT
         if rule.column == "fz" and np.nanmedian(values) < 0:
-            text, remedy = _load_hint(text, columns, convention)
-        if rule.column == "sigma_x" and not _looks_like_percent(values):
-            text, remedy = _MIRRORED
+            up = CONVENTIONS[convention].fz < 0
+            look = "z up (loads positive)" if up else "SAE (z down: loads are negative)"
+            finite = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+            sides = {n: columns[n][finite] for n in ("alpha", "fy", "mz") if n in columns}
+            fitting = fitting_conventions(evidence_of(sides), convention, load=-1)
+            fitting = fitting or [n for n, other in CONVENTIONS.items() if (other.fz > 0) == up]
+            text += f"; the file looks like {look}, but is read as {convention!r}"
+            remedy = f"declare the convention: --convention {' or '.join(fitting)}"
+        if rule.column == "sigma_x":
+            low, high = np.nanmin(values), np.nanmax(np.where(values < LOCKED, values, np.nan))
+            # Else some sign convention has the slips in range: they are no percentages.
+            if not (low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)):
+                text = "is below -1, where the wheel would have to travel backwards"
+                remedy = "if driving slip is positive in the file: --convention iso-w, sae or"
+                remedy += f" adapted-sae; {_CORRECT}"
         raw = [f"{value:.6g}" for value in shown[rule.column][rows]]
         header = headers.get(rule.column, f"--constant {rule.column}")
         faults.append(BadRows(header, rows, raw, text, remedy, is_systematic=True))
     return faults
-
-
-_MIRRORED = (
-    "is below -1, where the wheel would have to travel backwards",
-    "if driving slip is positive in the file: --convention iso-w, sae or adapted-sae; " + _CORRECT,
-)
-
-
-def _looks_like_percent(sigma: np.ndarray) -> bool:
-    """Whether the slips are out of range in every sign convention."""
-    low, high = np.nanmin(sigma), np.nanmax(np.where(sigma < LOCKED, sigma, np.nan))
-    return low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)
-
-
-def _load_hint(text: str, columns: Mapping[str, np.ndarray], convention: str) -> tuple[str, str]:
-    sign = CONVENTIONS[convention].fz
-    look = "SAE (z down: loads are negative)" if sign > 0 else "z up (loads positive)"
-    finite = np.all([np.isfinite(values) for values in columns.values()], axis=0)
-    sides = {n: columns[n][finite] for n in ("alpha", "fy", "mz") if n in columns}
-    evidence = evidence_of(sides)
-    fitting = fitting_conventions(evidence, convention, load=-1)
-    fitting = fitting or [n for n, other in CONVENTIONS.items() if other.fz != sign]
-    return (
-        f"{text}; the file looks like {look}, but is read as {convention!r}",
-        f"declare the convention: --convention {' or '.join(fitting)}",
-    )
 
 
 def list_problems(
@@ -200,31 +197,23 @@ def list_problems(
         Problems of single rows, and of whole columns, which masking does not solve.
     """
     of_rows, of_columns = [], []
-    for fault in faults:
-        count = len(fault.rows)
-        rule, remedy, column = fault.rule, fault.remedy, fault.column
-        if fault.is_systematic and count > max(1, len(lines) / 2):
+    for column, rows, values, rule, remedy, is_systematic in faults:
+        if is_systematic and len(rows) > max(1, len(lines) / 2):
             remedy = remedy.removesuffix(_CORRECT).removesuffix("; ")
             remedy = remedy or "check the column's unit, sign and meaning"
-            first = f"{fault.values[0]} in row {lines[fault.rows[0]]}"
-            reason = f"{count} of {len(lines)} rows ({first}, ...): {rule}"
+            first = f"{values[0]} in row {lines[rows[0]]}"
+            reason = f"{len(rows)} of {len(lines)} rows ({first}, ...): {rule}"
             of_columns.append(InputProblem(reason, remedy, file, column=column))
             continue
-        for row, value in list(zip(fault.rows, fault.values, strict=True))[:SHOWN]:
-            line = int(lines[row])
-            of_rows.append(InputProblem(f"{value} {rule}", remedy, file, line, column))
-        if (more := count - SHOWN) > 0:
+        for row, value in list(zip(rows, values, strict=True))[:SHOWN]:
+            reason = f"{value} {rule}"
+            of_rows.append(InputProblem(reason, remedy, file, int(lines[row]), column))
+        if (more := len(rows) - SHOWN) > 0:
             # A rule is half a sentence; its subject is the text of a row.
-            next_one = f"row {lines[fault.rows[SHOWN]]}: {fault.values[SHOWN]} {rule}"
-            rows = "rows" if more > 1 else "row"
-            reason = f"and {more} more {rows} with the same fault, next in {next_one}"
+            reason = f"and {more} more row{'s' * (more > 1)} with the same fault, next in"
+            reason += f" row {lines[rows[SHOWN]]}: {values[SHOWN]} {rule}"
             of_rows.append(InputProblem(reason, remedy, file, column=column))
     return of_rows, of_columns
-
-
-def without_masking(problem: InputProblem) -> InputProblem:
-    """The problem of a row that is masked, without the advice to mask it."""
-    return replace(problem, remedy=problem.remedy.replace(_OR_MASK, ""))
 
 
 def check_columns(
@@ -243,29 +232,27 @@ def check_columns(
     problems: list[InputProblem] = []
     has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
     has_force = {"fx", "fy", "mz"} & set(columns)
-    own = None if has_slip and has_force else own_table(headers, file)
-    if own is not None:
-        return [own]
+    for own, (what, remedy) in {} if has_slip and has_force else _OWN_TABLES.items():
+        if own <= set(headers):
+            return [InputProblem(f"this is {what}", remedy, file)]
     # A log may have a sideslip angle that is read as alpha, so look for a force.
     no_tire = not has_slip or (forces and "fz" not in columns)
     if no_tire and not (has_force or idle):
-        log = vehicle_log(headers, file, not has_slip, units)
-        if log is not None:
+        if log := vehicle_log(headers, file, not has_slip, units):
             return [log]
-    header_list = ", ".join(repr(header) for header in headers)
+    there = f"columns found: {', '.join(map(repr, headers))}"
     if len(headers) == 1:
-        header_list += " only; separate columns by comma, semicolon, tab, | or spaces"
+        there += " only; separate columns by comma, semicolon, tab, | or spaces"
     if not has_slip:
-        remedy = f"name one, as in --column kappa=HEADER; columns found: {header_list}"
+        remedy = f"name one, as in --column kappa=HEADER; {there}"
         if {"omega", "v"} <= set(columns):
             remedy = "give --rolling-radius R [m] to compute it from omega and v"
         reason = "no slip: one of sigma_x, kappa, s, slip_ratio, alpha is needed"
         problems.append(InputProblem(reason, remedy, file))
     if forces and not has_force:
-        remedy = f"name one, as in --column fx=HEADER; columns found: {header_list}"
         reason = "no force: one of fx, fy, mz is needed"
-        if idle:
-            reason += f"; {' and '.join(map(repr, idle))} is zero in all rows"
+        reason += f"; {' and '.join(map(repr, idle))} is zero in all rows" if idle else ""
+        remedy = f"name one, as in --column fx=HEADER; {there}"
         problems.append(InputProblem(reason, remedy, file))
     if "fz" not in columns:
         remedy = "name it with --column fz=HEADER, or give --constant fz=4000 [N]"
@@ -342,8 +329,7 @@ def read_numbers(
     for kind, there in kinds.items():
         rows, texts = zip(*there, strict=True)
         remedy = _OF_WHOLE_COLUMN.get(kind) if len(there) == whole else None
-        is_systematic = remedy is not None
-        faults.append(BadRows(header, rows, texts, kind, remedy or _CORRECT, is_systematic))
+        faults.append(BadRows(header, rows, texts, kind, remedy or _CORRECT, bool(remedy)))
     return np.where(is_sane, values, np.nan), faults
 
 

@@ -72,8 +72,7 @@ _DECLARED_BY = {
 }
 
 
-_LONGEST = 200
-"""Characters of the longest header; a longer text is a line that was not split."""
+_LONGEST = 200  # characters of the longest header; a longer text is a line that was not split
 
 
 class Guess(NamedTuple):
@@ -99,12 +98,17 @@ class Column:
 class Plan:
     """The columns to read, by name (the slip column under its definition)."""
 
+    file: str = ""
     columns: dict[str, Column] = field(default_factory=dict)
     assumptions: list[str] = field(default_factory=list)
     problems: list[InputProblem] = field(default_factory=list)
     in_units_row: set[InputProblem] = field(default_factory=set)
     units_to_write: dict[str, str] = field(default_factory=dict)
     """Declared units of forces that the file lacks because they will be predicted."""
+
+    def problem(self, reason: str, remedy: str, column: str | None = None) -> None:
+        """Add a problem."""
+        self.problems.append(InputProblem(reason, remedy, self.file, column=column))
 
     @property
     def slip(self) -> str | None:
@@ -125,8 +129,8 @@ def guess(header: str) -> Guess | None:
     bracketed = _BRACKETED.match(header)
     text, unit = bracketed.groups() if bracketed else (header, None)
     words = [word for word in re.split(_SEPARATORS, text.strip()) if word]
-    is_std = any(word.casefold() in _STD_WORDS for word in words)
-    is_sim = any(word.casefold() in _SIM_WORDS for word in words)
+    folded = {word.casefold() for word in words}
+    is_std, is_sim = bool(folded & _STD_WORDS), bool(folded & _SIM_WORDS)
     words = [w for w in words if w.casefold() not in _STD_WORDS | _SIM_WORDS]
     for count in range(len(words), 0, -1):
         name = _ALIASES.get("".join(words[:count]).casefold())
@@ -189,12 +193,21 @@ def plan_columns(
     Returns:
         The plan, with all problems, and with a sentence for every inference.
     """
-    plan = Plan()
-    declared = _declared(headers, options, plan, file)
-    inferred = _inferred(headers, declared, plan, file, layout.names)
-    _drop_lonely_std(declared | inferred, inferred, headers, plan)
+    plan = Plan(file)
+    declared = _declared(headers, options, plan)
+    inferred = _inferred(headers, declared, plan, layout.names)
+    groups = {_group(name) for name in declared | inferred}
+    for name in list(inferred):
+        if name.endswith("_std") and _group(name).removesuffix("_std") not in groups:
+            header, owner = headers[inferred.pop(name)], base_column(name)
+            plan.assumptions.append(f"column {header!r} not used: there is no {owner}")
     chosen = declared | inferred
-    _check_slip_std(chosen, headers, plan, file)
+    names = {_group(name): name for name in chosen}
+    slip, std = names.get("slip"), names.get("slip_std")
+    if slip and std and std != f"{slip}_std":  # a std is not convertible
+        reason = f"read as {std}, but the slip column is {slip}"
+        remedy = f"declare both by one definition, as with --column {slip}_std=HEADER"
+        plan.problem(reason, remedy, headers[chosen[std]])
     stated = {
         index: (text.strip().strip("[](){}"), f" ({layout.units_from})")
         for index, text in enumerate(units_row or ())
@@ -202,22 +215,28 @@ def plan_columns(
     }
     for name, index in chosen.items():
         named = options.slip if options.slip and _group(name) == "slip" else name
-        unit_text, how = _unit_of(name, index, headers, stated, options, chosen)
+        unit_text, how = _unit_of(name, headers, stated, options, chosen)
         beside = stated.get(index) == (unit_text, how)
         column = Column(named, headers[index], index, unit_text, beside=beside)
-        plan.columns[named] = _with_unit(column, plan, file)
+        plan.columns[named] = _with_unit(column, plan)
         if beside and not plan.columns[named].unit:
             plan.in_units_row.add(plan.problems[-1])
-        _say(column, name in declared or named != name, how, plan)
-    _check_all_used(options, plan, file)
+        unit = f" in {unit_text}{how}" if named != "run" else ""
+        if named in SLIP_DEFINITIONS and column.header.casefold() != named:
+            unit = f" = {MEANING_OF_SLIP[named]}{unit}"
+        ending = ", as declared" if name in declared or named != name else ""
+        plan.assumptions.append(f"column {column.header!r} read as {named}{unit}{ending}")
+    _check_all_used(options, plan)
     ignored = [h for i, h in enumerate(headers) if h and i not in chosen.values()]
     listed = ", ".join(map(repr, ignored))
     plan.assumptions += [f"columns not read: {listed}"] if ignored else []
     return plan
 
 
-def _declared(headers: Sequence[str], options: Options, plan: Plan, file: str) -> dict[str, int]:
-    place_of = {}
+def _declared(headers: Sequence[str], options: Options, plan: Plan) -> dict[str, int]:
+    """Declared name -> index of its column, with problems of those that do not exist, of one
+    header declared as two columns, and of two slip columns."""
+    place_of: dict[str, int] = {}
     folded = [header.casefold() for header in headers]
     for name, header in options.columns.items():
         wanted = header.strip()
@@ -236,40 +255,27 @@ def _declared(headers: Sequence[str], options: Options, plan: Plan, file: str) -
             how = f"declared as {name} by {_DECLARED_BY['columns']}"
             reason = f"the file has no such column ({how})"
             remedy = f"{meant}columns found: {', '.join(map(repr, headers))}"
-        plan.problems.append(InputProblem(reason, remedy, file, column=header))
-    _refuse_shared(place_of, headers, plan, file)
+        plan.problem(reason, remedy, header)
+    for number, (name, place) in enumerate(place_of.items()):
+        for other in list(place_of)[:number]:
+            if place_of[other] == place or _group(other) == _group(name):
+                reason = f"declared as {name}, but {other} is declared as well"
+                remedy = f"give only one of --column {name}= and --column {other}="
+                plan.problem(reason, remedy, headers[place])
+                break
     return place_of
 
 
-def _refuse_shared(
-    place_of: Mapping[str, int], headers: Sequence[str], plan: Plan, file: str
-) -> None:
-    """A problem for one header declared as two columns, or two declared slip columns."""
-    names = list(place_of)
-    for place, name in enumerate(names):
-        others = [
-            other
-            for other in names[:place]
-            if place_of[other] == place_of[name] or _group(other) == _group(name)
-        ]
-        if others:
-            reason = f"declared as {name}, but {others[0]} is declared as well"
-            remedy = f"give only one of --column {name}= and --column {others[0]}="
-            header = headers[place_of[name]]
-            plan.problems.append(InputProblem(reason, remedy, file, column=header))
-
-
 def _inferred(
-    headers: Sequence[str],
-    declared: Mapping[str, int],
-    plan: Plan,
-    file: str,
-    names: Mapping[str, str],
+    headers: Sequence[str], declared: Mapping[str, int], plan: Plan, names: Mapping[str, str]
 ) -> dict[str, int]:
+    """Inferred name -> index of its column, by the names of the layout, else by the header."""
     taken = {_group(name) for name in declared}
     by_group: dict[str, list[tuple[str, int]]] = {}
     for index, header in enumerate(headers):
-        guessed = None if index in declared.values() else _meant(header, names)
+        name = names.get(header)
+        guessed = guess(header) if name is None else (Guess(name, None) if name else None)
+        guessed = None if index in declared.values() else guessed
         if guessed and _group(guessed.name) not in taken:
             by_group.setdefault(_group(guessed.name), []).append((guessed.name, index))
     if "heading" not in {*by_group, *taken}:
@@ -286,7 +292,7 @@ def _inferred(
         remedy = f'choose one: columns.{name} = "{headers[index]}" or --column {name}='
         if len({headers[index] for _, index in matches}) == 1:
             remedy = "rename or remove one of them in the file"
-        plan.problems.append(InputProblem(reason, remedy, file, column=headers[index]))
+        plan.problem(reason, remedy, headers[index])
     # The first of duplicates is kept, so that its cells are checked as well.
     return dict(matches[0] for matches in by_group.values())
 
@@ -296,50 +302,21 @@ def _places(indices: Sequence[int]) -> str:
     return f"columns {' and '.join(str(index + 1) for index in indices)}"
 
 
-def _meant(header: str, names: Mapping[str, str]) -> Guess | None:
-    """The meaning of a header: that of the layout, else that of its own text."""
-    name = names.get(header)
-    return guess(header) if name is None else (Guess(name, None) if name else None)
-
-
-def _drop_lonely_std(
-    chosen: dict[str, int], inferred: dict[str, int], headers: Sequence[str], plan: Plan
-) -> None:
-    groups = {_group(name) for name in chosen}
-    for name in list(inferred):
-        if name.endswith("_std") and _group(name).removesuffix("_std") not in groups:
-            header = headers[inferred.pop(name)]
-            owner = base_column(name)
-            plan.assumptions.append(f"column {header!r} not used: there is no {owner}")
-
-
-def _check_slip_std(
-    chosen: Mapping[str, int], headers: Sequence[str], plan: Plan, file: str
-) -> None:
-    """A problem if slip and its std have different definitions: std is not convertible."""
-    names = {_group(name): name for name in chosen}
-    slip, std = names.get("slip"), names.get("slip_std")
-    if slip and std and std != f"{slip}_std":
-        reason = f"read as {std}, but the slip column is {slip}"
-        remedy = f"declare both by one definition, as with --column {slip}_std=HEADER"
-        where = headers[chosen[std]]
-        plan.problems.append(InputProblem(reason, remedy, file, column=where))
-
-
 def _unit_of(
     name: str,
-    index: int,
     headers: Sequence[str],
     stated: Mapping[int, tuple[str, str]],
     options: Options,
     chosen: Mapping[str, int],
 ) -> tuple[str, str]:
-    """Unit text of a column and, if it was not stated, how it was found."""
+    """Unit text of a column and, if it was not stated, how it was found. Any name of a slip
+    column stands for the slip column."""
     if name == "run":
         return "", ""
+    index = chosen[name]
     in_header = stated_unit(headers[index])
-    declared = _declared_unit(name, options)
-    if declared is not None:
+    if same := [key for key in options.units if _group(key) == _group(name)]:
+        declared = options.units[name if name in same else same[0]]
         other = in_header not in (None, declared)
         return declared, f" (declared; the header says {in_header!r})" if other else ""
     if in_header is not None:
@@ -350,8 +327,8 @@ def _unit_of(
         group = _group(name).removesuffix("_std").removesuffix("_sim")
         owner = next((n for n in chosen if _group(n) == group), None)
         if owner is not None:
-            unit = _unit_of(owner, chosen[owner], headers, stated, options, chosen)
-            text = unit[0] if name in SIMULATED else unit[0].removeprefix("-") or "-"
+            text = _unit_of(owner, headers, stated, options, chosen)[0]
+            text = text if name in SIMULATED else text.removeprefix("-") or "-"
             return text, f" (the unit of {owner})"
     canonical = CANONICAL.get(base_column(name), ("-", ""))[0]
     return canonical, "" if headers[index] == name else " (no unit stated)"
@@ -362,32 +339,17 @@ def _is_predicted(name: str, options: Options) -> bool:
     return not options.forces and base_column(name) in FORCES
 
 
-def _declared_unit(name: str, options: Options) -> str | None:
-    """The declared unit; any name of a slip column stands for the slip column."""
-    same = [key for key in options.units if _group(key) == _group(name)]
-    return options.units[name if name in same else same[0]] if same else None
-
-
-def _with_unit(column: Column, plan: Plan, file: str) -> Column:
+def _with_unit(column: Column, plan: Plan) -> Column:
     if column.name == "run":
         return column
     try:
         return replace(column, unit=resolve_unit(column.unit_text, column.name))
     except DataError as error:
-        plan.problems += [replace(p, file=file, column=column.header) for p in error.problems]
+        plan.problems += [replace(p, file=plan.file, column=column.header) for p in error.problems]
         return column
 
 
-def _say(column: Column, is_declared: bool, how: str, plan: Plan) -> None:
-    unit = f" in {column.unit_text}{how}" if column.name != "run" else ""
-    ending, meaning = ", as declared" if is_declared else "", ""
-    if column.name in SLIP_DEFINITIONS and column.header.casefold() != column.name:
-        meaning = f" = {MEANING_OF_SLIP[column.name]}"
-    what = f"{column.name}{meaning}{unit}{ending}"
-    plan.assumptions.append(f"column {column.header!r} read as {what}")
-
-
-def _check_all_used(options: Options, plan: Plan, file: str) -> None:
+def _check_all_used(options: Options, plan: Plan) -> None:
     """Problems of units and definitions declared for columns that are not read."""
     groups = {_group(name) for name in plan.columns}
     for group in ("slip", "slip_std"):
@@ -395,17 +357,15 @@ def _check_all_used(options: Options, plan: Plan, file: str) -> None:
         if len(set(units.values())) > 1:
             listed = ", ".join(f"{name}={unit}" for name, unit in units.items())
             reason = f"two units of the slip column ({_DECLARED_BY['units']}): {listed}"
-            plan.problems.append(InputProblem(reason, "declare one of them", file))
+            plan.problem(reason, "declare one of them")
     declared = [("units", name) for name in options.units]
     declared += [("slip", options.slip)] if options.slip else []
     for option, name in declared:
         if _group(name) in groups:
             continue
         if option == "units" and _is_predicted(name, options):
-            column = _with_unit(Column(name, name, -1, options.units[name]), plan, file)
+            column = _with_unit(Column(name, name, -1, options.units[name]), plan)
             plan.units_to_write |= {name: column.unit_text} if column.unit else {}
         else:
-            how = f"declared by {_DECLARED_BY[option]}"
-            reason = f"{how} for {name}, which the file does not have"
-            remedy = f"remove it, or name the column with --column {name}=HEADER"
-            plan.problems.append(InputProblem(reason, remedy, file, column=name))
+            reason = f"declared by {_DECLARED_BY[option]} for {name}, which the file does not have"
+            plan.problem(reason, f"remove it, or name the column with --column {name}=HEADER", name)

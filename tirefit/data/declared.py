@@ -90,10 +90,8 @@ class Options(NamedTuple):
         turned = [n for n in columns if sign_of(own, n) != sign_of(self.convention, n)]
         if not (row and turned):
             return declared
-        reason = (
-            f"--convention {self.convention} contradicts the file, which states"
-            f" {own!r}: {', '.join(turned)} would have the other sign"
-        )
+        reason = f"--convention {self.convention} contradicts the file, which states {own!r}:"
+        reason += f" {', '.join(turned)} would have the other sign"
         remedy = f"leave out --convention (or [data] convention), or correct line {row}"
         return declared._replace(problems=(InputProblem(reason, remedy, file, row),))
 
@@ -109,11 +107,9 @@ class Options(NamedTuple):
             *unknown_names("--convention", [self.convention], CONVENTIONS),
             *unknown_names("--slip", [self.slip], SLIP_DEFINITIONS),
         ]
-        radius = self.rolling_radius
-        if radius is not None and not 0 < radius < float("inf"):
-            reason = f"--rolling-radius {radius} is not a positive length"
-            remedy = "give the effective rolling radius in metres"
-            problems.append(InputProblem(reason, remedy))
+        if self.rolling_radius is not None and not 0 < self.rolling_radius < float("inf"):
+            reason = f"--rolling-radius {self.rolling_radius} is not a positive length"
+            problems.append(InputProblem(reason, "give the effective rolling radius in metres"))
         for name, value in self.constants.items():
             is_size = name in ("fz", "v", "pressure") or name.endswith("_std")
             if not abs(value) < float("inf") or (is_size and value <= 0):

@@ -10,8 +10,7 @@ from tirefit.slip import LOCKED
 
 _SHARES = (5e-3, 5.0)
 _FOLLOWED = 0.5  # smallest correlation of a force with the slip that it follows
-_HEAVIEST = 1e3
-"""Largest median load [N] for which kN are suggested: no wheel carries a meganewton."""
+_HEAVIEST = 1e3  # largest median load [N] for which kN are suggested: no wheel carries a meganewton
 _STEEPEST = 100.0
 """Largest force over load, over the slip: the stiffest tire of ``fits`` has 42 at zero slip, and
 of all data the largest is 30. Radians read as degrees multiply it by 57, shares read as

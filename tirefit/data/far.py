@@ -17,12 +17,9 @@ FAR_COLUMNS = ("fz", "sigma_x", "alpha", "fx", "fy", "mz", "v", "gamma", "pressu
 _GAP = 3.0
 """Gap between a value and all others, over the range of the others, above which it is an
 outlier and not a setting."""
-_FEW = 0.05
-"""Largest share of outliers in the rows; more of them are part of the measurement."""
-_LEAST_RANGE = 0.3
-"""Smallest range of a column that is assumed, over its median."""
-_OTHER_LOAD = 3.0
-"""Factor between a load and all others above which its unit is wrong."""
+_FEW = 0.05  # largest share of outliers in the rows; more of them are part of the measurement
+_LEAST_RANGE = 0.3  # smallest range of a column that is assumed, over its median
+_OTHER_LOAD = 3.0  # factor between a load and all others above which its unit is wrong
 _BESIDE = 4
 """Neighbours of a row on either side. The largest and the smallest of them are ignored,
 as they may be outliers themselves."""
@@ -72,9 +69,7 @@ def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[Fa
     if len(rows) < 2 * _BESIDE + 1:
         return ()
     by_place: dict[tuple[int, str], FarValue] = {}
-    for column in columns:
-        if column not in data:
-            continue
+    for column in (column for column in columns if column in data):
         values = data.usable(column)
         if not np.all(np.isfinite(values)):
             continue  # a column with gaps, which fits do not read
@@ -95,8 +90,7 @@ def without_far(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> TireDat
     keep, problems = np.ones(len(data), bool), []
     for far in far_values(data, columns):
         if far.among == _ALL and keep[far.row]:
-            keep[far.row] = False
-            remedy = "correct or delete the row"
+            keep[far.row], remedy = False, "correct or delete the row"
             problems.append(problem_at(data, far.row, far.column, why_far(far), remedy))
     source = replace(data.source, masked=(*data.source.masked, *problems))
     return replace(data.where(keep), source=source)
@@ -115,20 +109,16 @@ def like_slips(data: TireData, slip: str) -> np.ndarray:
 def problem_at(data: TireData, row: int, column: str, reason: str, remedy: str) -> InputProblem:
     """A problem with one row (counted from 0), placed in its own file."""
     source = data.source
-    paths = source.paths
-    file = paths[data.run[row]] if paths else data.file
+    file = source.paths[data.run[row]] if source.paths else data.file
     line = row if source.line is None else int(source.line[row])
-    header = source.columns.get(column, column)
-    return InputProblem(reason, remedy, file, line, header)
+    return InputProblem(reason, remedy, file, line, source.columns.get(column, column))
 
 
 def why_far(value: FarValue) -> str:
     """The reason of a far value, for :func:`problem_at`."""
-    unit = CANONICAL[value.column][0]
-    unit = "" if unit == "-" else f" {unit}"
-    ends = f"{value.low:.4g}", f"{value.high:.4g}"
-    have = f"{' to '.join(dict.fromkeys(ends))}{unit}"
-    return f"{value.value:.6g}{unit} is far from {value.among}, which have {have}"
+    unit = f" {CANONICAL[value.column][0]}".removesuffix(" -")
+    ends = " to ".join(dict.fromkeys((f"{value.low:.4g}", f"{value.high:.4g}")))
+    return f"{value.value:.6g}{unit} is far from {value.among}, which have {ends}{unit}"
 
 
 def _rules(data: TireData, column: str, values: np.ndarray) -> Iterator[tuple[str, Beyond]]:
@@ -150,8 +140,12 @@ def _rules(data: TireData, column: str, values: np.ndarray) -> Iterator[tuple[st
         slip = _SLIP_OF[column]
         yield f"rows of similar {slip}", _beside(values, like_slips(data, slip))
         if column != "mz":
-            among = f"forces with this sign of {slip}"
-            yield among, _against(values, data.usable(slip))
+            # A force that is large and has the sign that belongs to the opposite slip.
+            slips, size = data.usable(slip), max(map(abs, _inner_range(values)))
+            clear = np.abs(slips) > np.quantile(np.abs(slips), _SMALL_SLIPS)
+            far = (values * slips < 0) & (np.abs(values) > _AGAINST * size) & clear
+            ends = np.where(slips > 0, 0.0, -size), np.where(slips > 0, size, 0.0)
+            yield f"forces with this sign of {slip}", (far, *ends)
 
 
 def _beyond_all(
@@ -205,15 +199,6 @@ def _beside(values: np.ndarray, order: np.ndarray) -> Beyond:
     far = (np.maximum(low - values, values - high) > reach) & (whole > 0)
     far[order[:_BESIDE]] = far[order[-_BESIDE:]] = False
     return far, low, high
-
-
-def _against(values: np.ndarray, slip: np.ndarray) -> Beyond:
-    """Rows whose force is large and has the sign that belongs to the opposite slip."""
-    outer = _inner_range(values)
-    size = max(abs(outer[0]), abs(outer[1]))
-    clear = np.abs(slip) > np.quantile(np.abs(slip), _SMALL_SLIPS)
-    far = (values * slip < 0) & (np.abs(values) > _AGAINST * size) & clear
-    return far, np.where(slip > 0, 0.0, -size), np.where(slip > 0, size, 0.0)
 
 
 def _inner_range(values: np.ndarray) -> tuple[float, float]:

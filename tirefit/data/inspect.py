@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +20,7 @@ from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 _WIDTH = 80
 _COMBINED = 10  # smallest number of rows for combined slip to be intended
 _FAR_ROWS = 8  # far rows that the text names one by one
-_VARIES = 0.2
-"""Smallest relative range of load or speed that shows a dependence despite noise."""
+_VARIES = 0.2  # smallest relative range of load or speed that shows a dependence despite noise
 
 
 @dataclass(frozen=True)
@@ -94,11 +93,10 @@ class Inspection:
 
     def summary(self) -> str:
         """A plain-text report of at most 80 columns."""
-        hidden = self.rows - self.used
         meaning = CONVENTIONS[self.convention].description
         lines = [
             *_wrap(f"{self.file}"),
-            f"  {self.rows} rows, {self.used} used, {hidden} masked",
+            f"  {self.rows} rows, {self.used} used, {self.rows - self.used} masked",
             *_wrap(f"convention {self.convention}: {meaning}"),
             f"  slip column as {self.slip_definition}",
             *([f"  sha256 {self.sha256}"] if self.sha256 else []),
@@ -146,6 +144,10 @@ def inspect(data: DataLike) -> Inspection:
     """
     data = as_data(data)
     source = data.source
+    combined = 0
+    if {"sigma_x", "alpha", "fx", "fy"} <= data.columns.keys():
+        slips = (abs(data.usable(name)) > 0.01 for name in ("sigma_x", "alpha"))
+        combined = int(np.count_nonzero(np.logical_and(*slips)))
     return Inspection(
         file=data.file,
         sha256=source.sha256,
@@ -156,7 +158,7 @@ def inspect(data: DataLike) -> Inspection:
         columns=tuple(_summarise(data, name) for name in data.columns),
         runs=tuple(_inspect_run(data, code) for code in range(len(data.runs))),
         supports=tuple(_supports(data)),
-        combined_rows=_combined_rows(data),
+        combined_rows=combined,
         warnings=source.warnings,
         assumptions=source.assumptions,
         masked=tuple(
@@ -175,32 +177,29 @@ def _far_row(data: TireData, value: FarValue) -> str:
 
 
 def _summarise(data: TireData, name: str) -> ColumnSummary:
-    values = data.usable(name)
-    ranges = (np.min(values), np.median(values), np.max(values)) if len(values) else ()
-    return ColumnSummary(
-        name,
-        CANONICAL[base_column(name)][0],
-        data.source.columns.get(name),
-        data.source.units.get(name),
-        *([float(value) for value in ranges] or [math.nan] * 3),
-    )
+    values, source = data.usable(name), data.source
+    ranges = [f(values) if len(values) else math.nan for f in (np.min, np.median, np.max)]
+    unit = CANONICAL[base_column(name)][0]
+    header, file_unit = source.columns.get(name), source.units.get(name)
+    return ColumnSummary(name, unit, header, file_unit, *map(float, ranges))
 
 
 def _inspect_run(data: TireData, code: int) -> RunSummary:
     part = data.where(data.run == code)
-    slips = [name for name in ("sigma_x", "alpha") if name in part and part.n]
-    ranges = {}
-    for name in slips:
-        values = part.usable(name)
-        ranges[name] = (float(values.min()), float(values.max()))
+    slips = {name: part.usable(name) for name in ("sigma_x", "alpha") if name in part and part.n}
+    ranges = {name: (float(slip.min()), float(slip.max())) for name, slip in slips.items()}
+    rate = None  # samples per second, from the median step in time
+    if "time" in part and part.n > 1:
+        step = float(np.median(np.diff(part.usable("time"))))
+        rate = 1 / step if step > 0 else None
     return RunSummary(
-        name=data.runs[code],
-        n=part.n,
+        data.runs[code],
+        part.n,
         loads=_levels(part, "fz"),
         speeds=_levels(part, "v"),
         slip=ranges,
-        directions=tuple(_direction(name, *ranges[name]) for name in slips),
-        sampling_rate=_sampling_rate(part),
+        directions=tuple(_direction(name, *ends) for name, ends in ranges.items()),
+        sampling_rate=rate,
     )
 
 
@@ -209,11 +208,8 @@ def _levels(part: TireData, name: str) -> tuple[Level, ...]:
     if name not in part or not part.n:
         return ()
     here = levels(part.usable(name))
-    rows = np.bincount(here.code)
-    return tuple(
-        Level(float(center), float(low), float(high), int(count))
-        for center, low, high, count in zip(*here[:3], rows, strict=True)
-    )
+    numbers = zip(*(values.tolist() for values in (*here[:3], np.bincount(here.code))), strict=True)
+    return tuple(Level(*each) for each in numbers)
 
 
 def _direction(name: str, low: float, high: float) -> str:
@@ -222,69 +218,41 @@ def _direction(name: str, low: float, high: float) -> str:
         positive, negative = "braking", "driving"
         low, high = slip_ratio_from_sigma(low), slip_ratio_from_sigma(high)
     least = 0.01 * max(abs(low), abs(high))
+    if low < -least and high > least:
+        return f"{name} both signs"
     if low >= -least and high <= least:
         return f"{name} zero"
-    if low >= -least:
-        return f"{name} {positive} only"
-    if high <= least:
-        return f"{name} {negative} only"
-    return f"{name} both signs"
+    return f"{name} {positive if low >= -least else negative} only"
 
 
-def _sampling_rate(part: TireData) -> float | None:
-    """Samples per second from the median step in time, None without steps."""
-    if "time" not in part or part.n < 2:
-        return None
-    step = float(np.median(np.diff(part.usable("time"))))
-    return 1 / step if step > 0 else None
-
-
-def _supports(data: TireData) -> list[Support]:
-    supports = [
-        _force_support(data, force, slip)
-        for force, slip in (("fx", "sigma_x"), ("fy", "alpha"), ("mz", "alpha"))
-    ]
-    supports.append(_spread_support(data, "v", "speed-dependent friction"))
-    supports.append(_spread_support(data, "fz", "load dependence", "brush-load"))
+def _supports(data: TireData) -> Iterator[Support]:
+    for force, slip in (("fx", "sigma_x"), ("fy", "alpha"), ("mz", "alpha")):
+        lacking = [name for name in (force, slip) if name not in data]
+        reason = f"no {' and no '.join(lacking)}"
+        if not lacking:
+            values = data.usable(slip)
+            varies = data.n > 0 and bool(np.ptp(values) >= 1e-9)
+            distinct = len(np.unique(np.round(values, 9)))
+            reason = f"{data.n} rows, {distinct} different values of {slip}"
+            reason = reason if varies else f"{slip} is constant"
+        yield Support(f"{force} from {slip}", not lacking and varies, reason)
+    yield _spread_support(data, "v", "speed-dependent friction")
+    yield _spread_support(data, "fz", "load dependence", "brush-load")
     for fit, names in (
         ("errors in slip", ["sigma_x_std", "alpha_std"]),
         ("a noise level that is known", ["fx_std", "fy_std", "mz_std"]),
     ):
         have = [name for name in names if name in data]
         reason = f"{', '.join(have)} is there" if have else f"no {' or '.join(names)}"
-        supports.append(Support(fit, bool(have), reason))
-    return supports
-
-
-def _force_support(data: TireData, force: str, slip: str) -> Support:
-    fit = f"{force} from {slip}"
-    missing = [name for name in (force, slip) if name not in data]
-    if missing:
-        return Support(fit, False, f"no {' and no '.join(missing)}")
-    values = data.usable(slip)
-    if not data.n or np.ptp(values) < 1e-9:
-        return Support(fit, False, f"{slip} is constant")
-    distinct = len(np.unique(np.round(values, 9)))
-    return Support(fit, True, f"{data.n} rows, {distinct} different values of {slip}")
-
-
-def _combined_rows(data: TireData) -> int:
-    if not {"sigma_x", "alpha", "fx", "fy"} <= data.columns.keys():
-        return 0
-    slips = (abs(data.usable(name)) > 0.01 for name in ("sigma_x", "alpha"))
-    return int(np.count_nonzero(np.logical_and(*slips)))
+        yield Support(fit, bool(have), reason)
 
 
 def _spread_support(data: TireData, name: str, fit: str, model: str = "") -> Support:
-    if name not in data:
-        return Support(fit, False, f"no {name}")
-    values = data.usable(name)
-    if not len(values):
-        return Support(fit, False, "no usable rows")
-    low, middle, high = np.percentile(values, [2.5, 50, 97.5])
+    if name not in data or not data.n:
+        return Support(fit, False, "no usable rows" if name in data else f"no {name}")
+    low, middle, high = np.percentile(data.usable(name), [2.5, 50, 97.5])
     spread = (high - low) / abs(middle) if middle else 0.0
-    unit = CANONICAL[name][0]
-    reason = f"{name} from {low:.4g} to {high:.4g} {unit}"
+    reason = f"{name} from {low:.4g} to {high:.4g} {CANONICAL[name][0]}"
     if spread <= _VARIES:
         reason += f": less than {_VARIES:.0%} apart"
     elif model:
@@ -296,34 +264,28 @@ def _wrap(text: str, indent: str = "    ") -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent=indent) or [""]
 
 
-def _column_lines(columns: Iterable[ColumnSummary]) -> list[str]:
-    lines = [f"{'column':<16}{'unit':<7}{'min':>11}{'median':>11}{'max':>11}  read from"]
+def _column_lines(columns: Iterable[ColumnSummary]) -> Iterator[str]:
+    yield f"{'column':<16}{'unit':<7}{'min':>11}{'median':>11}{'max':>11}  read from"
     for c in columns:
         header = c.header if c.header is not None else "(declared or computed)"
         if c.file_unit and c.file_unit != c.unit:
             header += f", {c.file_unit}"
-        numbers = f"{c.min:>11.4g}{c.median:>11.4g}{c.max:>11.4g}"
-        start = f"{c.name:<16}{c.unit:<7}{numbers}  "
-        lines.append(start + textwrap.shorten(header, _WIDTH - len(start), placeholder="."))
-    return lines
+        start = f"{c.name:<16}{c.unit:<7}{c.min:>11.4g}{c.median:>11.4g}{c.max:>11.4g}  "
+        yield start + textwrap.shorten(header, _WIDTH - len(start), placeholder=".")
 
 
 def _run_lines(run: RunSummary) -> list[str]:
-    parts = [f"{run.n} rows", *run.directions]
-    if run.sampling_rate:
-        parts.append(f"{run.sampling_rate:.4g} Hz")
-    lines = _wrap(f"{run.name}: {', '.join(parts)}")
+    rate = [f"{run.sampling_rate:.4g} Hz"] if run.sampling_rate else []
+    lines = _wrap(f"{run.name}: {', '.join([f'{run.n} rows', *run.directions, *rate])}")
     for word, held, unit in (("loads", run.loads, "N"), ("speeds", run.speeds, "m/s")):
-        if held:
-            lines += _wrap(f"  {word}: {', '.join(_level_text(x, unit) for x in held)}")
+        texts = []
+        for level in held:
+            scale, prefix = (1e-3, "k") if unit == "N" and level.median >= 1000 else (1.0, "")
+            middle = level.median * scale
+            text = f"{middle:#.2g}" if middle < 10 else f"{middle:.3g}"
+            text = f"{text} {prefix}{unit} (n={level.n})"
+            if level.max - level.min > _VARIES * abs(level.median):
+                text += f" from {level.min * scale:.3g} to {level.max * scale:.3g}"
+            texts.append(text)
+        lines += _wrap(f"  {word}: {', '.join(texts)}") if texts else []
     return lines
-
-
-def _level_text(level: Level, unit: str) -> str:
-    scale, prefix = (1e-3, "k") if unit == "N" and level.median >= 1000 else (1.0, "")
-    middle = level.median * scale
-    text = f"{middle:#.2g}" if middle < 10 else f"{middle:.3g}"
-    text = f"{text} {prefix}{unit} (n={level.n})"
-    if level.max - level.min > _VARIES * abs(level.median):
-        text += f" from {level.min * scale:.3g} to {level.max * scale:.3g}"
-    return text

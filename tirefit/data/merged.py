@@ -6,8 +6,7 @@ from collections.abc import Iterable
 _VALUE = re.compile(r"([\w.+-]*\d[\w.+-]*)")
 """A word with a digit. Notes that differ in such words only are merged."""
 
-_NAMED = 3
-"""Largest number of files, or of values that are not numbers, that are listed."""
+_NAMED = 3  # largest number of files, or of values that are not numbers, that are listed
 
 
 def merged(messages: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
@@ -33,23 +32,17 @@ def merged(messages: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
             whose, values = kinds.setdefault(tuple(parts[::2]), ({}, []))
             whose[number] = name
             values.append(parts[1::2])
-    return [
-        f"{_files(list(whose.values()), len(files))}: {_sentence(words, values)}"
-        for words, (whose, values) in kinds.items()
-    ]
-
-
-def _files(names: list[str], count: int) -> str:
-    if len(names) == count:
-        return f"{count} files"
-    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} of {count} files"
-
-
-def _sentence(words: tuple[str, ...], values: list[list[str]]) -> str:
-    columns = zip(*values, strict=True)
-    ranges = [_range(list(dict.fromkeys(column))) for column in columns]
-    between = [text for pair in zip(words, [*ranges, ""], strict=True) for text in pair]
-    return "".join(between)
+    out = []
+    for words, (whose, values) in kinds.items():
+        where = ", ".join(whose.values())
+        if len(whose) == len(files):
+            where = f"{len(files)} files"
+        elif len(whose) > _NAMED:
+            where = f"{len(whose)} of {len(files)} files"
+        ranges = [_range(list(dict.fromkeys(column))) for column in zip(*values, strict=True)]
+        between = [text for pair in zip(words, [*ranges, ""], strict=True) for text in pair]
+        out.append(f"{where}: {''.join(between)}")
+    return out
 
 
 def _range(values: list[str]) -> str:

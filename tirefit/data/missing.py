@@ -74,26 +74,19 @@ def excluded(
     places: dict[str | None, set[int]] = {}
     for fault in faults:
         places.setdefault(fault.column, set()).update(map(int, fault.rows))
-    where = {column: _listed(sorted(each), lines) for column, each in places.items()}
+    where = {}
+    for column, each in places.items():  # the first rows by their lines, and the number of others
+        first = ", ".join(str(lines[row]) for row in sorted(each)[:SHOWN])
+        more = f" and {len(each) - SHOWN} more" if len(each) > SHOWN else ""
+        where[column] = f"row{'s' if len(each) > 1 else ''} {first}{more}"
     if limited and len(rows) > MOST * len(lines):
         remedy = f"fill the cells, or exclude the rows with --mask-bad-rows: up to {MOST:.0%} of"
         remedy += " the rows are excluded without it"
-        return None, [
-            InputProblem(
-                f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.1%}) lack a value"
-                f" ({where[column]})",
-                remedy,
-                file,
-                column=column,
-            )
-            for column, each in places.items()
-        ]
+        problems = []
+        for column, each in places.items():
+            reason = f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.1%}) lack a value"
+            reason += f" ({where[column]})"
+            problems.append(InputProblem(reason, remedy, file, column=column))
+        return None, problems
     named = "; ".join(f"{column!r} in {where[column]}" for column in places)
     return f"excluded {len(rows)} of {len(lines)} rows, which lack a value: {named}", []
-
-
-def _listed(rows: Sequence[int], lines: np.ndarray) -> str:
-    """The first rows by their lines, and the number of the others."""
-    first = ", ".join(str(lines[row]) for row in rows[:SHOWN])
-    more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
-    return f"row{'s' if len(rows) > 1 else ''} {first}{more}"

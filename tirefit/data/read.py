@@ -172,9 +172,15 @@ class _Reading:
     sign_doubts: list[str] = field(default_factory=list)
     slip_check: SlipCheck | None = None
 
-    @property
-    def file(self) -> str:
-        return self.table.file
+    def problem(self, reason: str, remedy: str, column: str | None = None) -> None:
+        """Add a problem of the whole file."""
+        self.problems.append(InputProblem(reason, remedy, self.table.file, column=column))
+
+    def fault(self, name: str, rows: np.ndarray, rule: str, header: str) -> None:
+        """Add rows, if any, that break a rule."""
+        if len(rows):
+            shown = [f"{value:.6g}" for value in self.shown[name][rows]]
+            self.faults.append(BadRows(header, rows, shown, rule))
 
     def bad(self) -> np.ndarray:
         """(n,) bool: rows with a fault."""
@@ -205,10 +211,26 @@ def _checked(table: Table, options: Options) -> TireData:
         reading.columns, reading.shown, reading.headers, read_as.convention
     )
     definition = plan.slip or "sigma_x"
-    _slip_to_sigma(reading, plan.slip)
-    _use_rolling_radius(reading, definition)
-    _drop_idle_forces(reading)
+    if definition in reading.columns:
+        _slip_to_sigma(reading, definition)
+    if options.rolling_radius is not None:
+        _use_rolling_radius(reading, definition, options.rolling_radius)
+    if options.forces and options.curve and not reading.bad().all():
+        for name in FORCES:  # those that are zero in all rows were not measured
+            if name in reading.columns and not np.any(reading.columns[name][~reading.bad()]):
+                del reading.columns[name]
+                header = reading.headers.pop(name, name)
+                reading.idle.append(header)
+                sentence = f"column {header!r} not used: it is zero in all rows"
+                reading.assumptions.append(sentence)
     masked = _raise_or_mask(reading)
+    assumptions = (
+        *table.notes,
+        *missing.of_read(plan.assumptions, reading.unread),
+        str(read_as),
+        *reading.assumptions,
+        *findings(table.constants),
+    )
     source = Source(
         path=table.file,
         sha256=table.sha256,
@@ -219,7 +241,7 @@ def _checked(table: Table, options: Options) -> TireData:
         units=plan.units_to_write
         | {_canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit},
         units_beside=tuple(_canonical(c.name) for c in plan.columns.values() if c.beside),
-        assumptions=tuple(_all_assumptions(reading)),
+        assumptions=assumptions,
         warnings=_warnings(reading, run),
         masked=masked,
         slip_check=reading.slip_check,
@@ -239,13 +261,11 @@ def _canonical(name: str) -> str:
 
 def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     """Codes (n,) int in order of appearance, and the names of the runs."""
-    column = reading.plan.columns.get("run")
-    n = len(reading.table.lines)
+    column, table = reading.plan.columns.get("run"), reading.table
     if column is None:
-        return np.zeros(n, int), (reading.table.name,)
-    names = words_of(reading.table.cells[column.index])
-    skip = reading.table.ragged
-    empty = [i for i, name in enumerate(names) if name in ("", "nan") and not skip[i]]
+        return np.zeros(len(table.lines), int), (table.name,)
+    names = words_of(table.cells[column.index])
+    empty = [i for i, name in enumerate(names) if name in ("", "nan") and not table.ragged[i]]
     if empty:
         values = ["an empty cell"] * len(empty)
         reading.faults.append(BadRows(column.header, empty, values, check.NO_RUN))
@@ -256,31 +276,27 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
 
 def _numbers_to_si(reading: _Reading) -> None:
     """Fill ``columns`` with values in canonical units and signs; the slip as defined."""
-    table, plan = reading.table, reading.plan
-    numeric = [column for name, column in plan.columns.items() if name != "run"]
-    cells = {column.name: table.cells[column.index] for column in numeric}
+    table, plan, note = reading.table, reading.plan, reading.assumptions.append
     if table.commas:
-        reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
-    for column in numeric:
+        note("numbers read with a decimal comma (1,5 is 1.5)")
+    for column in [column for name, column in plan.columns.items() if name != "run"]:
         gaps = missing.may_miss(column.name, reading.options.forces)
         values, faults = check.read_numbers(
-            cells[column.name], column.header, table.ragged, table.commas, gaps
+            table.cells[column.index], column.header, table.ragged, table.commas, gaps
         )
         count = sum(len(fault.rows) for fault in faults if fault.is_missing)
-        told = column.name in reading.options.columns or reading.options.mask_bad_rows
-        if not told and missing.is_spare(column.name, count, len(values)):
+        declared = column.name in reading.options.columns or reading.options.mask_bad_rows
+        if not declared and missing.is_spare(column.name, count, len(values)):
             reading.unread.append(missing.unread(column.name, column.header, count, len(values)))
             del plan.columns[column.name]
             continue
         reading.faults += faults
         if column.name == "pressure" and np.isnan(values[~table.ragged]).any():
-            sentence = f"rows without {column.header!r} are at nominal pressure"
-            reading.assumptions.append(sentence)
+            note(f"rows without {column.header!r} are at nominal pressure")
         if column.unit is None:
             continue
         if column.unit.scale < 0:
-            sentence = f"sign of column {column.header!r} flipped, as declared"
-            reading.assumptions.append(sentence)
+            note(f"sign of column {column.header!r} flipped, as declared")
         is_std = column.name.endswith("_std")
         sign = sign_of(reading.signs.convention, column.name)
         reading.shown[column.name] = values
@@ -293,36 +309,28 @@ def _constants(reading: _Reading) -> None:
         there = {_canonical(known): known for known in reading.headers}
         if name in there:
             header = reading.headers[there[name]]
-            how = "by --constant or [data.constants]"
-            reason = f"{name} = {value:g}, declared {how}, conflicts with this column"
+            reason = f"{name} = {value:g}, declared by --constant or [data.constants], conflicts"
             remedy = f"remove the constant: the file has {name}"
-            problem = InputProblem(reason, remedy, reading.file, column=header)
-            reading.problems.append(problem)
+            reading.problem(f"{reason} with this column", remedy, header)
             continue
         reading.columns[name] = np.full(len(reading.table.lines), float(value))
         reading.shown[name] = reading.columns[name]
         unit = CANONICAL[base_column(name)][0]
-        sentence = f"{name} = {value:g} {unit} in all rows, as declared"
-        reading.assumptions.append(sentence)
+        reading.assumptions.append(f"{name} = {value:g} {unit} in all rows, as declared")
 
 
-def _slip_to_sigma(reading: _Reading, definition: str | None) -> None:
+def _slip_to_sigma(reading: _Reading, definition: str) -> None:
     """Replace the slip column and its std by physical slip sigma_x."""
     columns, headers = reading.columns, reading.headers
-    if definition not in columns:
-        return
     header, alpha = headers.pop(definition), columns.get("alpha")
     slip = columns.pop(definition)
     if definition == "s" and alpha is not None:
         reading.assumptions.append("kappa = s / cos(alpha) before conversion")
         with np.errstate(invalid="ignore"):
             over = np.flatnonzero((slip / np.cos(alpha) > 1 + 1e-6) & (slip <= 1))
-        if len(over):
-            shown = [f"{value:.6g}" for value in reading.shown["s"][over]]
-            rule = "gives kappa = s / cos(alpha) > 1, beyond a locked wheel"
-            reading.faults.append(BadRows(header, over, shown, rule))
-    good = ~reading.bad()
-    columns["sigma_x"] = np.where(good, slip_to_sigma(slip, definition, alpha), np.nan)
+        reading.fault("s", over, "gives kappa = s / cos(alpha) > 1, beyond a locked wheel", header)
+    sigma = slip_to_sigma(slip, definition, alpha)
+    columns["sigma_x"] = np.where(reading.bad(), np.nan, sigma)
     headers["sigma_x"] = header
     if definition != "sigma_x":
         reading.assumptions.append(f"{definition} converted to sigma_x")
@@ -335,30 +343,22 @@ def _slip_to_sigma(reading: _Reading, definition: str | None) -> None:
 
 def _say_limits(reading: _Reading, what: str) -> None:
     sigma = reading.columns["sigma_x"]
-    locked, spinning = np.sum(sigma == LOCKED), np.sum(sigma == SPINNING)
-    if locked:
-        sentence = f"{locked} rows of {what!r} are a locked wheel: sigma_x = {LOCKED:g}"
-        reading.assumptions.append(sentence)
-    if spinning:
-        reading.assumptions.append(
-            f"{spinning} rows of {what!r} at or below sigma_x = -1 set to {SPINNING}"
-        )
+    for count, sentence in (
+        (np.sum(sigma == LOCKED), f"are a locked wheel: sigma_x = {LOCKED:g}"),
+        (np.sum(sigma == SPINNING), f"at or below sigma_x = -1 set to {SPINNING}"),
+    ):
+        reading.assumptions += [f"{count} rows of {what!r} {sentence}"] if count else []
 
 
-def _use_rolling_radius(reading: _Reading, definition: str) -> None:
+def _use_rolling_radius(reading: _Reading, definition: str, radius: float) -> None:
     """Compute sigma_x = (v - omega R) / (omega R), or compare the slip column with it."""
-    columns, radius = reading.columns, reading.options.rolling_radius
-    if radius is None:
-        return
-    missing = [name for name in ("omega", "v") if name not in columns]
-    if missing:
+    columns = reading.columns
+    if without := " and ".join(name for name in ("omega", "v") if name not in columns):
         if "sigma_x" not in columns and "alpha" in columns:
-            without = " and ".join(missing)
             reading.assumptions.append(f"rolling radius not used: there is no {without}")
         elif "sigma_x" not in columns:
-            reason = f"--rolling-radius needs {' and '.join(missing)} to give a slip"
-            remedy = "name them, as in --column omega=HEADER"
-            reading.problems.append(InputProblem(reason, remedy, reading.file))
+            reason = f"--rolling-radius needs {without} to give a slip"
+            reading.problem(reason, "name them, as in --column omega=HEADER")
         return
     sigma = slip_from_speeds(columns["omega"], columns["v"], radius)
     if "sigma_x" in columns:
@@ -367,62 +367,39 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
             given = columns["sigma_x"][good]
             header = reading.headers.get("sigma_x", "sigma_x")  # a constant has no header
             alpha = columns["alpha"][good] if "alpha" in columns else None
-            check = signs.check_slip(given, sigma[good], definition, alpha, radius)
-            reading.slip_check = check
-            reading.doubts += [f"column {header!r}: {check.text}"] if check.text else []
+            compared = signs.check_slip(given, sigma[good], definition, alpha, radius)
+            reading.slip_check = compared
+            reading.doubts += [f"column {header!r}: {compared.text}"] if compared.text else []
         return
     header = reading.headers.get("omega", "omega")
     for rows, rule in (
         (np.flatnonzero(columns["omega"] < 0), "is a wheel turning backwards"),
         (np.flatnonzero((columns["omega"] == 0) & (columns["v"] == 0)), "at standstill: no slip"),
     ):
-        if len(rows):
-            shown = [f"{value:.6g}" for value in reading.shown["omega"][rows]]
-            reading.faults.append(BadRows(header, rows, shown, rule))
+        reading.fault("omega", rows, rule, header)
     columns["sigma_x"] = np.where(reading.bad(), np.nan, sigma)
-    sentence = f"sigma_x = (v - omega R) / (omega R) with R = {radius:g} m"
-    reading.assumptions.append(sentence)
+    reading.assumptions.append(f"sigma_x = (v - omega R) / (omega R) with R = {radius:g} m")
     _say_limits(reading, header)
-
-
-def _drop_idle_forces(reading: _Reading) -> None:
-    """Remove forces that are zero in all rows, as they were not measured."""
-    good = ~reading.bad()
-    options = reading.options
-    if not options.forces or not options.curve or not good.any():
-        return
-    for name in FORCES:
-        if name in reading.columns and not np.any(reading.columns[name][good]):
-            reading.columns.pop(name)
-            header = reading.headers.pop(name, name)
-            reading.idle.append(header)
-            reading.assumptions.append(f"column {header!r} not used: it is zero in all rows")
-
-
-def _problems_of_rows(reading: _Reading) -> tuple[list[InputProblem], list[InputProblem]]:
-    """Problems of single rows and of whole columns; adds a warning of rows without a value."""
-    faults, lines, file = reading.faults, reading.table.lines, reading.file
-    if reading.options.mask_bad_rows:
-        return check.list_problems(faults, lines, file)
-    absent = [fault for fault in faults if fault.is_missing]
-    warning, too_many = missing.excluded(absent, lines, file, reading.options.forces)
-    reading.doubts += [warning] if warning else []
-    faults = [fault for fault in faults if not fault.is_missing]
-    of_rows, of_columns = check.list_problems(faults, lines, file)
-    return of_rows + too_many, of_columns
 
 
 def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     """Raises DataError with all problems that masking does not solve; returns those of
     masked rows. Rows that only lack a value are excluded with a warning."""
-    of_rows, of_columns = _problems_of_rows(reading)
-    plan = reading.plan.columns.items()
-    named = {_canonical(name) for name, c in plan if c.header not in reading.idle}
-    there = named | set(reading.columns)
-    whole = reading.problems + of_columns
+    table, faults, mask = reading.table, reading.faults, reading.options.mask_bad_rows
     forces, curve = reading.options.forces, reading.options.curve
+    too_many: list[InputProblem] = []
+    if not mask:
+        absent = [fault for fault in faults if fault.is_missing]
+        warning, too_many = missing.excluded(absent, table.lines, table.file, forces)
+        reading.doubts += [warning] if warning else []
+        faults = [fault for fault in faults if not fault.is_missing]
+    of_rows, of_columns = check.list_problems(faults, table.lines, table.file)
+    of_rows += too_many
+    whole = reading.problems + of_columns
     if curve:
-        table = reading.table
+        plan = reading.plan.columns.items()
+        named = {_canonical(name) for name, c in plan if c.header not in reading.idle}
+        there = named | set(reading.columns)
         lacking = check.check_columns(
             there, table.headers, reading.idle, table.file, forces, table.units_row
         )
@@ -431,34 +408,23 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     if not whole:
         used = {name: values[good] for name, values in reading.columns.items()}
         if good.any():
-            varied = forces and curve
-            whole += check.check_variation(used, reading.file) if varied else []
+            whole += check.check_variation(used, table.file) if forces and curve else []
+            slip, units = reading.plan.slip or "sigma_x", reading.plan.units
+            is_derived = "wheelbase" in table.constants
             problems, reading.sign_doubts = signs.judge_signs(
-                used,
-                reading.headers,
-                reading.signs,
-                reading.file,
-                reading.plan.slip or "sigma_x",
-                reading.plan.units,
-                "wheelbase" in reading.table.constants,
+                used, reading.headers, reading.signs, table.file, slip, units, is_derived
             )
             whole += problems
-        elif reading.options.mask_bad_rows or not of_rows:
+        elif mask or not of_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
-            if not reading.options.mask_bad_rows:
-                remedy = "every row lacks a value in a column that is needed"
-            whole.append(InputProblem("no usable rows are left", remedy, reading.file))
-    if any(one.reason == IS_VEHICLE_LOG for one in whole):
+            remedy = remedy if mask else "every row lacks a value in a column that is needed"
+            whole.append(InputProblem("no usable rows are left", remedy, table.file))
+    if any(problem.reason == IS_VEHICLE_LOG for problem in whole):
         of_rows = []  # a vehicle log has no slip and force to check
-    if whole or (of_rows and not reading.options.mask_bad_rows):
+    if whole or (of_rows and not mask):
         raise DataError([*whole, *of_rows])
-    return tuple(check.without_masking(problem) for problem in of_rows)
-
-
-def _all_assumptions(reading: _Reading) -> list[str]:
-    read = missing.of_read(reading.plan.assumptions, reading.unread)
-    messages = [*reading.table.notes, *read, str(reading.signs), *reading.assumptions]
-    return [*messages, *findings(reading.table.constants)]
+    # Without the advice to mask them.
+    return tuple(replace(p, remedy=p.remedy.replace(check.OR_MASK, "")) for p in of_rows)
 
 
 def _warnings(reading: _Reading, run: np.ndarray) -> tuple[str, ...]:

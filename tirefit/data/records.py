@@ -10,7 +10,7 @@ path), ``model``, ``status`` (the verdict; ``failed`` without a result),
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -143,8 +143,6 @@ def dates_of(files: Sequence[str]) -> np.ndarray | None:
         year, _, month, day, *clock = date.groups()
         hour, minute, second = (part or "00" for part in clock)
         dates.append(f"{year}-{month}-{day}T{hour}:{minute}:{second}")
-    try:
-        whole = np.array(dates, "datetime64[s]")
-    except ValueError:  # the 31st of February
-        return None
-    return whole if len(set(dates)) > 1 else None
+    with suppress(ValueError):  # the 31st of February
+        return np.array(dates, "datetime64[s]") if len(set(dates)) > 1 else None
+    return None

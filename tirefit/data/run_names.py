@@ -43,18 +43,15 @@ def _shared(pieces: list[list[str]]) -> int:
     return min(len(commonprefix(pieces)), *(len(one) - 1 for one in pieces))
 
 
-def _start(pieces: list[list[str]], first: int) -> int:
-    """Index at which the own part begins: at a word, and one earlier if it is a number."""
-    if any(not one[first][:1].isalnum() for one in pieces):
-        first = max(first - 1, 0)
-    number = all(one[first].isdigit() for one in pieces)
-    return max(first - 2, 0) if number else first
-
-
 def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
     """The common beginning of all names, the own part of each, and the common end."""
     pieces = [re.findall(r"[^\W_]+|[\W_]+", name) or [name] for name in names]
-    first = _start(pieces, _shared(pieces))
+    # The own part begins at a word, and one earlier if it is a number.
+    first = _shared(pieces)
+    if any(not one[first][:1].isalnum() for one in pieces):
+        first = max(first - 1, 0)
+    if all(one[first].isdigit() for one in pieces):
+        first = max(first - 2, 0)
     own = [one[first:] for one in pieces]
     last = _shared([one[::-1] for one in own])
     rest = ["".join(one[: len(one) - last]) for one in own]

@@ -5,6 +5,7 @@ related: the force rises with the slip, the aligning moment reduces a small slip
 tire pushes to the side to which it leans, and a brake slows the wheel.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -35,17 +36,12 @@ class Evidence(NamedTuple):
     trend: int = 0  # 1 as required, -1 opposite, 0 if the data do not determine it
 
 
-_FORCES = tuple(
-    Evidence(("slip", "fx"), ("sigma_x", f"fx{end}"), 1, 0.005,
-             "the force rises with the slip", is_refused=True)
-    for end in ("", "_sim")
-) + tuple(
-    Evidence(("alpha", "fy"), ("alpha", f"fy{end}"), 1, 0.5 * _DEG,
-             "the side force rises with the slip angle", is_refused=True)
-    for end in ("", "_sim")
-)  # fmt: skip
 _RULES = (
-    *_FORCES,
+    *(Evidence(("slip", "fx"), ("sigma_x", force), 1, 0.005,
+               "the force rises with the slip", is_refused=True) for force in ("fx", "fx_sim")),
+    *(Evidence(("alpha", "fy"), ("alpha", force), 1, 0.5 * _DEG,
+               "the side force rises with the slip angle", is_refused=True)
+      for force in ("fy", "fy_sim")),
     # Beyond 4 deg the aligning moment may change its sign; camber acts beside little force.
     Evidence(("alpha", "mz"), ("alpha", "mz"), -1, 0.5 * _DEG,
              "the aligning moment reduces a small slip angle", ("1",), 4 * _DEG),
@@ -86,19 +82,18 @@ def evidence_of(columns: Mapping[str, np.ndarray], definition: str = "kappa") ->
     known = dict(columns)
     if "sigma_x" in known:  # bounded for a locked wheel
         known["sigma_x"] = slip_ratio_from_sigma(known["sigma_x"])
-    moving = known.get("v", np.zeros(0)) > 0
     if "omega" in known:
-        known["omega"] = np.full(len(known["omega"]), np.nan)
-        if moving.any():
-            known["omega"][moving] = columns["omega"][moving] / columns["v"][moving]
-    found = [*_trends(known)]
+        v = known.get("v", np.zeros(len(known["omega"])))
+        known["omega"] = np.full(len(v), np.nan)
+        np.divide(columns["omega"], v, out=known["omega"], where=v > 0)
+    trends = [*_trends(known)]
     if definition in ("kappa", "s") and len(columns.get("sigma_x", ())):
         slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
         low, high = np.percentile(slip, [1, 99])
         most = _LOCKED.least
         sign = int(high > most and low > -0.9) - int(low < -most and high < 0.9)
-        found.append(_LOCKED._replace(trend=sign))
-    return found
+        trends.append(_LOCKED._replace(trend=sign))
+    return trends
 
 
 def _trends(known: Mapping[str, np.ndarray]) -> Iterator[Evidence]:
@@ -129,13 +124,10 @@ def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int
         convention: a key of ``slip.CONVENTIONS``.
         load: 1 if the loads read are positive, -1 if they are negative.
     """
-    read = CONVENTIONS[convention]
-    fitting = []
+    read, fitting = CONVENTIONS[convention], []
     for name, other in CONVENTIONS.items():
         turned = {f: getattr(read, f) * getattr(other, f) for f in read._fields[1:]}
-        signs = [
-            item.trend * int(np.prod([turned[field] for field in item.fields])) for item in evidence
-        ]
+        signs = (item.trend * math.prod(turned[f] for f in item.fields) for item in evidence)
         if turned["fz"] == load and min(signs, default=1) >= 0:
             fitting.append(name)
     return fitting
@@ -144,15 +136,7 @@ def fitting_conventions(evidence: Sequence[Evidence], convention: str, load: int
 _ALONE = {"fx": "N", "fy": "N", "fx_sim": "N", "fy_sim": "N", "mz": "Nm"}
 """Columns whose sign is often opposite alone -> a unit with which to flip it."""
 
-_DRIVING = 0.01
-"""Driving slip above the noise about zero in a braking test."""
-
-_SLIGHT = 0.002
-"""Difference of slips that rounding of a rolling radius may cause."""
-
-_LIMIT = 0.01
-"""Median difference of slip ratios that noise and an offset of the slip may cause; a
-fifth of the scatter of the slips if that is larger."""
+_SLIGHT = 0.002  # difference of slips that rounding of a rolling radius may cause
 
 
 def judge_signs(
@@ -177,17 +161,18 @@ def judge_signs(
         units: the unit in which each column was read.
         is_derived: whether ``tirefit derive`` wrote the file, whose signs are known.
     """
-    evidence, problems = evidence_of(columns, definition), []
-    doubt = (
-        None if signs.is_declared else _undeclared(columns, headers, definition, signs, evidence)
-    )
-    warnings = [doubt] if doubt else []
+    evidence, problems, warnings = evidence_of(columns, definition), [], list[str]()
+    if not signs.is_declared:
+        warnings += _undeclared(columns, headers, definition, signs, evidence)
     assumed = "" if signs.is_declared else ", which were assumed"
     for item in evidence:
-        remedy = _remedy(item, evidence, signs.convention, units) if item.trend < 0 else ""
-        if item.trend < 0 and item.is_refused:
+        if item.trend >= 0:
+            continue
+        remedy = _remedy(item, evidence, signs.convention, units)
+        names = " and ".join(dict.fromkeys(repr(headers.get(n, n)) for n in item.columns))
+        if item.is_refused:
             reason = f"signs contradict the convention {signs.convention!r}: "
-            reason += f"{_names(item, headers)}: {item.rule}, but not in the data"
+            reason += f"{names}: {item.rule}, but not in the data"
             if is_derived:
                 remedy = (
                     "tirefit derive wrote this file: correct tracked_point, or the signs in"
@@ -196,16 +181,10 @@ def judge_signs(
                 )
             header = headers.get(item.columns[1], item.columns[1])
             problems.append(InputProblem(reason, remedy, file, column=header))
-        elif item.trend < 0 and (signs.is_declared or item.fields != ("slip",)):
-            warnings.append(
-                f"{_names(item, headers)}: {item.rule}, but not with the signs of"
-                f" {signs.convention!r}{assumed}: {remedy}"
-            )
+        elif signs.is_declared or item.fields != ("slip",):
+            read_as = f"{signs.convention!r}{assumed}"
+            warnings.append(f"{names}: {item.rule}, but not with the signs of {read_as}: {remedy}")
     return problems, warnings
-
-
-def _names(item: Evidence, headers: Mapping[str, str]) -> str:
-    return " and ".join(dict.fromkeys(repr(headers.get(name, name)) for name in item.columns))
 
 
 def _remedy(
@@ -235,7 +214,7 @@ def _undeclared(
     definition: str,
     signs: Signs,
     pairs: Sequence[Evidence],
-) -> str | None:
+) -> list[str]:
     """A warning that the sign of the slip may be wrong, as no convention was declared.
 
     Forces change their sign with the slip, so they do not distinguish driving from braking: a
@@ -243,15 +222,16 @@ def _undeclared(
     unless the speeds of wheel and vehicle confirm them: omega / v falls as the braking slip
     rises.
     """
-    if not {"sigma_x"} <= headers.keys() & columns.keys():
-        return None  # no slip column: computed from speeds, or none at all
+    if "sigma_x" not in headers.keys() & columns.keys():
+        return []  # no slip column: computed from speeds, or none at all
     convention = signs.convention
     speeds = sum(item.trend for item in pairs if item.columns == ("sigma_x", "omega"))
     header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
-    has_driving = np.percentile(slip, 1) < -_DRIVING
+    # Driving slip above the noise about zero in a braking test.
+    has_driving = np.percentile(slip, 1) < -0.01
     if speeds > 0 or not (speeds or has_driving):
-        return None
+        return []
     brakes = sign > 0  # whether a positive slip was read as braking
     taken = f"{'' if brakes else 'minus '}{header!r} is taken as braking"
     if has_driving:
@@ -266,11 +246,11 @@ def _undeclared(
     either = fitting_conventions(pairs, convention), fitting_conventions(forces, convention)
     turned = [[n for n in names if CONVENTIONS[n].slip != sign] for names in either]
     whose = signs.whose.removeprefix("assumed")
-    return (
+    return [
         f"no convention declared: read as {convention}{whose}, so {taken}; if positive slip"
         f" means {other} in this file, pass --convention {' or '.join(turned[0] or turned[1])};"
         f" if it means {now}, --convention {convention}"
-    )
+    ]
 
 
 def check_slip(
@@ -298,40 +278,35 @@ def check_slip(
     def apart(sigma: np.ndarray) -> float:
         return float(np.median(abs(slip_ratio_from_sigma(sigma) - rolled)))
 
+    def causes() -> Iterator[tuple[str, np.ndarray]]:
+        """Sentence on a cause -> the slip sigma_x (n,) that would then be right."""
+        logged = slip_from_sigma(given, definition, alpha)
+        meant = slip_from_sigma(computed, definition, alpha)
+        mirrored = "it has the opposite sign: declare the file's --convention"
+        yield mirrored, slip_to_sigma(-logged, definition, alpha)
+        for other in ("kappa", "sigma_x", "slip_ratio"):
+            if other != definition and (definition, other) != ("s", "kappa"):
+                text = f"it agrees if read as {other}: pass --slip {other}"
+                yield text, slip_to_sigma(logged, other)
+        clear = abs(meant) > max(np.median(abs(meant)), _SLIGHT)
+        factor = np.median(logged[clear] / meant[clear]) if clear.any() else 0.0
+        if factor > 0:
+            text = f"it agrees if divided by {factor:.3g}: check its unit and scale"
+            yield text, slip_to_sigma(logged / factor, definition, alpha)
+        ratio = np.median((1 + given) / (1 + computed))
+        text = f"a rolling radius of {radius / ratio:.4g} m would give it, not {radius:g} m"
+        yield text, (1 + given) / ratio - 1
+
     difference = apart(given)
-    contradicts = difference > max(_LIMIT, 0.2 * np.std(slip_ratio_from_sigma(given)))
-    causes = dict(_causes(given, computed, definition, alpha, radius))
-    cause = min(causes, key=lambda text: apart(causes[text]))
-    if difference <= _SLIGHT or apart(causes[cause]) > difference / 3:
+    # Median difference of slip ratios that noise and an offset of the slip may cause; a fifth of
+    # the scatter of the slips if that is larger.
+    contradicts = difference > max(0.01, 0.2 * np.std(slip_ratio_from_sigma(given)))
+    possible = dict(causes())
+    cause = min(possible, key=lambda text: apart(possible[text]))
+    if difference <= _SLIGHT or apart(possible[cause]) > difference / 3:
         cause = "check the rolling radius, the slip definition (--slip), the units"
         if not contradicts:
             return SlipCheck(radius, difference, False)
     verb = "contradicts" if contradicts else "differs from"
     text = f"the slip {verb} (v - omega R)/(omega R): by {difference:.3g} in the median; {cause}"
     return SlipCheck(radius, difference, contradicts, text)
-
-
-def _causes(
-    given: np.ndarray,
-    computed: np.ndarray,
-    definition: str,
-    alpha: np.ndarray | None,
-    radius: float,
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Sentence on a cause of a difference -> the slip sigma_x (n,) that would then be right."""
-    logged = slip_from_sigma(given, definition, alpha)
-    meant = slip_from_sigma(computed, definition, alpha)
-    mirrored = "it has the opposite sign: declare the file's --convention"
-    yield mirrored, slip_to_sigma(-logged, definition, alpha)
-    for other in ("kappa", "sigma_x", "slip_ratio"):
-        if other != definition and (definition, other) != ("s", "kappa"):
-            text = f"it agrees if read as {other}: pass --slip {other}"
-            yield text, slip_to_sigma(logged, other)
-    clear = abs(meant) > max(np.median(abs(meant)), _SLIGHT)
-    factor = np.median(logged[clear] / meant[clear]) if clear.any() else 0.0
-    if factor > 0:
-        text = f"it agrees if divided by {factor:.3g}: check its unit and scale"
-        yield text, slip_to_sigma(logged / factor, definition, alpha)
-    ratio = np.median((1 + given) / (1 + computed))
-    text = f"a rolling radius of {radius / ratio:.4g} m would give it, not {radius:g} m"
-    yield text, (1 + given) / ratio - 1

@@ -185,23 +185,19 @@ class TireData(Displayed):
         return self.columns[column][self.used]
 
 
-_SAME = 1e-3
-"""Largest relative difference of a constant in two files that rounding may cause."""
-
-
 def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list[str]]:
     """Constants that agree in all files that state them, and warnings on the others."""
     shared, warnings = {}, []
-    for name in dict.fromkeys(key for one in sources for key in one.constants):
-        values = [one.constants[name] for one in sources if name in one.constants]
-        if np.ptp(values) <= _SAME * max(values):
+    for name in dict.fromkeys(key for source in sources for key in source.constants):
+        values = [source.constants[name] for source in sources if name in source.constants]
+        # Rounding may cause a relative difference of 1e-3.
+        if np.ptp(values) <= 1e-3 * max(values):
             shared[name] = values[0]
-        if name in shared or name.islower():
-            continue
-        warnings.append(
-            f"{name} differs between files, {min(values):g} to {max(values):g}: not"
-            f" used; state it in fit.toml: parameters.{name}.value"
-        )
+        elif not name.islower():
+            warnings.append(
+                f"{name} differs between files, {min(values):g} to {max(values):g}: not"
+                f" used; state it in fit.toml: parameters.{name}.value"
+            )
     return shared, warnings
 
 
@@ -229,11 +225,10 @@ def join(tables: Sequence[TireData]) -> TireData:
         codes.append(table.run + len(runs))
         several = len(table.runs) > 1
         runs += [f"{table.name}:{r}" if several else table.name for r in table.runs]
-    dropped = sorted({c for table in tables for c in table.columns} - set(shared))
     short = run_names([table.name for table in tables]).short
     sources = [(name, t.source) for name, t in zip(short, tables, strict=True)]
     messages = merged((name, source.assumptions) for name, source in sources)
-    if dropped:
+    if dropped := sorted({c for table in tables for c in table.columns} - set(shared)):
         messages.append(f"columns that some files lack were left out: {', '.join(dropped)}")
     signs = dict.fromkeys(table.source.convention for table in tables)
     if len(signs) > 1:

@@ -48,8 +48,7 @@ class Unit(NamedTuple):
 _TURN = 2 * np.pi
 
 _DEG, _FOOT, _INCH = np.pi / 180, 0.3048, 0.0254
-_LBF = 4.4482216152605
-"""Pound-force [N]."""
+_LBF = 4.4482216152605  # pound-force [N]
 
 _USUAL = {
     "time": {1: "s sec second seconds", 1e-3: "ms millisecond milliseconds", 1e-6: "us microsecond",
@@ -142,16 +141,16 @@ def resolve_unit(text: str, column: str) -> Unit:
     if text.startswith("-") and len(text) > 1:
         opposite = resolve_unit(text[1:], column)
         return opposite._replace(scale=-opposite.scale)
-    wanted = dimension_of(column)
-    unit = known_unit(text)
-    if unit is None:
-        raise DataError(f"unknown unit {text!r}", _unit_remedy(text, column, wanted))
-    if unit.dimension != wanted:
-        raise DataError(
-            f"unit {text!r} is a unit of {unit.dimension}, but {column} is of dimension {wanted}",
-            _unit_remedy(text, column, wanted),
-        )
-    return unit
+    wanted, unit = dimension_of(column), known_unit(text)
+    if unit and unit.dimension == wanted:
+        return unit
+    reason = f"unknown unit {text!r}"
+    if unit:
+        reason = f"unit {text!r} is a unit of {unit.dimension}, but {column} is of dimension"
+        reason += f" {wanted}"
+    units = units_of(wanted)
+    how = f"give a unit of {wanted} with --unit {column}=...: {', '.join(map(repr, units))}"
+    raise DataError(reason, did_you_mean(text, units) + how)
 
 
 def units_of(dimension: str) -> list[str]:
@@ -159,13 +158,6 @@ def units_of(dimension: str) -> list[str]:
     if dimension == "temperature":
         return ["degC", "K", "degF"]
     return [names.split()[0] for names in _USUAL[dimension].values()]
-
-
-def _unit_remedy(text: str, column: str, dimension: str) -> str:
-    units = units_of(dimension)
-    listed = ", ".join(map(repr, units))
-    meant = did_you_mean(text, units)
-    return f"{meant}give a unit of {dimension} with --unit {column}=...: {listed}"
 
 
 def sign_of(convention: str, column: str) -> int:
@@ -229,11 +221,8 @@ def sigma_derivative(
     sigma: np.ndarray, definition: str, alpha: np.ndarray | None = None
 ) -> np.ndarray:
     """d sigma_x / d slip at ``sigma`` (n,), to convert a standard deviation."""
-    kappa_like = (1 + sigma) ** 2
     if definition == "sigma_x":
         return np.ones_like(sigma)
     if definition == "slip_ratio":
-        return np.where(sigma > 0, kappa_like, 1.0)
-    if definition == "s" and alpha is not None:
-        return kappa_like / np.cos(alpha)
-    return kappa_like
+        return np.where(sigma > 0, (1 + sigma) ** 2, 1.0)
+    return (1 + sigma) ** 2 / (np.cos(alpha) if definition == "s" and alpha is not None else 1.0)

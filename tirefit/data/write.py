@@ -51,20 +51,18 @@ def csv_text(columns: Mapping[str, object], delimiter: str = ",") -> str:
     Raises:
         ValueError: the columns are not equally long.
     """
-    cells = [_cells(values) for values in columns.values()]
+
+    def text_of(value: object) -> str:
+        if isinstance(value, float):
+            return "" if value != value else repr(value)
+        return str(value)
+
+    cells: list[Any] = [x.tolist() if hasattr(x, "tolist") else x for x in columns.values()]
     text = io.StringIO()
     writer = csv.writer(text, delimiter=delimiter, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(zip(*cells, strict=True))
+    writer.writerows(zip(*(map(text_of, values) for values in cells), strict=True))
     return text.getvalue()
-
-
-def _cells(values: Any) -> list[str]:
-    plain = values.tolist() if hasattr(values, "tolist") else list(values)
-    return [
-        ("" if value != value else repr(value)) if isinstance(value, float) else str(value)
-        for value in plain
-    ]
 
 
 def to_convention(
@@ -138,12 +136,12 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict[st
 def _with_units(data: TireData, table: dict[str, Any]) -> dict[str, Any]:
     """The same columns, with units added to headers if the file states them elsewhere, so
     that the written file is read back with the same units."""
-    source, message = data.source, {}
+    source, with_unit = data.source, {}
     for name in source.units_beside:
         unit, header = source.units.get(name), source.columns[name]
         if unit and unit != CANONICAL[base_column(name)][0]:
-            message[header] = f"{header} [{unit}]"
-    return {message.get(header, header): values for header, values in table.items()}
+            with_unit[header] = f"{header} [{unit}]"
+    return {with_unit.get(header, header): values for header, values in table.items()}
 
 
 def _own_columns(data: TireData, names: Sequence[str]) -> dict[str, Any]:

@@ -35,7 +35,9 @@ def _header_above_numbers(
     """
     headers = []
     for index in searched:
-        width = _numbers_below(lines, index)
+        content = (line.split() for line in lines[index + 1 :] if line.strip())
+        rows = (row for row in itertools.islice(content, _BELOW) if all(map(_is_cell, row)))
+        width = len(next(rows, []))
         for cells in (_WIDE_GAP.split(lines[index].strip()), _words(lines[index])):
             if width > 1 and len(cells) == width and not any(map(is_number, cells)):
                 headers.append((index, cells))
@@ -45,16 +47,6 @@ def _header_above_numbers(
 
 def _words(line: str) -> list[str]:
     return [word.strip('"').strip() for word in _TOKEN.findall(line)]
-
-
-def _numbers_below(lines: Sequence[str], index: int) -> int:
-    """Number of values in the first row below that has only numbers; 0 without one."""
-    content = (line for line in lines[index + 1 :] if line.strip())
-    for line in itertools.islice(content, _BELOW):
-        words = line.split()
-        if all(map(_is_cell, words)):
-            return len(words)
-    return 0
 
 
 def _is_cell(word: str) -> bool:
@@ -72,7 +64,8 @@ def commented_header(lines: Sequence[str]) -> tuple[int, str] | None:
         Index and text without the mark of the last comment above the first line of
         numbers with as many cells, of which two are known; None without one.
     """
-    first = next((i for i, line in enumerate(lines) if not _is_comment(line)), 0)
+    texts = enumerate(line.lstrip() for line in lines)
+    first = next((i for i, text in texts if text and text[0] not in "#%"), 0)
     splits: list[Callable[[str], list[str]]] = [
         *(re.compile(mark).split for mark in ",;\t"),
         _words,
@@ -91,29 +84,19 @@ def commented_header(lines: Sequence[str]) -> tuple[int, str] | None:
     return None
 
 
-def _is_comment(line: str) -> bool:
-    return not line.strip() or line.lstrip()[0] in "#%"
-
-
 def spaced_head(lines: Sequence[str], header: list[str]) -> list[str]:
     """The first lines from the header, with each of its cells in quotation marks and each
     unit below it one word."""
     head = [" ".join(f'"{cell}"' for cell in header) + "\n"]
     for line in lines[1 : 1 + _BELOW]:
-        words = _TOKEN.findall(line)
-        head.append(" ".join(_joined_units(words, len(header))) + "\n")
+        words, joined = _TOKEN.findall(line), list[str]()
+        for word in words:
+            if joined and known_unit(joined[-1] + word) and len(word) < 3:  # deg C
+                joined[-1] += word
+            else:
+                joined.append(word)
+        head.append(" ".join(joined if len(joined) == len(header) else words) + "\n")
     return head
-
-
-def _joined_units(words: list[str], width: int) -> list[str]:
-    """Words of a row of units; ``deg C`` counts as one word if that gives ``width``."""
-    joined: list[str] = []
-    for word in words:
-        if joined and known_unit(joined[-1] + word) and len(word) < 3:
-            joined[-1] += word
-        else:
-            joined.append(word)
-    return joined if len(joined) == width else words
 
 
 def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
@@ -126,7 +109,11 @@ def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
             continue
         cells = [[cell.strip(' "') for cell in row] for row in split]
         rows = dict(zip(searched, cells, strict=True))
-        found = [i for i, row in rows.items() if _is_numeric(row) and not counts_up(row)]
+        found = []  # rows of several cells, all numbers or empty
+        for i, row in rows.items():
+            filled = [cell.replace(",", ".", 1) for cell in row if cell]
+            if len(filled) > 1 and all(map(is_number, filled)) and not counts_up(row):
+                found.append(i)
         names = [
             i
             for i, row in rows.items()
@@ -136,12 +123,6 @@ def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
         if names:
             return names[-1]
     return lines.index("\n") + 1 if "\n" in lines else 1
-
-
-def _is_numeric(row: Sequence[str]) -> bool:
-    """Whether a row has several cells, all numbers or empty."""
-    cells = [cell.replace(",", ".", 1) for cell in row if cell]
-    return len(cells) > 1 and all(map(is_number, cells))
 
 
 def find_header(
@@ -173,8 +154,12 @@ def find_header(
             continue
         is_title = split(first, best[index])[1] < widths[best[index]][1]
         header = index if is_title else first
-        words = _spaced_under_tabs(lines, header, best[header], is_known)
-        return header, SPACES if words else best[header], words
+        if best[header] == "\t" and not any(
+            "\t" in x for x in lines[header + 1 : header + _LONGEST]
+        ):
+            if spaced := _header_above_numbers(lines, [header], is_known):
+                return header, SPACES, spaced[1]
+        return header, best[header], []
     below = _header_above_numbers(lines, searched, is_known)
     if below and (below[0] != first or split(first, best[first])[1] == 1):
         return below[0], SPACES, below[1]
@@ -185,15 +170,6 @@ def find_header(
         if columns[-1] > columns[0] > 0 and not any(map(is_number, cells)):
             return header, delimiter, []
     return first, best[first], []
-
-
-def _spaced_under_tabs(
-    lines: Sequence[str], header: int, delimiter: str, is_known: Callable[[str], bool]
-) -> list[str]:
-    """Words of a header that has tabs while the rows below have none; else empty."""
-    tabs = any("\t" in line for line in lines[header + 1 : header + _LONGEST])
-    below = _header_above_numbers(lines, [header], is_known)
-    return below[1] if delimiter == "\t" and below and not tabs else []
 
 
 def counts_up(row: list[str]) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.data.columns import guess
 from tirefit.data.readers import logs, tables, tydex
 from tirefit.data.readers.loggers import VBO, is_vbo
-from tirefit.data.readers.mat import Channels, channels_of_mat, is_mat
+from tirefit.data.readers.mat import MAT, Channels, channels_of_mat
 from tirefit.data.readers.remote import Place
 from tirefit.data.readers.text import (
     Table,
@@ -58,18 +58,24 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
         DataError: the file does not exist, is damaged, of unknown kind, or has no table,
             or more columns than :data:`~tirefit.door.COLUMNS`.
     """
-    table = _read(path, declared)
+    folded = {header.strip().casefold() for header in declared}
+
+    def is_known(name: str) -> bool:
+        return name.strip().casefold() in folded or guess(name) is not None
+
+    table = _read(path, is_known)
     if len(table.headers) > COLUMNS:
         reason = f"it has {len(table.headers)} columns, more than {COLUMNS}"
         raise DataError(reason, "keep the columns of slips, load and forces", str(path))
     return table
 
 
-def _read(path: Place, declared: Collection[str]) -> Table:
-    is_known = _knower(declared)
+def _read(path: Place, is_known: Callable[[str], bool]) -> Table:
     # The folder of a ROS 2 bag.
     if isinstance(path, Path) and (path / "metadata.yaml").is_file():
-        return _of_channels(logs.channels_of_bag(path, b"", is_known), path, _digest(path))
+        inside = b"".join(map(read_bytes, sorted(path.iterdir())))
+        digest = hashlib.sha256(inside).hexdigest()
+        return _of_channels(logs.channels_of_bag(path, b"", is_known), path, digest)
     raw = read_bytes(path)
     content, file = gunzipped(raw, path), str(path)
     for start, (kind, remedy) in _UNREADABLE.items():
@@ -77,15 +83,20 @@ def _read(path: Place, declared: Collection[str]) -> Table:
             reason = f"this is {kind}, which is not read"
             raise DataError(reason, remedy.replace("{file}", Path(file).name), file)
     if _JSON.match(content):
-        raise DataError(_of_json(content, file))
+        if _OUR_FIT.search(content):
+            raise DataError(_of_tire("the JSON of a fit", file))
+        DataError.raise_for(other_tire(content.decode("latin-1"), file))
+        reason = "this is JSON, which is not read as a table of measurements"
+        remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns"
+        raise DataError(reason, f"{remedy} or a frame (pandas.read_json)", file)
     digest = hashlib.sha256(raw).hexdigest()
-    if is_mat(content):
+    if content.startswith(MAT):
         return _of_channels(channels_of_mat(content, file, is_known), path, digest)
-    if logs.is_mdf(content):
+    if content.startswith(logs.MDF):
         return _of_channels(logs.channels_of_mdf(path, content, is_known), path, digest)
     if logs.bag_suffix(content):
         return _of_channels(logs.channels_of_bag(path, content, is_known), path, digest)
-    if tables.is_arrow(content):
+    if content.startswith(tables.ARROW):
         channels = tables.channels_of_arrow(content, file)
         return _of_channels(channels, path, digest, "metadata of the column")
     if tables.is_excel(content):
@@ -106,40 +117,12 @@ def _read(path: Place, declared: Collection[str]) -> Table:
     return table_of_text(text, path, digest, is_known, notes)
 
 
-def _of_json(content: bytes, file: str) -> InputProblem:
-    """The error for a JSON file, from which no command reads measurements."""
-    if _OUR_FIT.search(content):
-        return _of_tire("the JSON of a fit", file)
-    if other := other_tire(content.decode("latin-1"), file):
-        return other[0]
-    reason = "this is JSON, which is not read as a table of measurements"
-    remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns"
-    return InputProblem(reason, f"{remedy} or a frame (pandas.read_json)", file)
-
-
 def _of_tire(what: str, file: str) -> InputProblem:
     """The error for a tire in the place of measurements."""
     reason = f"this is {what}, which describes a tire and is no table of measurements"
     remedy = "give the measurements here, and this file as the tire: --model"
     remedy += f" {file} of diagnose, or `tirefit predict {file} DATA.csv`"
     return InputProblem(reason, remedy, file)
-
-
-def _digest(folder: Path) -> str:
-    """SHA-256 of the files of a folder, in the order of their names."""
-    digest = hashlib.sha256()
-    for inside in sorted(folder.iterdir()):
-        digest.update(read_bytes(inside))
-    return digest.hexdigest()
-
-
-def _knower(declared: Collection[str]) -> Callable[[str], bool]:
-    folded = {header.strip().casefold() for header in declared}
-
-    def is_known(name: str) -> bool:
-        return name.strip().casefold() in folded or guess(name) is not None
-
-    return is_known
 
 
 def _of_channels(
@@ -154,14 +137,7 @@ def _of_channels(
         raise DataError(reason, "give at least as many rows as parameters", str(path))
     units = [channels.units.get(header, "") for header in headers]
     return Table(
-        str(path),
-        stem_of(path),
-        headers,
-        cells,
-        np.arange(1, n + 1),
-        np.zeros(n, bool),
-        units_row=units if any(units) else None,
-        sha256=digest,
-        notes=channels.notes,
+        str(path), stem_of(path), headers, cells, np.arange(1, n + 1), np.zeros(n, bool),
+        units_row=units if any(units) else None, sha256=digest, notes=channels.notes,
         layout=Layout(units_from=units_from),
-    )
+    )  # fmt: skip

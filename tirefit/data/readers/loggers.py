@@ -144,19 +144,14 @@ def _to_seconds(rows: Sequence[list[str]], column: int) -> None:
     Another text becomes no number, so that the check of numbers reports row and column. A step
     by more than half a day is one over midnight; an error of a single row leaves the others.
     """
-    clocks = [(cells, _second(cells[column])) for cells in rows if len(cells) > column]
-    for cells, second in clocks:
-        if second is None:
+    known = []
+    for cells in (cells for cells in rows if len(cells) > column):
+        clock = re.fullmatch(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)", cells[column])
+        hour, minute, second = map(float, clock.groups()) if clock else (24.0, 0.0, 0.0)
+        if hour < 24 and minute < 60 and second < 61:
+            known.append((cells, 3600 * hour + 60 * minute + second))
+        else:
             cells[column] += " (no time of day)"
-    known = [(cells, second) for cells, second in clocks if second is not None]
     seconds = np.unwrap([second for _, second in known], period=_DAY)
     for (cells, _), second in zip(known, seconds, strict=True):
         cells[column] = f"{second:.10g}"
-
-
-def _second(clock: str) -> float | None:
-    """Seconds since midnight of HHMMSS.SS; None for another text."""
-    found = re.fullmatch(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)", clock)
-    hour, minute, second = map(float, found.groups()) if found else (24.0, 0.0, 0.0)
-    is_time = hour < 24 and minute < 60 and second < 61
-    return 3600 * hour + 60 * minute + second if is_time else None

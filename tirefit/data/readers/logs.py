@@ -20,12 +20,12 @@ from tirefit.data.readers.mat import Channels
 from tirefit.data.readers.remote import Place
 from tirefit.results import DataError
 
+MDF = b"MDF     "  # first bytes of a finished file (.mf4, .mdf)
 _BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
 _LARGEST_MESSAGE = 4096
 """Largest message [bytes] that is read; larger ones are images or point clouds."""
 _LONGEST_ARRAY = 16
-_GAP = 5.0
-"""Largest gap between two samples, in periods of their channel, that is interpolated."""
+_GAP = 5.0  # largest gap between two samples, in periods of their channel, that is interpolated
 
 
 class Signal(NamedTuple):
@@ -34,11 +34,6 @@ class Signal(NamedTuple):
     time: np.ndarray
     values: np.ndarray
     unit: str = ""
-
-
-def is_mdf(content: bytes) -> bool:
-    """Whether these are the bytes of a finished MDF file (.mf4, .mdf)."""
-    return content.startswith(b"MDF     ")
 
 
 def bag_suffix(content: bytes) -> str:
@@ -70,22 +65,19 @@ def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]
             copy.write_bytes(content)
             with asammdf.MDF(copy) as mdf:
                 for channel in mdf.iter_channels():
-                    values = np.asarray(channel.samples)
+                    values, name = np.asarray(channel.samples), channel.name
                     if values.ndim != 1 or values.dtype.kind not in "fiub":
-                        left.append(f"{channel.name!r} (no numbers)")
-                    elif channel.name in signals:
-                        left.append(f"{channel.name!r} (again)")
+                        left.append(f"{name!r} (no numbers)")
+                    elif name in signals:
+                        left.append(f"{name!r} (again)")
                     elif len(values):
                         time = np.array(channel.timestamps, float)
-                        signal = Signal(time, values.astype(float), channel.unit or "")
-                        signals[channel.name] = signal
+                        signals[name] = Signal(time, values.astype(float), channel.unit or "")
     except Exception as error:  # asammdf raises many kinds on damaged files
         raise _damaged("MDF file", path, error) from error
     channels = on_one_clock(signals, is_known, str(path))
-    notes = ["read as a log of MDF", *channels.notes]
-    if left:
-        notes.append(f"channels not read: {', '.join(left)}")
-    return channels._replace(notes=tuple(notes))
+    unread = [f"channels not read: {', '.join(left)}"] if left else []
+    return channels._replace(notes=("read as a log of MDF", *channels.notes, *unread))
 
 
 def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
@@ -104,24 +96,36 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
         DataError: rosbags is missing, or the bag is damaged or empty.
     """
     extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
+    from rosbags import rosbag1, rosbag2
+
+    signals: dict[str, Signal] = {}
+    left: list[str] = []  # topics that are not read, with the reason
     try:
         with tempfile.TemporaryDirectory() as folder:
             place = Path(str(path))
             if content:
                 place = Path(folder) / f"log{bag_suffix(content)}"
                 place.write_bytes(content)
-            signals, left = _signals_of(place)
+            is_ros1 = place.suffix == ".bag"
+            with (rosbag1 if is_ros1 else rosbag2).Reader(place) as reader:
+                for topic in sorted({connection.topic for connection in reader.connections}):
+                    connections = [c for c in reader.connections if c.topic == topic]
+                    try:
+                        read = _topic(reader.messages(connections), topic, is_ros1)
+                    except Exception as error:  # rosbags raises many kinds
+                        kinds = " or ".join({c.msgtype for c in connections})
+                        why = f"{type(error).__name__}: {error}"
+                        read = f"no {kinds} by its definition: {why}"
+                    signals |= read if isinstance(read, dict) else {}
+                    left += [f"{topic!r} ({read})"] if isinstance(read, str) else []
     except Exception as error:  # rosbags raises many kinds on damaged files
         raise _damaged("bag", path, error) from error
-    unread = f"topics not read: {', '.join(left)}"
+    unread = [f"topics not read: {', '.join(left)}"] if left else []
     if left and not signals:
         remedy = "record messages with numbers, and their definitions"
-        raise DataError(unread, remedy, str(path))
+        raise DataError(unread[0], remedy, str(path))
     channels = on_one_clock(signals, is_known, str(path))
-    notes = ["read as a bag of ROS messages", *channels.notes]
-    if left:
-        notes.append(unread)
-    return channels._replace(notes=tuple(notes))
+    return channels._replace(notes=("read as a bag of ROS messages", *channels.notes, *unread))
 
 
 def _damaged(kind: str, path: Place, error: Exception) -> DataError:
@@ -130,42 +134,22 @@ def _damaged(kind: str, path: Place, error: Exception) -> DataError:
     return DataError(reason, remedy, str(path))
 
 
-def _signals_of(place: Path) -> tuple[dict[str, Signal], list[str]]:
-    """Fields of all topics of a bag, and the topics that are not read, with the reason."""
-    from rosbags import rosbag1, rosbag2
-
-    is_ros1 = place.suffix == ".bag"
-    signals: dict[str, Signal] = {}
-    left = []
-    with (rosbag1 if is_ros1 else rosbag2).Reader(place) as reader:
-        for topic in sorted({connection.topic for connection in reader.connections}):
-            connections = [c for c in reader.connections if c.topic == topic]
-            try:
-                found = _topic(reader.messages(connections), topic, is_ros1)
-            except Exception as error:  # rosbags raises many kinds
-                kinds = " or ".join({c.msgtype for c in connections})
-                why = f"{type(error).__name__}: {error}"
-                left.append(f"{topic!r} (no {kinds} by its definition: {why})")
-                continue
-            signals |= found if isinstance(found, dict) else {}
-            left += [f"{topic!r} ({found})"] if isinstance(found, str) else []
-    return signals, left
-
-
 def _topic(
     messages: Iterable[tuple[Any, int, bytes]], topic: str, is_ros1: bool
 ) -> dict[str, Signal] | str:
     """Fields of the messages of a topic, or the reason why it has none to read."""
-    decoders: dict[int, Callable[[bytes], Any]] = {}
+    stores: dict[int, Any] = {}
     recorded: list[float] = []
     stamped: list[float] = []
     rows: list[dict[str, float]] = []
     for connection, nanoseconds, raw in messages:
         if len(raw) > _LARGEST_MESSAGE:
             return f"messages of {len(raw)} bytes"
-        if connection.id not in decoders:
-            decoders[connection.id] = _decoder(connection, is_ros1)
-        message = decoders[connection.id](raw)
+        if connection.id not in stores:
+            stores[connection.id] = _types_of(connection)
+        store = stores[connection.id]
+        decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+        message = decode(raw, connection.msgtype)
         recorded.append(nanoseconds / 1e9)
         stamped.append(_stamp(message))
         rows.append(dict(_fields(message)))
@@ -176,24 +160,21 @@ def _topic(
     return named or ("no numbers" if rows else "no messages")
 
 
-def _decoder(connection: Any, is_ros1: bool) -> Callable[[bytes], Any]:
-    """A function from bytes to a message. It uses the definition of the type in the bag,
-    or that of ROS 2 if the bag has none."""
+def _types_of(connection: Any) -> Any:
+    """The types of messages by their definition in the bag, or those of ROS 2 if it has none."""
     from rosbags import typesys
 
-    text, name = connection.msgdef.data, connection.msgtype
-    store = typesys.get_typestore(typesys.Stores.LATEST)
-    if text:
-        store = typesys.get_typestore(typesys.Stores.EMPTY)
-        if connection.msgdef.format.name == "IDL":
-            types: dict[str, Any] = {}
-            for part in re.split(r"=+\nIDL: .*\n", text):
-                types |= typesys.get_types_from_idl(part)
-        else:
-            types = typesys.get_types_from_msg(text, name)
-        store.register(types)
-    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-    return lambda raw: decode(raw, name)
+    text = connection.msgdef.data
+    if not text:
+        return typesys.get_typestore(typesys.Stores.LATEST)
+    store = typesys.get_typestore(typesys.Stores.EMPTY)
+    if connection.msgdef.format.name == "IDL":
+        parts = re.split(r"=+\nIDL: .*\n", text)
+        types = {k: v for part in parts for k, v in typesys.get_types_from_idl(part).items()}
+    else:
+        types = typesys.get_types_from_msg(text, connection.msgtype)
+    store.register(types)
+    return store
 
 
 def _stamp(message: Any) -> float:
@@ -243,15 +224,13 @@ def on_one_clock(
     best = max(clocks, key=clocks.__getitem__)
     base = np.frombuffer(best, float)
     columns = {"time": base - base[0]}
-    units = {"time": "s"}
+    units = {"time": "s"} | {n: signal.unit for n, signal in signals.items() if n != "time"}
     moved = []
     for name, signal in signals.items():
-        if name == "time":
-            continue
-        is_base = signal.time.tobytes() == best
-        columns[name] = signal.values if is_base else _moved(signal, base)
-        units[name] = signal.unit
-        moved += [] if is_base else [repr(name)]
+        if name != "time":
+            is_base = signal.time.tobytes() == best
+            columns[name] = signal.values if is_base else _moved(signal, base)
+            moved += [] if is_base else [repr(name)]
     notes = [f"time counts from {base[0]:.9g} s of the log"]
     if moved:
         notes.append(

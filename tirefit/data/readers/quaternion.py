@@ -17,8 +17,6 @@ _PART = re.compile(
 )
 """``qx``, ``field.pose.pose.orientation.x``, ``/tf/rotation/w``, ``quat_z [-]``."""
 
-_NORM = 0.1  # largest error of a norm, as with components rounded to one decimal place
-
 
 def heading(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Heading [rad] of a quaternion of any norm."""
@@ -50,8 +48,20 @@ def with_headings(table: Table, stated: Sequence[str] = ()) -> tuple[Table, dict
         name = re.sub(r"(^|[\W_])q$", r"\1", stem, flags=re.IGNORECASE) + "yaw"
         if name in table.headers:
             continue
-        values, note = _values(table, parts)
-        layout = table.layout
+        numbers = {
+            part: read_numbers(table.cells[place], part, table.ragged, table.commas, True)[0]
+            for part, place in parts.items()
+        }
+        norm = np.sqrt(np.sum([values**2 for values in numbers.values()], axis=0))
+        missing = np.isnan(norm) & ~table.ragged
+        # Components may be rounded to one decimal place.
+        odd = np.abs(norm - 1) > 0.1
+        note = f"from the quaternion {', '.join(table.headers[parts[k]] for k in 'xyzw')}"
+        note += f"; {missing.sum()} rows lack it" if missing.any() else ""
+        if odd.any():
+            note += f"; {odd.sum()} rows masked, whose norm is not 1"
+            note += f" ({np.sum(norm == 0)} of them 0)"
+        values, layout = np.where(odd, np.nan, heading(**numbers)), table.layout
         if len(whole) == 1 and not known:
             layout = layout._replace(names={**layout.names, name: "heading"})
         table = replace(
@@ -65,20 +75,3 @@ def with_headings(table: Table, stated: Sequence[str] = ()) -> tuple[Table, dict
         components = [table.headers[place] for place in parts.values()]
         named |= dict.fromkeys([*components, stem, stem.rstrip("_./- ["), name], name)
     return table, named
-
-
-def _values(table: Table, parts: dict[str, int]) -> tuple[np.ndarray, str]:
-    """Heading (n,) [rad], and a note on its columns and on the rows without one."""
-    numbers = {
-        part: read_numbers(table.cells[place], part, table.ragged, table.commas, True)[0]
-        for part, place in parts.items()
-    }
-    norm = np.sqrt(np.sum([values**2 for values in numbers.values()], axis=0))
-    missing = np.isnan(norm) & ~table.ragged
-    odd = np.abs(norm - 1) > _NORM
-    note = f"from the quaternion {', '.join(table.headers[parts[k]] for k in 'xyzw')}"
-    note += f"; {missing.sum()} rows lack it" if missing.any() else ""
-    if odd.any():
-        note += f"; {odd.sum()} rows masked, whose norm is not 1"
-        note += f" ({np.sum(norm == 0)} of them 0)"
-    return np.where(odd, np.nan, heading(**numbers)), note

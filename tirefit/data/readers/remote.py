@@ -3,7 +3,8 @@
 import glob
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -47,15 +48,13 @@ class RemoteFile:
             OSError: it cannot be read; its text has the reason.
             DataError: fsspec, or a library that it needs for this address, is missing.
         """
-        fsspec = _fsspec(self.address)
-        try:
-            return fsspec.open(self.address, mode).open()
-        except ImportError as error:
-            raise _lacks(self.address, error) from error
-        except (OSError, DataError):
-            raise
-        except Exception as error:  # each server has errors of its own
-            raise OSError(f"{type(error).__name__}: {error}") from error
+        with _library(self.address) as fsspec:
+            try:
+                return fsspec.open(self.address, mode).open()
+            except (ImportError, OSError, DataError):
+                raise
+            except Exception as error:  # each server has errors of its own
+                raise OSError(f"{type(error).__name__}: {error}") from error
 
 
 Place = Path | RemoteFile
@@ -95,22 +94,23 @@ def expanded(files: Iterable[Place]) -> list[Any]:
 
 
 def _listed(address: str) -> list[Place]:
-    fsspec = _fsspec(address)
+    with _library(address) as fsspec:
+        try:
+            system, path = fsspec.core.url_to_fs(address)
+            return [file_at(system.unstrip_protocol(name)) for name in sorted(system.glob(path))]
+        except ImportError:
+            raise
+        except Exception as error:  # each server has errors of its own
+            reason = f"the addresses cannot be listed: {type(error).__name__}: {error}"
+            raise DataError(reason, "name the files", address) from error
+
+
+@contextmanager
+def _library(address: str) -> Iterator[ModuleType]:
+    """fsspec; within, a library that it lacks for this address is a DataError."""
+    fsspec = extra("fsspec", "files behind an address", address, "cluster")
     try:
-        system, path = fsspec.core.url_to_fs(address)
-        return [file_at(system.unstrip_protocol(name)) for name in sorted(system.glob(path))]
+        yield fsspec
     except ImportError as error:
-        raise _lacks(address, error) from error
-    except Exception as error:  # each server has errors of its own
-        reason = f"the addresses cannot be listed: {type(error).__name__}: {error}"
-        raise DataError(reason, "name the files", address) from error
-
-
-def _fsspec(address: str) -> ModuleType:
-    return extra("fsspec", "files behind an address", address, "cluster")
-
-
-def _lacks(address: str, error: ImportError) -> DataError:
-    scheme = address.split("://")[0]
-    reason = f"files at {scheme}:// need a library that is not installed: {error}"
-    return DataError(reason, "install it beside fsspec", address)
+        reason = f"files at {address.split('://')[0]}:// need a library that is not installed"
+        raise DataError(f"{reason}: {error}", "install it beside fsspec", address) from error

@@ -87,9 +87,6 @@ class RowReader:
             row[name] = sign_of(self._convention, name) * column.unit.to_si(value, is_std)
         if len(cells) != self._width:
             self.bad = line, f"{len(cells)} fields where the header has {self._width}"
-        return self._with_sigma(row)
-
-    def _with_sigma(self, row: dict[str, float]) -> dict[str, float]:
         definition, radius = self._plan.slip, self._options.rolling_radius
         if definition is not None:
             slip = np.asarray(row.pop(definition))

@@ -13,17 +13,12 @@ from tirefit.data.readers.mat import Channels
 from tirefit.door import DATA, MIB, too_large
 from tirefit.results import DataError
 
-_PARQUET, _ARROW = b"PAR1", b"ARROW1"
+ARROW = b"PAR1", b"ARROW1"  # first bytes of a Parquet and of an Arrow (Feather 2) file
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 _SEARCHED = 60  # first rows of a sheet, which must contain the header
 
 
 # --- Parquet and Arrow --------------------------------------------------------------
-
-
-def is_arrow(content: bytes) -> bool:
-    """Whether these are the bytes of a Parquet or an Arrow (Feather 2) file."""
-    return content.startswith((_PARQUET, _ARROW))
 
 
 def channels_of_arrow(content: bytes, file: str) -> Channels:
@@ -34,7 +29,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     Raises:
         DataError: pyarrow is missing, or the file is damaged.
     """
-    is_parquet = content.startswith(_PARQUET)
+    is_parquet = content.startswith(ARROW[0])
     kind = "Parquet" if is_parquet else "Arrow"
     pyarrow = extra("pyarrow", f"{kind} files", file)
     try:
@@ -59,8 +54,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     except Exception as error:  # pyarrow raises many kinds on damaged files
         reason = f"the {kind} file cannot be read: {error}"
         raise DataError(reason, "write it again", file) from error
-    if left:
-        notes.append(f"columns not read: {', '.join(left)}")
+    notes += [f"columns not read: {', '.join(left)}"] if left else []
     return Channels(columns, units, (f"read as a file of {kind}", *notes))
 
 
@@ -131,19 +125,21 @@ def sheet_of_excel(
     filled = {title: rows for title, rows in sheets.items() if rows}
     if not filled:
         raise DataError("the workbook is empty", "give a header and rows", file)
-    headers = {title: _header(rows, is_known) for title, rows in filled.items()}
+    headers = {}  # title -> index of the first row with the most known names, and how many
+    for title, rows in filled.items():
+        counts = [sum(map(is_known, texts)) for _, texts in rows[:_SEARCHED]]
+        headers[title] = counts.index(max(counts)), max(counts)
     known = [title for title, (_, count) in headers.items() if count >= 2]
     if len(known) > 1:
         reason = f"several sheets hold columns: {', '.join(map(repr, known))}"
         raise DataError(reason, "save each as a workbook of its own, or as CSV", file)
     title = known[0] if known else next(iter(filled))
-    start = headers[title][0]
+    start = headers[title][0] if known else 0
     notes = [f"read from the sheet {title!r}"]
     if start:
         notes.append(f"rows before the header in row {filled[title][start][0]} skipped")
-    others = [other for other in sheets if other != title]
-    if others:
-        notes.append(f"sheets not read: {', '.join(map(repr, others))}")
+    if others := ", ".join(repr(other) for other in sheets if other != title):
+        notes.append(f"sheets not read: {others}")
     rows = filled[title][start:]
     width = max((i + 1 for i, cell in enumerate(rows[0][1]) if cell), default=0)
     return [(n, [*row[:width], *filter(None, row[width:])]) for n, row in rows], notes
@@ -155,7 +151,12 @@ def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]
     if content.startswith(_OLE):
         module, age, cells = "xlrd", " of before 2007 (.xls)", _cells_of_xls
     library = extra(module, f"Excel files{age}", file)
-    _check_unpacked(content, file)
+    if not age:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            size = sum(part.file_size for part in archive.infolist())
+        if size > _UNPACKED:
+            reason = f"unpacked, the workbook has {size / MIB:.0f} MiB,"
+            raise DataError(f"{reason} more than {_UNPACKED // MIB}", _AS_CSV, file)
     try:
         return {title: _rows(rows, file) for title, rows in cells(library, content)}
     except DataError:
@@ -194,20 +195,10 @@ def _cells_of_xls(library: Any, content: bytes) -> Iterator[tuple[str, Iterable[
         yield sheet.name, ([value(cell) for cell in row] for row in sheet.get_rows())
 
 
+_AS_CSV = "export the sheet as CSV, or save it as Parquet"
 _UNPACKED, _CELLS = 128 * MIB, 4_000_000
 """Largest size of a workbook when unpacked, and most cells of a sheet, empty ones included.
 400,000 numbers have 14 MiB, and take openpyxl 4 s of processor time."""
-
-
-def _check_unpacked(content: bytes, file: str) -> None:
-    """Raises DataError if a workbook states a larger size when unpacked."""
-    if content.startswith(_OLE):
-        return
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        size = sum(one.file_size for one in archive.infolist())
-    if size > _UNPACKED:
-        reason = f"unpacked, the workbook has {size / MIB:.0f} MiB, more than {_UNPACKED // MIB}"
-        raise DataError(reason, "export the sheet as CSV, or save it as Parquet", file)
 
 
 def _rows(cells: Iterable[Sequence[object]], file: str) -> list[tuple[int, list[str]]]:
@@ -221,26 +212,16 @@ def _rows(cells: Iterable[Sequence[object]], file: str) -> list[tuple[int, list[
         count += len(row)
         if count > _CELLS:
             reason = f"a sheet has more than {_CELLS:,} cells"
-            raise DataError(reason, "export the sheet as CSV, or save it as Parquet", file)
-        texts = [_text(cell) for cell in row]
+            raise DataError(reason, _AS_CSV, file)
+        texts = [
+            repr(cell.total_seconds())
+            if isinstance(cell, datetime.timedelta)
+            else repr(cell)
+            if isinstance(cell, float)
+            else str("" if cell is None else cell).strip()
+            for cell in row
+        ]
         if any(texts):
             rows.append((number, texts))
     width = max((len(texts) for _, texts in rows), default=0)
     return [(number, texts + [""] * (width - len(texts))) for number, texts in rows]
-
-
-def _text(cell: object) -> str:
-    if cell is None:
-        return ""
-    if isinstance(cell, datetime.timedelta):
-        return repr(cell.total_seconds())
-    return repr(cell) if isinstance(cell, float) else str(cell).strip()
-
-
-def _header(
-    rows: Sequence[tuple[int, list[str]]], is_known: Callable[[str], bool]
-) -> tuple[int, int]:
-    """Index of the row with the most known names (the first of them), and how many."""
-    counts = [sum(map(is_known, texts)) for _, texts in rows[:_SEARCHED]]
-    best = max(counts)
-    return (counts.index(best), best) if best >= 2 else (0, best)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,23 +75,19 @@ def read_bytes(path: Place) -> bytes:
     except FileNotFoundError:
         if isinstance(path, Path) and path.is_symlink():
             reason = f"it is a link to {path.readlink()}, which does not exist"
-            raise _refusal(reason, "correct the link", path) from None
+            raise DataError(reason, "correct the link", str(path)) from None
         beside = list[str]()
         with suppress(OSError):  # no such folder, or no permission to list it
             beside = [x.name for x in path.parent.iterdir()] if isinstance(path, Path) else beside
         remedy = did_you_mean(path.name, beside).strip() or "check the path"
-        raise _refusal("the file does not exist", remedy, path) from None
+        raise DataError("the file does not exist", remedy, str(path)) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         cause = getattr(error, "strerror", None) or error
         reason = f"the file cannot be read: {cause}"
-        raise _refusal(reason, "check the path and its permissions", path) from error
+        raise DataError(reason, "check the path and its permissions", str(path)) from error
     if len(raw) > DATA:
         raise too_large(str(path), DATA)
     return raw
-
-
-def _refusal(reason: str, remedy: str, path: Place | str, row: int | None = None) -> DataError:
-    return DataError(reason, remedy, str(path), row)
 
 
 def gunzipped(raw: bytes, path: Place) -> bytes:
@@ -103,7 +99,7 @@ def gunzipped(raw: bytes, path: Place) -> bytes:
             content = packed.read(DATA + 1)
     except (OSError, EOFError, zlib.error) as error:
         reason = f"the gzip file is damaged: {error}"
-        raise _refusal(reason, "copy or compress it again", path) from error
+        raise DataError(reason, "copy or compress it again", str(path)) from error
     if len(content) > DATA:
         raise too_large(str(path), DATA)
     return content
@@ -114,7 +110,7 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
     export = "give a text file: CSV, semicolon- or tab-separated, also gzipped (.gz)"
     if raw.startswith(b"PK\x03\x04"):
         reason = "not a text file but a zip archive or spreadsheet"
-        raise _refusal(reason, "export the sheet as CSV", path)
+        raise DataError(reason, "export the sheet as CSV", str(path))
     try:
         if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             text, notes = raw.decode("utf-16"), ["read as UTF-16"]
@@ -122,7 +118,7 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
             text, notes = raw.decode("utf-8"), []
     except UnicodeDecodeError as error:
         if error.encoding.startswith("utf-16"):
-            raise _refusal("not a text file: broken UTF-16", export, path) from error
+            raise DataError("not a text file: broken UTF-16", export, str(path)) from error
         raw = raw.removeprefix(codecs.BOM_UTF8)
         text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
     # Joined files have byte order marks inside; DOS ends a text with \x1a.
@@ -136,7 +132,7 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
         if text.count("\0") > len(text) / 3:
             reason = "it looks like UTF-16 or UTF-32 without a byte order mark"
             export = "save it as UTF-8"
-        raise _refusal(reason, export, path, row)
+        raise DataError(reason, export, str(path), row)
     return text, notes
 
 
@@ -146,14 +142,16 @@ def table_of_text(
     """Cells of a text; ``is_known`` tells whether a name is that of a known column."""
     # A StringIO would take four bytes for each character.
     raw = list(io.TextIOWrapper(io.BytesIO(text.encode()), "utf-8", newline=""))
-    lines = _content_lines(raw, "#" in text)
+    # Lines without content, such as comments, are reduced to line ends.
+    blank = ("", "#") if "#" in text else ("",)
+    lines = ["\n" if line.lstrip()[:1] in blank else line for line in raw]
     if header := commented_header(raw):
         lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
         notes.append(f"header read from the comment in line {header[0] + 1}")
     content = (i for i, line in enumerate(lines) if line != "\n")
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:
-        raise _refusal("the file is empty", "give a header line and data rows", path)
+        raise DataError("the file is empty", "give a header line and data rows", str(path))
     if logger := exported_by(raw[0]):
         start = names_of_export(lines, searched)
         searched = [index for index in searched if index >= start] or searched
@@ -166,7 +164,10 @@ def table_of_text(
         notes.append(f"lines before the header in line {start + 1} skipped")
     if logger:
         notes.append(f"export of {logger}")
-    table = _table(lines, start, path, digest, notes, delimiter, bool(logger), is_known)
+    rows = _split_rows(lines[start:], delimiter, start, path)
+    lead = list(itertools.islice(rows, _LEAD))
+    table, count = _head(lead, path, digest, notes, bool(logger))
+    table = _filled(replace(table, delimiter=delimiter), lead[count:], rows, lines, path, is_known)
     layout, doubts = stated_convention(raw[:start], str(path))
     above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
     stated = re.findall(r".*, constants (.*)", above)
@@ -176,45 +177,30 @@ def table_of_text(
 
 def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table:
     """Cells of a .vbo file of Racelogic."""
-    found = vbo_table(text, str(path))
-    notes = [*notes, "read as a .vbo file of Racelogic", *found.notes]
-    table = table_of_rows(found.rows, path, digest, notes)
+    vbo = vbo_table(text, str(path))
+    notes = [*notes, "read as a .vbo file of Racelogic", *vbo.notes]
+    table = table_of_rows(vbo.rows, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
-    return replace(table, units_row=found.units, layout=layout, doubts=found.doubts)
-
-
-def _content_lines(lines: list[str], comments: bool) -> list[str]:
-    """The same lines, with those without content (such as comments) reduced to line ends."""
-    if not comments:
-        return ["\n" if line.isspace() else line for line in lines]
-    return ["\n" if line.lstrip()[:1] in ("", "#") else line for line in lines]
+    return replace(table, units_row=vbo.units, layout=layout, doubts=vbo.doubts)
 
 
 def table_of_rows(rows: list[Row], path: Place, digest: str, notes: list[str]) -> Table:
     """A table of rows of cells, the header first."""
-    head = _head(rows[:2], path, notes, False)
-    return _table_of([_of_rows(rows[head.rows :])], head, path, digest, notes)
+    table, count = _head(rows[:2], path, digest, notes, False)
+    return _with_rows(table, [_of_rows(rows[count:])])
 
 
-class _Head(NamedTuple):
-    """The header of a table."""
-
-    headers: list[str]
-    header_line: int
-    units_row: list[str] | None
-    units_line: int | None
-    rows: int  # rows before the first of data
-
-
-def _head(rows: list[Row], path: Place, notes: list[str], is_export: bool) -> _Head:
-    """The header among the first rows of a file; those below it may be units and, in an
-    export of a logger, channel numbers."""
+def _head(
+    rows: list[Row], path: Place, digest: str, notes: list[str], is_export: bool
+) -> tuple[Table, int]:
+    """A table without rows, and the number of rows above those of data: of the header, units
+    and, in an export of a logger, channel numbers."""
     header_line, header = rows[0]
     headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in header]
     if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
-        raise _refusal(reason, remedy, path, header_line)
+        raise DataError(reason, remedy, str(path), header_line)
     units_row = units_line = None
     count = 1
     for number, row in rows[1:]:
@@ -224,7 +210,11 @@ def _head(rows: list[Row], path: Place, notes: list[str], is_export: bool) -> _H
         elif not (is_export and counts_up(row)):
             break
         count += 1
-    return _Head(headers, header_line, units_row, units_line, count)
+    empty = Table(
+        str(path), stem_of(path), headers, [], np.empty(0), np.empty(0), header_line,
+        units_row=units_row, units_line=units_line, sha256=digest, notes=tuple(notes),
+    )  # fmt: skip
+    return empty, count
 
 
 _LEAD = 4  # rows of header, units and channel numbers, and one of data
@@ -232,22 +222,17 @@ _LEAD = 4  # rows of header, units and channel numbers, and one of data
 _BLOCK = 2**14  # lines that are converted at once
 
 
-def _table(
+def _filled(
+    table: Table,
+    data: list[Row],
+    rows: Iterator[Row],
     lines: list[str],
-    start: int,
     path: Place,
-    digest: str,
-    notes: list[str],
-    delimiter: str,
-    is_export: bool,
     is_known: Callable[[str], bool],
 ) -> Table:
-    """The table of the lines from the header's, at ``start``. The first rows of the known
-    columns decide whether a comma is the decimal mark."""
-    rows = _split_rows(lines[start:], delimiter, start, path)
-    lead = list(itertools.islice(rows, _LEAD))
-    head = _head(lead, path, notes, is_export)
-    data, some = lead[head.rows :], list[Row]()
+    """The table with the rows of a text: the first ones, the following ones, and all lines. The
+    first rows of the known columns decide whether a comma is the decimal mark."""
+    some, delimiter = list[Row](), table.delimiter
     first = data[0][0] - 1 if data else len(lines)
     text = "".join(lines[first:])
     is_quoted, commas = '"' in text, delimiter != "," and "," in text
@@ -256,21 +241,20 @@ def _table(
     if commas:
         # Names of runs, as "dry, lap 1" or "2024.1", say nothing of the numbers.
         run = Guess("run", None)
-        known = [k for k, x in enumerate(head.headers) if is_known(x) and guess(x) != run]
+        known = [k for k, x in enumerate(table.headers) if is_known(x) and guess(x) != run]
         cells = (row[k] for _, row in some for k in known or range(len(row)) if k < len(row))
         commas = has_decimal_comma(cells)
-    starts = range(first, len(lines), _BLOCK)
     blocks = [_of_rows(some)] if is_quoted else []
-    for k in () if is_quoted else starts:
+    for k in () if is_quoted else range(first, len(lines), _BLOCK):
         block = lines[k : k + _BLOCK]
         grid = Lines(block, delimiter)
         values = grid.numbers(commas)
-        if values is None or len(values) != len(head.headers):
+        if values is None or len(values) != len(table.headers):
             blocks.append(_of_rows(list(_split_rows(block, delimiter, k, path))))
         else:
             places = np.flatnonzero([line != "\n" for line in block])
             blocks.append(Block(k + 1 + places, grid, values))
-    return _table_of(blocks, head, path, digest, notes, delimiter, commas)
+    return _with_rows(replace(table, commas=commas), blocks)
 
 
 def _of_rows(rows: Sequence[Row]) -> Block:
@@ -278,21 +262,13 @@ def _of_rows(rows: Sequence[Row]) -> Block:
     return Block(np.array([line for line, _ in rows], int), [row for _, row in rows], ())
 
 
-def _table_of(
-    blocks: Sequence[Block],
-    head: _Head,
-    path: Place,
-    digest: str,
-    notes: list[str],
-    delimiter: str = "",
-    commas: bool = False,
-) -> Table:
-    """The table of blocks of rows. Rows of another length than the header become NaN; delimiters
+def _with_rows(table: Table, blocks: Sequence[Block]) -> Table:
+    """The table with blocks of rows. Rows of another length than the header become NaN; delimiters
     at the end of a line do not count."""
     if not any(len(block.rows) for block in blocks):
         reason = "there are no data rows below the header"
-        raise _refusal(reason, "give at least as many rows as parameters", path)
-    width, lines = len(head.headers), np.concatenate([block.lines for block in blocks])
+        raise DataError(reason, "give at least as many rows as parameters", table.file)
+    width, lines = len(table.headers), np.concatenate([block.lines for block in blocks])
     wrong, count = dict[int, str](), 0
     for block in blocks:
         rows = block.rows if isinstance(block.rows, list) else []
@@ -307,11 +283,8 @@ def _table_of(
     ragged[list(wrong)] = True
     rule = f"where the header has {width}"
     faults = (BadRows(None, [*wrong], [*wrong.values()], rule),) if wrong else ()
-    return Table(
-        str(path), stem_of(path), head.headers, [Column(blocks, k) for k in range(width)], lines,
-        ragged, head.header_line, delimiter, head.units_row, head.units_line, digest,
-        tuple(notes), faults, commas=commas,
-    )  # fmt: skip
+    cells = [Column(blocks, k) for k in range(width)]
+    return replace(table, cells=cells, lines=lines, ragged=ragged, faults=faults)
 
 
 def stem_of(path: Place) -> str:
@@ -335,9 +308,9 @@ def _split_rows(lines: list[str], delimiter: str, start: int, path: Place) -> It
     except csv.Error as error:
         reason = f"the line cannot be split: {error}"
         remedy = "look for a quotation mark that is not closed"
-        raise _refusal(reason, remedy, path, number) from error
+        raise DataError(reason, remedy, str(path), number) from error
     reason = "a quotation mark is not closed"
-    raise _refusal(reason, "close or remove it", path, last)
+    raise DataError(reason, "close or remove it", str(path), last)
 
 
 def table_of_frame(frame: Any, name: str) -> Table:
@@ -352,12 +325,16 @@ def table_of_frame(frame: Any, name: str) -> Table:
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
         values = [_shown(frame[name]) for name in names]
-    values = [_seconds(value) if value.dtype.kind in "mM" else value for value in values]
+    for k, value in enumerate(values):
+        if value.dtype.kind == "M":
+            known = value[~np.isnat(value)]
+            value = value - (known.min() if len(known) else np.datetime64(0, "s"))
+        values[k] = value / np.timedelta64(1, "s") if value.dtype.kind == "m" else value
     lengths = {value.shape for value in values}
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
         shapes = ", ".join(f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True))
         reason = f"columns must be one-dimensional, equally long and not empty ({shapes})"
-        raise _refusal(reason, "give arrays of shape (n,)", name)
+        raise DataError(reason, "give arrays of shape (n,)", name)
     cells = [
         value if value.dtype.kind in "fiub" else ["" if x is None else str(x) for x in value]
         for value in values
@@ -371,11 +348,3 @@ def _shown(values: ArrayLike) -> np.ndarray:
     if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiub":
         return np.ma.filled(values.astype(float), np.nan)
     return np.asarray(values)
-
-
-def _seconds(values: np.ndarray) -> np.ndarray:
-    """Durations in seconds; dates and times in seconds since the first one."""
-    if values.dtype.kind == "M":
-        known = values[~np.isnat(values)]
-        values = values - (known.min() if len(known) else np.datetime64(0, "s"))
-    return values / np.timedelta64(1, "s")

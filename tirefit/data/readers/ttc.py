@@ -31,9 +31,6 @@ _IMPERIAL = _METRIC | {
     "TSTC": "degF",
 }
 
-_MOST_PSI = 35.0
-"""Pressures below this number are in psi, above in kPa; racing tires have 8 to 14 psi."""
-
 
 def recognised(table: Table) -> Table:
     """The table with signs, meanings and, unless stated, units by its layout.
@@ -45,9 +42,17 @@ def recognised(table: Table) -> Table:
     if not ("FZ" in names and names & _SLIPS and names & _MARKS):
         return table
     own = table.layout
-    convention, reason = _convention(table)
+    load = _median(table, "FZ")
+    slip, force = _numbers(table, "SA"), _numbers(table, "FY")
+    usable = np.isfinite(slip + force) if len(slip) and len(force) else []
+    turned = "FZ is positive, so the file was converted: signs read as"
+    convention, reason = "iso-w", f"{turned} 'iso-w'"
     if own.convention:
         convention, reason = own.convention, f"signs stated in line {own.stated_in}"
+    elif load is None or load < 0:
+        convention, reason = "sae", "signs read as 'sae', as FZ is negative"
+    elif np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
+        convention, reason = "adapted-sae", f"{turned} 'adapted-sae', by SA and FY"
     notes = [f"laid out as Tire Test Consortium files are: {reason}"]
     meant = {"N": "omega"}
     if {"SL", "SR"} <= names:
@@ -58,7 +63,8 @@ def recognised(table: Table) -> Table:
     units, units_from = table.units_row, table.layout.units_from
     if units is None:
         pressure = _median(table, "P")
-        is_imperial = pressure is not None and pressure < _MOST_PSI
+        # Pressures below this number are in psi, above in kPa; racing tires have 8 to 14 psi.
+        is_imperial = pressure is not None and pressure < 35.0
         by = _IMPERIAL if is_imperial else _METRIC
         units = [by.get(header, "") for header in table.headers]
         units_from = "as in Tire Test Consortium files"
@@ -67,19 +73,6 @@ def recognised(table: Table) -> Table:
             notes.append(f"no units stated: P of {pressure:.4g} is {system} units")
     layout = Layout(meant, units_from, convention, own.stated_in)
     return replace(table, layout=layout, units_row=units, notes=(*table.notes, *notes))
-
-
-def _convention(table: Table) -> tuple[str, str]:
-    """The convention of the signs, and a sentence with the reason."""
-    load = _median(table, "FZ")
-    if load is None or load < 0:
-        return "sae", "signs read as 'sae', as FZ is negative"
-    turned = "FZ is positive, so the file was converted"
-    slip, force = _numbers(table, "SA"), _numbers(table, "FY")
-    usable = np.isfinite(slip + force) if len(slip) and len(force) else []
-    if np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
-        return "adapted-sae", f"{turned}: signs read as 'adapted-sae', by SA and FY"
-    return "iso-w", f"{turned}: signs read as 'iso-w'"
 
 
 def _numbers(table: Table, header: str) -> np.ndarray:

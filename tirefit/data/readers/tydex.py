@@ -10,7 +10,7 @@ Longitudinal slip, forces and moments are those of the axes W and H (ISO 8855).
 """
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,14 +47,11 @@ constant; the first match of a key is used."""
 _INCH = 0.0254
 _SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d\d)\s?[A-Z]*-?\s?(\d\d)\b", re.I)
 """Nominal size such as 205/60 R15: width [mm], aspect ratio [%], rim diameter [inch]."""
-_LARGEST = 2.1
-"""Radius [m] of the largest earthmover tires: a larger value has a wrong unit."""
+_LARGEST = 2.1  # radius [m] of the largest earthmover tires: a larger value has a wrong unit
 
 _SECTIONS = "HEADER COMMENTS CONSTANTS MEASURCHANNELS MEASURDATA END".split()
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
 _WIDTH = 10
-_SEARCHED = 50
-"""Number of data lines that all have too few values if a record spans several lines."""
 
 
 class _Entry(NamedTuple):
@@ -103,11 +100,26 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         reason, remedy = "there are no data rows below **MEASURDATA", "give some"
         raise DataError(reason, remedy, file)
     pairs = zip(zip(*rows, strict=True), channels, strict=True)
-    cells = [_converted(texts, *channel.conversion) for texts, channel in pairs]
+    cells: list[np.ndarray | list[str]] = []  # in the unit of the channel
+    for texts, channel in pairs:
+        factor, before, after = channel.conversion
+        try:
+            with np.errstate(all="ignore"):  # the reader reports rows that are not finite
+                cells.append(factor * (np.array(texts, float) + before) + after)
+        except ValueError:  # one of them is not a number
+            numbers = (float(text) if is_number(text) else None for text in texts)
+            converted = (x if x is None else factor * (x + before) + after for x in numbers)
+            both = zip(texts, converted, strict=True)
+            cells.append([text if x is None else repr(x) for text, x in both])
     constants, others = _constants(sections.get("CONSTANTS", []), channels)
     of_tire, origins = _of_tire(others, sections.get("HEADER", []))
     unread = [line.split()[0] for _, line in others if line not in origins]
-    meant = _meant([channel.name for channel in channels], constants)
+    names = [channel.name for channel in channels]
+    meant: dict[str, str] = {}  # parameter -> column; "" if another one has the same meaning
+    for name, column in _NAMES.items():
+        if name in names:
+            meant[name] = "" if column in meant.values() else column
+    meant |= {entry.name: _NAMES[entry.name] for entry in constants}
     ragged = np.zeros(len(rows), bool)
     ragged[[row for fault in faults for row in fault.rows]] = True
     moved = ", ".join(channel.name for channel in channels if channel.conversion[1])
@@ -115,22 +127,16 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         f"the measurement offset of {moved} was added before the factor, but in some"
         " files it must be subtracted: compare a value with the report of the rig"
     )
+    read = (*channels, *constants)
     return Table(
-        file,
-        stem_of(path),
-        [entry.name for entry in (*channels, *constants)],
+        file, stem_of(path), [entry.name for entry in read],
         cells + [np.full(len(rows), float(c.values[0])) for c in constants],
-        np.array(lines),
-        ragged,
-        channels[0].line,
-        units_row=[entry.unit for entry in (*channels, *constants)],
-        sha256=digest,
+        np.array(lines), ragged, channels[0].line,
+        units_row=[entry.unit for entry in read], sha256=digest,
         notes=(*notes, *_said(sections, channels, constants, unread, meant), *origins.values()),
-        faults=faults,
-        layout=Layout(meant, "unit of the channel", "iso-w"),
-        doubts=(doubts,) if moved else (),
-        constants=of_tire,
-    )
+        faults=faults, layout=Layout(meant, "unit of the channel", "iso-w"),
+        doubts=(doubts,) if moved else (), constants=of_tire,
+    )  # fmt: skip
 
 
 # --- sections and their lines -------------------------------------------------------
@@ -150,22 +156,21 @@ def _sections(text: str) -> dict[str, list[tuple[int, str]]]:
 
 
 def _channels(lines: Iterable[tuple[int, str]], file: str) -> list[_Entry]:
-    channels: list[_Entry] = []
+    channels: dict[str, _Entry] = {}
     for line, text in lines:
         entry = _entry(line, text)
         if entry is None:
             reason = f"this is not a channel of TYDEX: {text.strip()!r}"
             remedy = "give name, comment, unit and conversion factor in columns of 10"
             raise DataError(reason, remedy, file, line)
-        if entry.name in [other.name for other in channels]:
-            reason, remedy = f"the channel {entry.name} is there twice", "rename one"
-            raise DataError(reason, remedy, file, line, entry.name)
+        reason, remedy = f"the channel {entry.name} is there twice", "rename one"
         if entry.conversion[0] == 0:
             reason = f"the conversion factor of {entry.name} is 0"
             remedy = "give the factor that turns its values into its unit"
+        if entry.name in channels or entry.conversion[0] == 0:
             raise DataError(reason, remedy, file, line, entry.name)
-        channels.append(entry)
-    return channels
+        channels[entry.name] = entry
+    return [*channels.values()]
 
 
 def _entry(number: int, line: str) -> _Entry | None:
@@ -196,28 +201,23 @@ def _records(
     """Rows of ``width`` texts, which may continue over lines; the first line of each row;
     and the rows with another number of values."""
     rows: list[list[str]] = []
-    numbers, wrong = [], []
-    goes_on = all(len(_words(line, width)) < width for _, line in lines[:_SEARCHED])
+    numbers, wrong = [], dict[int, str]()
+    # Number of data lines that all have too few values if a record spans several lines.
+    goes_on = all(len(_words(line, width)) < width for _, line in lines[:50])
     words: list[str] = []
-    for number, line in lines:
+    for k, (number, line) in enumerate(lines, 1):
         if not words:
             numbers.append(number)
         words = [*words, *_words(line, width - len(words))]
-        if len(words) < width and goes_on:
+        if len(words) < width and goes_on and k < len(lines):
             continue
         if len(words) != width:
-            wrong.append((len(rows), f"{len(words)} values"))
+            wrong[len(rows)] = f"{len(words)} values"
             words = ["nan"] * width
         rows.append(words)
         words = []
-    if words:
-        wrong.append((len(rows), f"{len(words)} values"))
-        rows.append(["nan"] * width)
-    if not wrong:
-        return rows, numbers, ()
-    indices, shown = zip(*wrong, strict=True)
-    fault = BadRows(None, indices, shown, f"where there are {width} channels")
-    return rows, numbers, (fault,)
+    rule = f"where there are {width} channels"
+    return rows, numbers, (BadRows(None, [*wrong], [*wrong.values()], rule),) if wrong else ()
 
 
 def _words(line: str, missing: int) -> list[str]:
@@ -229,20 +229,6 @@ def _words(line: str, missing: int) -> list[str]:
         is_number(column) or column.upper() in _MISSING for column in columns
     )
     return columns if touching else words
-
-
-def _converted(
-    texts: Sequence[str], factor: float, before: float, after: float
-) -> np.ndarray | list[str]:
-    """Values in the unit of the channel; texts if one of them is not a number."""
-    try:
-        with np.errstate(all="ignore"):  # the reader reports rows that are not finite
-            return factor * (np.array(texts, float) + before) + after
-    except ValueError:
-        return [
-            repr(factor * (float(text) + before) + after) if is_number(text) else text
-            for text in texts
-        ]
 
 
 # --- constants and meanings -----------------------------------------------------------
@@ -287,43 +273,21 @@ def _of_tire(
             entry = _entry(number, line)
             is_it = re.match(meaning, " ".join(line.split()), re.IGNORECASE)
             if is_it and entry and entry.values:
-                value = _si(float(entry.values[0]), entry.unit, dimension)
+                # Without a unit, a length above 3 is in mm.
+                value, unit = float(entry.values[0]), known_unit(entry.unit)
+                if entry.unit.casefold() in ("in", "inch", '"', "zoll") and dimension == "length":
+                    value *= _INCH
+                elif entry.unit in ("", "-"):
+                    value *= 1e-3 if dimension == "length" and value > 3 else 1.0
+                else:
+                    same = unit is not None and unit.dimension == dimension
+                    value = float(unit.to_si(value)) if unit and same else np.nan
                 take(key, factor * value, line)
     for _, line in [*lines, *header]:
-        take("UNLOADED_RADIUS", _radius_of_size(line), line)
+        if size := _SIZE.search(line):
+            width, ratio, rim = map(float, size.groups())
+            take("UNLOADED_RADIUS", rim * _INCH / 2 + width * ratio * 1e-5, line)
     return found, notes
-
-
-def _si(value: float, unit: str, dimension: str) -> float:
-    """A constant in SI units, NaN if its unit has another dimension.
-
-    Without a unit, a length above 3 is in mm.
-    """
-    if unit.casefold() in ("in", "inch", '"', "zoll"):
-        return value * _INCH if dimension == "length" else np.nan
-    if unit in ("", "-"):
-        return value * 1e-3 if dimension == "length" and value > 3 else value
-    known = known_unit(unit)
-    same = known is not None and known.dimension == dimension
-    return float(known.to_si(value)) if known and same else np.nan
-
-
-def _radius_of_size(text: str) -> float:
-    """Radius [m] of the free tire from its nominal size, NaN if the text has none."""
-    if size := _SIZE.search(text):
-        width, ratio, rim = map(float, size.groups())
-        return rim * _INCH / 2 + width * ratio * 1e-5
-    return np.nan
-
-
-def _meant(names: Collection[str], constants: Sequence[_Entry]) -> dict[str, str]:
-    """Parameter -> column; "" if another parameter of the file has the same meaning."""
-    meant: dict[str, str] = {}
-    for name, column in _NAMES.items():
-        if name in names:
-            meant[name] = "" if column in meant.values() else column
-    meant |= {entry.name: _NAMES[entry.name] for entry in constants}
-    return meant
 
 
 def _said(

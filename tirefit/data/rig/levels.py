@@ -16,12 +16,7 @@ _WIDER = 3.0
 """A gap separates two settings if it is this multiple of the next narrower gap, and of the scatter
 about the settings. Of 300 normal or uniform samples of 20 rows and more, none is split; settings
 with a standard deviation of a tenth of their distance are found."""
-_ROWS = 2
-"""Smallest number of rows of a setting; a single one is an outlier or part of a sweep."""
-
-
-_REMEMBERED = 16
-"""Number of columns whose levels are cached, as several steps use the same ones."""
+_ROWS = 2  # smallest number of rows of a setting; a single one is an outlier or part of a sweep
 
 
 class Levels(NamedTuple):
@@ -54,32 +49,34 @@ def levels(values: ArrayLike) -> Levels:
     return _levels_of(np.asarray(values, float).tobytes())
 
 
-@lru_cache(maxsize=_REMEMBERED)
+# Several steps use the levels of the same columns.
+@lru_cache(maxsize=16)
 def _levels_of(column: bytes) -> Levels:
-    found = _found(np.frombuffer(column))
-    for part in found[:-1]:
-        part.setflags(write=False)
-    return found
-
-
-def _found(values: np.ndarray) -> Levels:
+    values = np.frombuffer(column)
     if not len(values):
         none = np.zeros(0)
         return Levels(none, none, none, np.zeros(0, int), False)
     order = np.argsort(values, kind="stable")
     ordered = values[order]
     least = _LEAST * max(ordered[-1] - ordered[0], np.max(np.abs(ordered)))
-    cuts = _without_outliers(_cuts(ordered, least), ordered)
+    cuts = _cuts(ordered, least)
+    while len(cuts):
+        sizes = np.diff(np.concatenate([[0], cuts, [len(ordered)]]))
+        lone = int(np.argmin(sizes))
+        if sizes[lone] >= _ROWS:
+            break
+        gaps = np.concatenate([[np.inf], ordered[cuts] - ordered[cuts - 1], [np.inf]])
+        # A part that is too small joins the nearer of its neighbours.
+        cuts = np.delete(cuts, lone - 1 if gaps[lone] < gaps[lone + 1] else lone)
     parts = np.split(ordered, cuts)
     code = np.empty(len(values), int)
     code[order] = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    return Levels(
-        np.array([np.median(part) for part in parts]),
-        np.array([part[0] for part in parts]),
-        np.array([part[-1] for part in parts]),
-        code,
-        bool(len(parts) == 1 and ordered[-1] - ordered[0] > least),
-    )
+    each = zip(*((np.median(part), part[0], part[-1]) for part in parts), strict=True)
+    center, low, high = map(np.array, each)
+    for array in (center, low, high, code):
+        array.setflags(write=False)
+    is_swept = bool(len(parts) == 1 and ordered[-1] - ordered[0] > least)
+    return Levels(center, low, high, code, is_swept)
 
 
 def _cuts(ordered: np.ndarray, least: float) -> np.ndarray:
@@ -101,19 +98,6 @@ def _cuts(ordered: np.ndarray, least: float) -> np.ndarray:
         if narrowest >= _WIDER * np.sqrt(away @ away / (len(ordered) - count - 1)):
             chosen = cuts
     return chosen
-
-
-def _without_outliers(cuts: np.ndarray, ordered: np.ndarray) -> np.ndarray:
-    """The cuts without those that leave too few rows for a setting."""
-    while len(cuts):
-        sizes = np.diff(np.concatenate([[0], cuts, [len(ordered)]]))
-        lone = int(np.argmin(sizes))
-        if sizes[lone] >= _ROWS:
-            break
-        gaps = np.concatenate([[np.inf], ordered[cuts] - ordered[cuts - 1], [np.inf]])
-        # A part that is too small joins the nearer of its neighbours.
-        cuts = np.delete(cuts, lone - 1 if gaps[lone] < gaps[lone + 1] else lone)
-    return cuts
 
 
 def cells(

@@ -1,6 +1,6 @@
 """Segment, bin and filter the recording of a rig test: :func:`prepare`."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -8,12 +8,11 @@ import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.far import without_far
-from tirefit.data.rig.segments import Segment, segments_of, trimmed
+from tirefit.data.rig.segments import Segment, segments_of, trimmed, with_warmth
 from tirefit.data.rig.series import Series, ZeroPhase, bridged, runs_of, series_of, zero_phase
 from tirefit.data.rig.set_points import Settings, Window, bin_name, setting_names, settings_of
 from tirefit.data.rig.settings import PrepareConfig
 from tirefit.data.rig.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs, number_of
-from tirefit.data.rig.warmth import with_warmth
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.display import Record
@@ -23,8 +22,7 @@ from tirefit.settings import parse_settings
 CONDITIONS = ("fz", "gamma", "pressure", "v")
 FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
 
-_LOOK = 5.0
-"""Bandwidth [Hz] of the channels in which segments are searched; rigs are slower."""
+_LOOK = 5.0  # bandwidth [Hz] of the channels in which segments are searched; rigs are slower
 _SHARE_OF_RATE = 0.2
 _WINDOW = 1.0  # length [s] of the windows of a hold in which settings are searched
 _LEAST_ROWS = 4
@@ -155,14 +153,17 @@ def prepare(data: DataLike, config: PrepareConfig | dict[str, Any] | None = None
     margin = round((config.settle + reach) * series.rate)
     ends = {piece.start for piece in series.pieces} | {len(data)}
     parts = trimmed(parts, margin, ends)
-    columns = _filtered(raw, series, chosen)
+    columns = {name: chosen.smoothed(raw[name], series) if chosen else raw[name] for name in raw}
+    if "sigma_x" in columns:
+        columns["sigma_x"] = slip_to_sigma(columns["sigma_x"], "slip_ratio")
     names = {name: setting_names(s) for name, s in settings.items() if s.is_held}
-    parts = _binned(parts, names)
+    held = [part for part in parts if part.is_held]
+    varied = {name for name in names if len({part.level.get(name, -1) for part in held} - {-1}) > 1}
+    parts = [replace(p, bin=bin_name(p.level, names, varied)) if p.is_held else p for p in parts]
     kept = np.zeros(len(data), bool)
     for part in parts:
         if part.kind in config.keep:
-            first = part.first if part.is_held else part.begin
-            kept[first : part.last if part.is_held else part.end] = True
+            kept[part.first : part.last] = True
     kept &= data.used
     if chosen is not None:
         kept &= chosen.independent(series)
@@ -198,24 +199,8 @@ def _lost_conditions(parts: list[Segment], kept: np.ndarray) -> list[str]:
             name = f"{part.bin} ({part.channel})" if part.channel else part.bin
             rows[name] = rows.get(name, 0) + int(kept[part.begin : part.end].sum())
     lost = [name for name, count in rows.items() if not count]
-    remedy = "if their warm-up was cut, shorten it with --warm-up"
-    words = f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)} ({remedy})"
-    return [words] if lost else []
-
-
-def _binned(parts: list[Segment], names: Mapping[str, list[str]]) -> list[Segment]:
-    """The segments with their bins; the name of a bin has the settings that varied."""
-    held = [part for part in parts if part.is_held]
-    varied = {name for name in names if len({part.level.get(name, -1) for part in held} - {-1}) > 1}
-    return [replace(p, bin=bin_name(p.level, names, varied)) if p.is_held else p for p in parts]
-
-
-def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
-    """The segments, with those in which the wheel does not roll marked ``standing``."""
-    if speed is None or not speed.is_held:
-        return parts
-    still = np.abs(speed.center) <= _STANDING * np.max(np.abs(speed.center))
-    return [replace(p, kind="standing") if p.is_held and still[p.level["v"]] else p for p in parts]
+    words = f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)}"
+    return [f"{words} (if their warm-up was cut, shorten it with --warm-up)"] if lost else []
 
 
 def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, np.ndarray]:
@@ -261,20 +246,19 @@ def _looked_at(
     messages = [
         f"{s.name} is never held: no bins of it" for s in settings.values() if not s.is_held
     ]
-    conditions = {name: s for name, s in settings.items() if s.is_held}
-    conditions |= _held_slips(its_legs, smooth, series, shortest)
-    parts = segments_of(
-        series,
-        ~data.used,
-        {k: conditions[k] for k in conditions if k in settings},
-        its_legs,
-        smooth,
-        shortest,
-    )
-    parts = [_with_held_slip(part, conditions, settings) for part in parts]
-    parts = _standing(parts, settings.get("v"))
+    held = {name: s for name, s in settings.items() if s.is_held}
+    held_slips = _held_slips(its_legs, smooth, series, shortest)
+    parts = segments_of(series, ~data.used, held, its_legs, smooth, shortest)
+    speeds = np.abs(held["v"].center) if "v" in held else np.zeros(0)
+    for k, part in enumerate(parts):
+        if part.is_held:  # with the setting of the slip that it does not sweep
+            middle, swept = (part.begin + part.end) // 2, part.channel.split("+")
+            level = {n: int(s.code[middle]) for n, s in held_slips.items() if n not in swept}
+            stands = len(speeds) and speeds[part.level["v"]] <= _STANDING * np.max(speeds)
+            kind = "standing" if stands else part.kind
+            parts[k] = replace(part, kind=kind, level={**part.level, **level})
     parts, how = with_warmth(parts, series.time, smooth.get("temperature"), config.warm_up)
-    return conditions, parts, [*messages, how]
+    return held | held_slips, parts, [*messages, how]
 
 
 def _windows(its_legs: Mapping[str, list[Leg]], second: int) -> list[Window]:
@@ -304,31 +288,12 @@ def _held_slips(
     """Settings of a slip in segments in which it is held and the other one swept."""
     out = {}
     for name, all_legs in its_legs.items():
-        others = [its_legs[other] for other in its_legs if other != name]
-        if not any(leg.how == SWEPT for other in others for leg in other):
-            continue
-        windows = [
-            Window(begin, end, False)
-            for begin, end, how, _ in all_legs
-            if how == HELD and end - begin >= 3
-        ]
-        if windows:
+        others = [leg for other in its_legs if other != name for leg in its_legs[other]]
+        held = [leg for leg in all_legs if leg.how == HELD and leg.rows >= 3]
+        if held and any(leg.how == SWEPT for leg in others):
+            windows = [Window(leg.begin, leg.end, False) for leg in held]
             out[name] = settings_of(name, smooth[name], windows, series.pieces, shortest)
     return {name: settings for name, settings in out.items() if settings.is_held}
-
-
-def _with_held_slip(
-    part: Segment, conditions: Mapping[str, Settings], settings: Collection[str]
-) -> Segment:
-    """A segment with the setting of the slip that it does not sweep."""
-    if not part.is_held:
-        return part
-    level = dict(part.level)
-    middle = (part.begin + part.end) // 2
-    for name, slip in conditions.items():
-        if name not in settings and name not in part.channel.split("+"):
-            level[name] = int(slip.code[middle])
-    return replace(part, level=level)
 
 
 def _chosen_filter(
@@ -378,14 +343,3 @@ def _followed(
             rows = np.concatenate([np.arange(p.begin, p.end) for p in swept])
             found.append(chosen.force_beyond(series, raw[slip], raw[force], rows))
     return max(found)
-
-
-def _filtered(
-    raw: Mapping[str, np.ndarray], series: Series, chosen: ZeroPhase | None
-) -> dict[str, np.ndarray]:
-    """The filtered channels (n,), with the slip as sigma_x again."""
-    out = {}
-    for name, values in raw.items():
-        done = values if chosen is None else chosen.smoothed(values, series)
-        out[name] = slip_to_sigma(done, "slip_ratio") if name == "sigma_x" else done
-    return out

@@ -1,5 +1,6 @@
 """Segments of a rig test: stretches of one kind, such as a sweep or a hold."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -10,6 +11,8 @@ from tirefit.data.rig.set_points import Settings
 from tirefit.data.rig.slips import MOVED, SWEPT, Leg, number_of
 
 _PART = 0.25  # smallest share of a sweep that is kept if a change cuts into it
+
+_WARM = 0.8  # share of the rise of temperature above which the tire is warm
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,10 @@ def segments_of(
     if codes is not None:
         moving = (codes < 0) @ (1 << np.arange(len(names)))
     piece = np.repeat(np.arange(len(series.pieces)), [p.stop - p.start for p in series.pieces])
-    key = [piece, _lasting(bad, shortest), moving]
+    lasting = np.zeros(len(bad), int)  # bad rows, except those that only interrupt a segment
+    for begin, end in runs_of(bad):
+        lasting[begin:end] = bad[begin] and end - begin >= shortest
+    key = [piece, lasting, moving]
     still = moving == 0
     if codes is not None:
         key += list((codes * still[:, None]).T)
@@ -73,14 +79,14 @@ def segments_of(
         else:
             leg_of = {name: its[number[name][begin]] for name, its in legs.items()}
             here.append(_held(begin, end, level, leg_of, slips, shortest))
-    return _merged(here, piece)
-
-
-def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
-    """Stretches of bad rows, except those that only interrupt a segment."""
-    out = np.zeros(len(bad), int)
-    for begin, end in runs_of(bad):
-        out[begin:end] = bad[begin] and end - begin >= shortest
+    out = here[:1]  # with consecutive transitions joined
+    for last, part in itertools.pairwise(here):
+        if last.kind == part.kind == "transition" and piece[last.begin] == piece[part.begin]:
+            channels = dict.fromkeys([*out[-1].channel.split("+"), *part.channel.split("+")])
+            channel = "+".join(name for name in channels if name)
+            out[-1] = replace(out[-1], end=part.end, channel=channel)
+        else:
+            out.append(part)
     return out
 
 
@@ -112,24 +118,6 @@ def _held(
     return Segment("sweep", begin, end, "+".join(swept), direction, level)
 
 
-def _merged(parts: list[Segment], piece: np.ndarray) -> list[Segment]:
-    """The segments with consecutive transitions joined."""
-    out: list[Segment] = []
-    for part in parts:
-        last = out[-1] if out else None
-        if (
-            last is not None
-            and last.kind == part.kind == "transition"
-            and piece[last.begin] == piece[part.begin]
-        ):
-            ways = dict.fromkeys([*last.channel.split("+"), *part.channel.split("+")])
-            channel = "+".join(way for way in ways if way)
-            out[-1] = replace(last, end=part.end, channel=channel)
-        else:
-            out.append(part)
-    return out
-
-
 def trimmed(parts: list[Segment], margin: int, piece_ends: set[int]) -> list[Segment]:
     """The segments with ``first`` and ``last``: ``margin`` rows next to a change settle,
     but not at the end of a series or where only the slip turns."""
@@ -144,3 +132,57 @@ def trimmed(parts: list[Segment], margin: int, piece_ends: set[int]) -> list[Seg
                     last = max(last - margin, first)
         out.append(replace(part, first=first, last=last))
     return out
+
+
+def with_warmth(
+    parts: list[Segment], time: np.ndarray, temperature: np.ndarray | None, declared: float | None
+) -> tuple[list[Segment], str]:
+    """The segments with ``warm-up`` marked, and a note on how.
+
+    Args:
+        time: (n,) [s].
+        temperature: (n,) of the tire [degC], smoothed, if it was measured.
+        declared: seconds from the start for which the tire was not warm, if given.
+    """
+    held = [part for part in parts if part.is_held]
+
+    def cut(until: float) -> list[Segment]:
+        """The segments with those that begin before ``until`` marked ``warm-up``."""
+        return [
+            replace(part, kind="warm-up") if part.is_held and time[part.begin] < until else part
+            for part in parts
+        ]
+
+    if declared is not None:
+        return cut(time[0] + declared), f"warm-up: the first {declared:g} s, as declared"
+    if temperature is None:
+        how = "not searched, as there is no temperature; give its end with --warm-up"
+        return parts, f"warm-up: {how}"
+    if not held:
+        return parts, "warm-up: none, as no condition is held"
+    late = [part for part in held if part.begin >= held[len(held) // 2].begin]
+    hot = float(np.median(np.concatenate([temperature[p.begin : p.end] for p in late])))
+    begin = held[0].begin
+    start = float(np.median(temperature[begin : begin + max(len(time) // 200, 3)]))
+    rise = hot - start
+    # Smallest rise of temperature [K] by which a warm-up is found.
+    if rise < 5.0:
+        message = f"{start:.0f} degC at the start, {hot:.0f} degC later"
+        return parts, f"warm-up: none, as the tire was warm at the start ({message})"
+    last = max(len(time) // 3, 1)
+    still = float(np.median(temperature[-last // 10 :]) - temperature[-last])
+    # Share of the rise above which a tire that still warms in the last third is not warm.
+    if still > 0.1 * rise:
+        message = f"{still:.0f} K in the last third of the test"
+        return parts, (
+            f"warm-up: none cut, as the tire was warming all the time ({message}); if part"
+            " of it was warm-up, give its end with --warm-up"
+        )
+    levels = (temperature - start) / rise
+    warm = int(np.argmax(levels >= _WARM))
+    message = (
+        f"warm-up: until {time[warm]:.4g} s, when the tire was at"
+        f" {temperature[warm]:.0f} degC, {_WARM:.0%} of the way from"
+        f" {start:.0f} to {hot:.0f} degC"
+    )
+    return cut(time[warm]), message

@@ -76,8 +76,7 @@ def bridged(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 _ORDER = 2  # of one pass; both passes together have 80 dB per decade
 _HIGHEST = 0.4  # largest bandwidth over the sampling rate; above, a filter has no effect
-_UNEVEN = 0.1
-"""Largest deviation of a time stamp from an even grid, in sampling steps."""
+_UNEVEN = 0.1  # largest deviation of a time stamp from an even grid, in sampling steps
 _CLEAR = 4.0  # standard errors of a significant correlation of slip and force
 
 

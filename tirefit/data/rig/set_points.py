@@ -17,15 +17,8 @@ _LEAST = 0.03  # smallest distance of two settings, over the largest value
 _SHARE = 0.02
 """Share of the range of a channel: a channel that changes by more in a second is between
 settings, and two settings are further apart."""
-_SCATTERS = 3.0
-"""Smallest distance of two settings, in scatters of the channel about a setting."""
-_RESTLESS = 3.0  # a window with this multiple of the usual movement has no setting
-_ROOM = 1.3
-"""Factor on the usual deviation of a channel from its setting while it is held."""
-_WIDER = 2.5
-"""Factor by which a deviation may be larger for a short time if no other setting is near
-and the channel returns."""
-_MOST = 0.25  # largest deviation from a setting, over the distance of two settings
+_SCATTERS = 3.0  # smallest distance of two settings, in scatters of the channel about a setting
+_ROOM = 1.3  # factor on the usual deviation of a channel from its setting while it is held
 
 
 class Window(NamedTuple):
@@ -49,12 +42,6 @@ class Settings(NamedTuple):
         return len(self.center) > 0
 
 
-def whole(name: str, values: np.ndarray) -> Settings:
-    """A channel with a single setting in all rows."""
-    center = np.array([np.median(values)])
-    return Settings(name, center, np.array([np.inf]), np.zeros(len(values), int))
-
-
 def settings_of(
     name: str, values: np.ndarray, windows: list[Window], pieces: Sequence[slice], shortest: int
 ) -> Settings:
@@ -67,13 +54,30 @@ def settings_of(
         shortest: smallest number of rows for which a setting is held.
     """
     least = _LEAST * float(np.max(np.abs(values)))
-    if np.ptp(values) <= least:
-        return whole(name, values)
+    if np.ptp(values) <= least:  # a single setting in all rows
+        middle = np.array([np.median(values)])
+        return Settings(name, middle, np.array([np.inf]), np.zeros(len(values), int))
     middle, stray, windows = _candidates(values, windows)
     nowhere = Settings(name, np.zeros(0), np.zeros(0), np.full(len(values), -1))
     if not windows:
         return nowhere
-    center, width = _clustered(middle, stray, least, float(np.ptp(values)))
+    # Groups of candidates, and the deviation of the channel in each.
+    order = np.argsort(middle)
+    middle, stray = middle[order], stray[order]
+    usual = float(np.median(stray))
+    near = np.clip(stray, usual, 2 * usual)
+    apart = _SCATTERS / 2 * np.maximum(near[1:], near[:-1])
+    distance = np.maximum(apart, max(least, _SHARE * float(np.ptp(values))))
+    groups = np.split(np.arange(len(middle)), np.flatnonzero(np.diff(middle) > distance) + 1)
+    center = np.array([np.median(middle[group]) for group in groups])
+    width = np.array(
+        [
+            _ROOM * np.percentile(stray[g] + np.abs(middle[g] - c), 90)
+            for g, c in zip(groups, center, strict=True)
+        ]
+    )
+    width = np.maximum(width, max(_ROOM * usual, 0.2 * least))
+    width = np.minimum(width, np.minimum(*_room(center)))
     calm = np.zeros(len(values), int)
     calm[[(begin + end) // 2 for begin, end, _ in windows]] = 1
     sure = np.concatenate([[0], np.cumsum(calm)])
@@ -108,38 +112,18 @@ def _candidates(
     for kind in (sweep, ~sweep):
         if kind.any():
             usual = float(np.median(np.array(scatter)[kind]))
-            calm |= kind & (np.array(scatter) <= _RESTLESS * usual)
+            # A window with this multiple of the usual movement has no setting.
+            calm |= kind & (np.array(scatter) <= 3.0 * usual)
     at_rest = np.array(trend) <= max(_SHARE * float(np.ptp(values)), 2 * float(np.median(trend)))
     held = calm & (sweep | at_rest)
     still = [window for window, is_held in zip(windows, held, strict=True) if is_held]
     return np.array(middle)[held], np.array(stray)[held], still
 
 
-def _clustered(
-    middle: np.ndarray, stray: np.ndarray, least: float, size: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centres of groups of candidates, and the deviation of the channel in each."""
-    order = np.argsort(middle)
-    middle, stray = middle[order], stray[order]
-    usual = float(np.median(stray))
-    near = np.clip(stray, usual, 2 * usual)
-    apart = _SCATTERS / 2 * np.maximum(near[1:], near[:-1])
-    cuts = np.flatnonzero(np.diff(middle) > np.maximum(apart, max(least, _SHARE * size)))
-    groups = np.split(np.arange(len(middle)), cuts + 1)
-    center = np.array([np.median(middle[group]) for group in groups])
-    width = np.array(
-        [
-            _ROOM * np.percentile(stray[g] + np.abs(middle[g] - c), 90)
-            for g, c in zip(groups, center, strict=True)
-        ]
-    )
-    width = np.maximum(width, max(_ROOM * usual, 0.2 * least))
-    return center, np.minimum(width, np.minimum(*_room(center)))
-
-
 def _room(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest deviations from each setting, downward and upward, given its neighbours."""
-    gaps = _MOST * np.diff(center)
+    # Largest deviation from a setting, over the distance of two settings.
+    gaps = 0.25 * np.diff(center)
     return np.append(np.inf, gaps), np.append(gaps, np.inf)
 
 
@@ -158,7 +142,9 @@ def _assigned(
     between = (center[1:] + center[:-1]) / 2
     nearest = np.searchsorted(between, values)
     above = values - center[nearest]
-    down, up = (np.minimum(_WIDER * width, room)[nearest] for room in _room(center))
+    # Factor by which a deviation may be larger for a short time if no other setting is near and the
+    # channel returns.
+    down, up = (np.minimum(2.5 * width, room)[nearest] for room in _room(center))
     code = np.where((-down <= above) & (above <= up), nearest, -1)
     half = max(shortest // 2, 1)
     row = np.arange(len(values))
@@ -166,7 +152,11 @@ def _assigned(
     change = np.abs(values[later] - values[before])
     for piece in pieces:
         part = code[piece]
-        _fill(part, half)
+        runs = runs_of(part)
+        # Fill short absences from a setting to which the channel returns.
+        for (_, a), (b, c), (d, _) in zip(runs, runs[1:], runs[2:], strict=False):
+            if part[b] < 0 and c - b <= half and part[a - 1] == part[d]:
+                part[b:c] = part[d]
         for begin, end in runs_of(part):
             if part[begin] < 0:
                 continue
@@ -192,14 +182,6 @@ def _end_of_way(goes: np.ndarray, longest: int) -> int:
             break
         rows = row + 1
     return rows
-
-
-def _fill(code: np.ndarray, longest: int) -> None:
-    """Fill, in place, short absences from a setting to which the channel returns."""
-    runs = runs_of(code)
-    for (_, a), (b, c), (d, _) in zip(runs, runs[1:], runs[2:], strict=False):
-        if code[b] < 0 and c - b <= longest and code[a - 1] == code[d]:
-            code[b:c] = code[d]
 
 
 SHOWN = {

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from tirefit.data.rig.series import runs_of
+
 HELD, SWEPT, MOVED = "held", "swept", "moved"
 
 LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
@@ -13,16 +15,12 @@ LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
 
 _REVERSAL = 0.02  # share of the range by which a slip goes back when a sweep turns
 _STILL = 0.008  # share of the range within which a slip is held
-_LONGER = 3
-"""Factor by which windows are longer if the slip moves too little in shorter ones."""
+_LONGER = 3  # factor by which windows are longer if the slip moves too little in shorter ones
 _NOISES = 8.0  # smallest change [standard deviations of the noise] that is a movement
 _PAUSE = 0.3
 """A stop shorter than this share of the sweeps next to it is their turning point: a sine
 is within ``_STILL`` of its end for 0.11 of a sweep."""
-_STEP = 0.4
-"""A movement shorter than this share of both stops next to it is a step between them."""
-_HURRY = 2.5
-"""A movement faster than the next sweep by this factor only takes the slip back."""
+_STEP = 0.4  # A movement shorter than this share of both stops next to it is a step between them
 
 
 class Leg(NamedTuple):
@@ -66,14 +64,28 @@ def legs(
         part = slip[piece]
         stops = _stops(part, still, shortest)
         moving = _between(part, stops, reversal)
-        kept = [stop for stop in stops if not _is_turn(stop, moving)]
+        kept = []
+        for a, b in stops:
+            beside = [leg for leg in moving if leg.end == a or leg.begin == b]
+            opposite = len(beside) > 1 and not sum(leg.direction for leg in beside)
+            # Else it is only the turning point of sweeps.
+            if not opposite or b - a >= _PAUSE * min(leg.rows for leg in beside):
+                kept.append((a, b))
         if len(kept) < len(stops):
             moving = _between(part, kept, reversal)
         here = sorted([*(Leg(*stop, HELD) for stop in kept), *moving])
         all_legs += [
             leg._replace(begin=leg.begin + piece.start, end=leg.end + piece.start) for leg in here
         ]
-    return _without_returns(slip, _without_steps(all_legs))
+    # Legs between two stops are steps if they are short compared with both.
+    steps = list(all_legs)
+    for k in range(1, len(all_legs) - 1):
+        before, leg, after = steps[k - 1], all_legs[k], all_legs[k + 1]
+        joined = before.end == leg.begin and leg.end == after.begin
+        if leg.how == SWEPT and joined and {before.how, after.how} == {HELD}:
+            if leg.rows < _STEP * min(before.rows, after.rows):
+                steps[k] = leg._replace(how=MOVED, direction=0)
+    return _without_returns(slip, steps)
 
 
 def number_of(all_legs: list[Leg]) -> np.ndarray:
@@ -96,11 +108,9 @@ def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int
     mark = np.zeros(n + 1, int)
     np.add.at(mark, begins, 1)
     np.add.at(mark, begins + shortest, -1)
-    inside = np.concatenate([[False], np.cumsum(mark)[:-1] > 0, [False]])
-    edges = np.flatnonzero(inside[1:] != inside[:-1])
-    stops = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    inside = np.cumsum(mark)[:-1] > 0
     kept = []
-    for a, b in stops:
+    for a, b in ((a, b) for a, b in runs_of(inside) if inside[a]):
         if np.ptp(slip[a:b]) <= 2 * still:
             kept.append((a, b))
         else:  # overlapping windows can follow a slow sweep, so use longer ones
@@ -118,9 +128,14 @@ def _between(slip: np.ndarray, stops: Iterable[tuple[int, int]], reversal: float
             continue
         # Include the ends of the stops between which the slip moves.
         first, last = max(begin - 1, 0), min(end + 1, len(slip))
-        turns = [t + first for t in _turns(slip[first:last], reversal)]
-        inner = [_cut(slip, t) for t in turns if begin < t < end]
-        cuts = [begin, *inner, end]
+        cuts = [begin]
+        for turn in (t + first for t in _turns(slip[first:last], reversal)):
+            if begin < turn < end:
+                # First row of the leg after a turn; the extreme belongs to the slower leg.
+                before = abs(slip[turn] - slip[turn - 1])
+                after = abs(slip[turn + 1] - slip[turn]) if turn + 1 < len(slip) else np.inf
+                cuts.append(turn + 1 if before <= after else turn)
+        cuts.append(end)
         for a, b in zip(cuts[:-1], cuts[1:], strict=True):
             if a == b:  # a jump from one row to the next
                 continue
@@ -152,34 +167,6 @@ def _turns(slip: np.ndarray, reversal: float) -> list[int]:
     return turns
 
 
-def _cut(slip: np.ndarray, turn: int) -> int:
-    """First row of the leg after a turn; the extreme belongs to the slower leg."""
-    before = abs(slip[turn] - slip[turn - 1])
-    after = abs(slip[turn + 1] - slip[turn]) if turn + 1 < len(slip) else np.inf
-    return turn + 1 if before <= after else turn
-
-
-def _is_turn(stop: tuple[int, int], moving: list[Leg]) -> bool:
-    """Whether a stop is only the turning point of sweeps."""
-    beside = [leg for leg in moving if leg.end == stop[0] or leg.begin == stop[1]]
-    if sum(leg.direction for leg in beside) or len(beside) < 2:
-        return False
-    return stop[1] - stop[0] < _PAUSE * min(leg.rows for leg in beside)
-
-
-def _without_steps(all_legs: list[Leg]) -> list[Leg]:
-    """Mark legs between two stops as moved if they are short compared with both."""
-    out = list(all_legs)
-    for k in range(1, len(out) - 1):
-        before, leg, after = out[k - 1 : k + 2]
-        joined = before.end == leg.begin and leg.end == after.begin
-        if leg.how != SWEPT or not joined or {before.how, after.how} != {HELD}:
-            continue
-        if leg.rows < _STEP * min(before.rows, after.rows):
-            out[k] = leg._replace(how=MOVED, direction=0)
-    return out
-
-
 def _without_returns(slip: np.ndarray, all_legs: list[Leg]) -> list[Leg]:
     """Mark sweeps as moved that are much faster than those next to them."""
 
@@ -196,7 +183,8 @@ def _without_returns(slip: np.ndarray, all_legs: list[Leg]) -> list[Leg]:
             and leg.direction != other.direction
             and (other.end == leg.begin or leg.end == other.begin)
         ]
-        if any(speed(leg) > _HURRY * speed(other) for other in slower):
+        # A movement faster than the next sweep by this factor only takes the slip back.
+        if any(speed(leg) > 2.5 * speed(other) for other in slower):
             leg = leg._replace(how=MOVED, direction=0)
         out.append(leg)
     return out

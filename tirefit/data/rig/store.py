@@ -1,6 +1,7 @@
 """Write a prepared test: a table to fit, a table of segments, and a record."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -31,12 +32,9 @@ def prepared_csv(prepared: Prepared) -> str:
     ``segment`` is the number of the segment in the file, from 1. ``tirefit.read`` reads
     the constants and the convention from the first line.
     """
-    kept = prepared.kept
-    number = np.zeros(len(kept), int)
-    for k, part in enumerate(prepared.segments):
-        number[part.begin : part.end] = k
+    kept, parts, data = prepared.kept, prepared.segments, prepared.data
+    number = np.repeat(np.arange(len(parts)), [part.end - part.begin for part in parts])
     rows = number[kept].tolist()
-    parts, data = prepared.segments, prepared.data
     columns: dict[str, Any] = {
         "run": [data.runs[code] for code in data.run[kept]],
         "segment": [k + 1 for k in rows],
@@ -48,22 +46,10 @@ def prepared_csv(prepared: Prepared) -> str:
     for name in CANONICAL:
         if name in prepared.columns:
             columns[name] = [_number(v) for v in prepared.columns[name][kept]]
-    name = data.file
     stated = [f"{key}={value:.6g}" for key, value in data.source.constants.items()]
     constants = f", constants {' '.join(stated)}" if stated else ""
-    name = name.replace("\n", " ")
-    first = f"# tirefit {__version__}: prepared from {name}, SI units{constants},"
-    first += " convention braking\n"
-    return first + csv_text(columns)
-
-
-def segment_columns(prepared: Prepared) -> dict[str, list[Any]]:
-    """The table of segments: one row for each, settings in SI units."""
-    columns: dict[str, list[Any]] = {}
-    for k, part in enumerate(prepared.segments):
-        for key, value in _segment(prepared, k, part).items():
-            columns.setdefault(key, []).append(value)
-    return columns
+    first = f"# tirefit {__version__}: prepared from {data.file}".replace("\n", " ")
+    return f"{first}, SI units{constants}, convention braking\n{csv_text(columns)}"
 
 
 def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
@@ -95,10 +81,9 @@ def save_prepared(prepared: Prepared, folder: Path, name: str = "") -> list[Path
     Only the table to fit ends in ``.csv``, so that ``*.csv`` matches no other table.
     """
     name = name or prepared.data.name
-    texts = {
-        f"{name}.csv": prepared_csv(prepared),
-        f"{name}.segments.tsv": csv_text(segment_columns(prepared), "\t"),
-    }
+    rows = [_segment(prepared, k, part) for k, part in enumerate(prepared.segments)]
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
+    texts = {f"{name}.csv": prepared_csv(prepared), f"{name}.segments.tsv": csv_text(columns, "\t")}
     digests = {key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()}
     texts[f"{name}.prepare.json"] = json_text(record_of(prepared, digests))
     write_texts({folder / key: text for key, text in texts.items()})
@@ -163,9 +148,7 @@ def summary(prepared: Prepared) -> str:
     """A summary of the segments, in a few lines."""
     rows = prepared.rows_by_kind()
     total, kept = len(prepared.data), int(prepared.kept.sum())
-    count: dict[str, int] = {}
-    for part in prepared.segments:
-        count[part.kind] = count.get(part.kind, 0) + 1
+    count = Counter(part.kind for part in prepared.segments)
     lines = [
         f"{prepared.data.name}: {kept} of {total} rows kept"
         f" ({', '.join(prepared.config.keep)}), convention braking, SI units"

@@ -33,29 +33,9 @@ __all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 PRESSURES = (1e4, 5e6)
 """Range of inflation pressures [Pa], from a kart to an aircraft."""
 
-_PER_DEGREE = 2.0
-"""Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of
-race tires 60 per radian, which is 1 per degree."""
+_OLDER = (5.0, 51.0, 60.0)  # FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1
 
-_OLDER = (5.0, 51.0, 60.0)
-"""FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1."""
-
-_NAMED = 6
-"""Largest number of keys or values that a sentence lists; it counts the others."""
-
-
-def problems_of(tir: TirFile) -> list[InputProblem]:
-    """All problems that prevent an evaluation, in the order of the lines."""
-    problems = [
-        *_of_units(tir),
-        *_of_model(tir),
-        *_twice(tir),
-        *_no_numbers(tir),
-        *_missing(tir),
-        *_of_values(tir),
-        *_of_limits(tir),
-    ]
-    return sorted(problems, key=lambda problem: problem.row or 0)
+_NAMED = 6  # largest number of keys or values that a sentence lists; it counts the others
 
 
 def notes_on(tir: TirFile) -> list[str]:
@@ -97,8 +77,10 @@ def notes_on(tir: TirFile) -> list[str]:
     return messages
 
 
-def _problem(tir: TirFile, key: str, reason: str, remedy: str) -> InputProblem:
-    entry = tir.find(key)
+def _problem(
+    tir: TirFile, key: str, reason: str, remedy: str, section: str | None = None
+) -> InputProblem:
+    entry = tir.find(key, section)
     return InputProblem(reason, remedy, tir.path, entry.row if entry else None)
 
 
@@ -114,12 +96,14 @@ def _of_units(tir: TirFile) -> Iterator[InputProblem]:
             continue
         reason = f"{quantity} = {entry.value} in [UNITS] is not supported"
         remedy = f"write the file with one of {', '.join(sizes)}"
-        yield InputProblem(reason, remedy, tir.path, entry.row)
+        yield _problem(tir, quantity, reason, remedy, "UNITS")
     entry, stiffness = tir.find("ANGLE", "UNITS"), tir.numbers.get("PKY1", 0.0)
-    if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < _PER_DEGREE:
+    # Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of race tires
+    # 60 per radian, which is 1 per degree.
+    if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < 2.0:
         reason = f"ANGLE = {entry.value}, and PKY1 = {stiffness:g} is per degree"
         remedy = "write the coefficients per radian, with ANGLE = 'radians'"
-        yield InputProblem(reason, remedy, tir.path, entry.row)
+        yield _problem(tir, "ANGLE", reason, remedy, "UNITS")
 
 
 def _of_model(tir: TirFile) -> Iterator[InputProblem]:
@@ -130,19 +114,20 @@ def _of_model(tir: TirFile) -> Iterator[InputProblem]:
     entry = tir.find("FILE_TYPE")
     if entry and entry.text.lower() != "tir":
         reason = f"FILE_TYPE = {entry.value}, not 'tir'"
-        yield InputProblem(reason, "give a tire property file", tir.path, entry.row)
+        yield _problem(tir, "FILE_TYPE", reason, "give a tire property file")
     entry = tir.find("TYRESIDE")
     if entry and tir.side not in SIDES:
         reason = f"TYRESIDE = {entry.value} is not a side"
-        yield InputProblem(reason, f"one of {', '.join(SIDES)}", tir.path, entry.row)
+        yield _problem(tir, "TYRESIDE", reason, f"one of {', '.join(SIDES)}")
     if tir.numbers.get("USE_MODE", 0) < 0:
         reason = f"USE_MODE = {tir.numbers['USE_MODE']:g} mirrors the tire"
         remedy = "that is not supported: drop the minus and choose the side with --side"
         yield _problem(tir, "USE_MODE", reason, remedy)
 
 
-def _twice(tir: TirFile) -> Iterator[InputProblem]:
-    """Keys with two values; a coefficient must not have them even in two sections."""
+def _of_keys(tir: TirFile) -> Iterator[InputProblem]:
+    """Keys with two values, which a coefficient must not have even in two sections; and one
+    problem for all values that are not numbers."""
     seen: dict[tuple[str | None, str], Entry] = {}
     for entry in tir.entries:
         anywhere = entry.key in COEFFICIENTS and entry.section != "UNITS"
@@ -153,10 +138,6 @@ def _twice(tir: TirFile) -> Iterator[InputProblem]:
                 f" in row {first.row}"
             )
             yield InputProblem(reason, "remove one of them", tir.path, entry.row)
-
-
-def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
-    """One problem for all values that are not numbers."""
     bad = [e for e in tir.wanted() if e.text and tir.number(e) is None]
     if bad:
         message = f"{bad[0].key} = {bad[0].value} is not a number"
@@ -205,13 +186,9 @@ def _of_values(tir: TirFile) -> Iterator[InputProblem]:
             reason = f"{key} is {pressure:g} Pa by [UNITS], which no tire has"
             remedy = "correct it, or add PRESSURE = 'pascal' or 'bar' to [UNITS]"
             yield _problem(tir, key, reason, remedy)
-
-
-def _of_limits(tir: TirFile) -> Iterator[InputProblem]:
     for least, most in LIMITS.values():
-        low, high = tir.numbers.get(least), tir.numbers.get(most)
-        if low is not None and high is not None and low > high:
-            reason = f"{least} = {low:g} contradicts {most} = {high:g}"
+        if least in numbers and most in numbers and numbers[least] > numbers[most]:
+            reason = f"{least} = {numbers[least]:g} contradicts {most} = {numbers[most]:g}"
             remedy = "the smallest value is above the largest: correct one"
             yield _problem(tir, least, reason, remedy)
 
@@ -225,7 +202,9 @@ def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
     """
     DataError.raise_for(other_tire(text, path))
     tir, problems = parsed(text, path, notes)
-    problems += problems_of(tir)
+    checks = (_of_units, _of_model, _of_keys, _missing, _of_values)
+    of_values = [problem for check in checks for problem in check(tir)]
+    problems += sorted(of_values, key=lambda problem: problem.row or 0)
     DataError.raise_for(problems)
     return tir
 

@@ -249,7 +249,19 @@ class TirFile:
                     remedy += ", or add it to the infofile"
                 problems.append(InputProblem(reason, remedy, self.path))
         UsageError.raise_for(problems)
-        return parsed("".join(_with_new(lines, new)), self.path)[0]
+        newline = "\r\n" if any(line.endswith("\r\n") for line in lines) else "\n"
+        text: list[str] = []
+        section = ""
+        # New lines go to the end of their sections, or into a new section.
+        for line in [*lines, ""]:
+            header = _SECTION.match(line)
+            if header or not line:
+                text += [added + newline for added in new.pop(section, ())]
+                section = header[1].strip().upper() if header else ""
+            text.append(line if line.endswith("\n") or not line else line + newline)
+        for section, added in new.items():
+            text += [f"{row}{newline}" for row in (f"[{section}]", *added)]
+        return parsed("".join(text), self.path)[0]
 
 
 def shortest(number: float) -> str:
@@ -257,29 +269,8 @@ def shortest(number: float) -> str:
     return f"{number:.15g}"
 
 
-def _with_new(lines: list[str], new: Mapping[str, list[str]]) -> Iterator[str]:
-    """The lines with new ones at the end of their sections, or in a new section."""
-    end = "\r\n" if any(line.endswith("\r\n") for line in lines) else "\n"
-    waiting = dict(new)
-    section = ""
-    for line in lines:
-        header = _SECTION.match(line)
-        if header:
-            for added in waiting.pop(section, ()):
-                yield added + end
-            section = header[1].strip().upper()
-        yield line if line.endswith("\n") else line + end
-    for added in waiting.pop(section, ()):
-        yield added + end
-    for section, entries in waiting.items():
-        yield f"[{section}]{end}"
-        for added in entries:
-            yield added + end
-
-
 def _key(found: re.Match[str]) -> str:
-    key = found["key"].upper()
-    return ALIASES.get(key, key)
+    return ALIASES.get(key := found["key"].upper(), key)
 
 
 def _neutral(key: str) -> float:

@@ -14,8 +14,7 @@ from tirefit.results import DataError, InputProblem
 
 TireKind = Literal["fit", "tir", ""]
 
-_HEAD = 2**18
-"""Bytes that are searched; the key that names the model stands in the first lines."""
+_HEAD = 2**18  # bytes that are searched; the key that names the model stands in the first lines
 
 _FORMATS = {
     "FIALA": "Fiala",
@@ -84,12 +83,11 @@ def describes_tir(text: str) -> bool:
 
 def other_tire(text: str, file: str) -> list[InputProblem]:
     """The problem that a text describes a tire of a model that is not read; else empty."""
-    model = None
-    if found := _FORMAT.search(text):
-        name = re.sub("[^A-Z0-9]", "", found[1].upper())
-        other = not name.startswith(("MF", "PAC", "USER")) and not _COEFFICIENT.search(text)
-        model = _FORMATS.get(name, found[1].strip() if other else None)
-    if found and model:
+    stated = _FORMAT.search(text)
+    name = re.sub("[^A-Z0-9]", "", stated[1].upper()) if stated else "MF"
+    other = not name.startswith(("MF", "PAC", "USER")) and not _COEFFICIENT.search(text)
+    if (found := stated) and (name in _FORMATS or (other and found[1].strip())):
+        model = _FORMATS.get(name, found[1].strip())
         reason = f"a tire of the model {model} (PROPERTY_FILE_FORMAT = {found[1].strip()!r})"
     elif found := _FTIRE.search(text):
         reason = f"a tire of the model FTire (section {found[0].strip()})"
@@ -103,7 +101,5 @@ def other_tire(text: str, file: str) -> list[InputProblem]:
     else:
         return []
     row = text.count("\n", 0, found.start()) + 1
-    remedy = _REMEDY
-    if "Pac02" in reason:
-        remedy = "give the .tir file that it names in place of it"
+    remedy = "give the .tir file that it names in place of it" if "Pac02" in reason else _REMEDY
     return [InputProblem(f"this is {reason}, which tirefit does not read", remedy, file, row)]

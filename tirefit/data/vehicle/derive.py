@@ -22,7 +22,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from textwrap import fill, wrap
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,6 @@ from tirefit import __version__
 from tirefit.data.merged import merged
 from tirefit.data.readers.remote import Place, file_at
 from tirefit.data.vehicle.contradictions import Comparison, compare
-from tirefit.data.vehicle.doubts import doubts
 from tirefit.data.vehicle.findings import delays, findings, found_in
 from tirefit.data.vehicle.motion import (
     Motion,
@@ -42,8 +41,7 @@ from tirefit.data.vehicle.motion import (
     road_wheel,
     slip_and_force,
 )
-from tirefit.data.vehicle.point import PointCheck, check_point, zero_of_alpha
-from tirefit.data.vehicle.stated import assumptions_of, stated_of
+from tirefit.data.vehicle.point import PointCheck, check_point, doubts, zero_of_alpha
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -52,11 +50,6 @@ from tirefit.files import listed, write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
-
-_FIRST = "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
-
-_NEARLY_ALL = 0.9
-"""Share of the samples dropped for one reason above which units are probably wrong."""
 
 
 @dataclass(frozen=True)
@@ -108,15 +101,12 @@ class DerivedLog:
                 f" fy {force.min():+.4g} to {force.max():+.4g} N,"
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
                 *(
-                    line
+                    fill(message, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
                     for message in (
-                        self.compared.line,
-                        self.heading,
-                        self.point.line,
+                        *(self.compared.line, self.heading, self.point.line),
                         *delays(found_in([self])),
                         *(f"warning: {w}" for w in self.warnings),
                     )
-                    for line in wrap(message, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
                 ),
             ]
         )
@@ -132,9 +122,11 @@ class DerivedFiles:
     stated: Mapping[str, float] = field(repr=False)  # constants in the first line of the CSV
 
     def summary(self) -> str:
-        """The summary of each log, what they show together, then the files written."""
-        together = _together(self.logs, self.stated)
-        return f"{_summary(self.logs)}{together}\nwrote {self.data} and {self.metadata}"
+        """The summary of each log, what several show together in the words of ``fit`` and
+        ``diagnose``, then the files written."""
+        together = findings(self.stated) if len(self.logs) > 1 else ()
+        lines = [_summary(self.logs), *(fill(t, 80, subsequent_indent="  ") for t in together)]
+        return "\n".join([*lines, f"wrote {self.data} and {self.metadata}"])
 
 
 def derive(
@@ -164,21 +156,25 @@ def derive(
         )
     track, motion, gaps = read_motion(file, vehicle)
     compared = compare(track, motion, vehicle, str(file))
-    _refuse(compared.problems, believe)
+    if not believe:
+        DataError.raise_for(compared.problems)
     columns = _axle(motion, vehicle, axle)
-    kept, dropped = _kept(motion, track, vehicle, axle)
-    if not kept.any():
-        raise DataError(_none_left(track, motion, vehicle, dropped, str(file)))
-    warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
-    warnings = _hardly_any(kept, dropped) + warnings
+    kept, dropped = _kept(motion, track, vehicle, axle, str(file))
+    few = max(dropped, key=lambda name: dropped[name])
+    warnings = [*vehicle.doubts(), *doubts(columns, motion, kept, vehicle)]
+    # Share of the samples dropped for one reason above which units are probably wrong.
+    if dropped[few] > 0.9 * len(kept):
+        warnings[:0] = [
+            f"only {np.count_nonzero(kept)} of {len(kept)} samples are kept,"
+            f" {dropped[few]} are dropped as {few!r}: check the units of the log"
+        ]
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
     # A contradicting channel changes the slip angle in the same way as a wrong point.
     checked = kept & (not compared.problems)
     point = check_point(motion, vehicle, checked, str(file))
-    _refuse(point.problems, believe)
-    runs = np.array(names_of_runs(file, track))
+    if not believe:
+        DataError.raise_for(point.problems)
     last_row = np.searchsorted(track.time, motion.time[kept], side="right") - 1
-    contradictions = (*compared.problems, *point.problems)
     columns = {name: values[kept] for name, values in columns.items()}
     heading, zero = zero_of_alpha(vehicle, axle, alpha, force)
     return DerivedLog(
@@ -193,16 +189,16 @@ def derive(
         heading=heading,
         zero=zero,
         point=point,
-        run=runs[track.run[last_row]],
+        run=np.array(names_of_runs(file, track))[track.run[last_row]],
         compared=compared,
         warnings=(
-            *(f"{p.reason}; {p.remedy}" for p in contradictions),
+            *(f"{p.reason}; {p.remedy}" for p in (*compared.problems, *point.problems)),
             *track.missing,
             *compared.warnings,
             *point.warnings,
             *warnings,
         ),
-        assumptions=assumptions_of(track, vehicle, axle),
+        assumptions=_assumptions(track, vehicle, axle),
         source={"path": file.name, "sha256": track.sha256, "epoch": track.epoch},
     )
 
@@ -246,9 +242,11 @@ def derive_files(
     vehicle = load_vehicle(vehicle_toml, units)
     metadata = out.parent / f"{out.stem}.derive.json"
     paths = listed(paths)
-    _check_names(paths, vehicle_toml, (out, metadata))
+    problems = output_problems(out, ".csv") or output_problems(metadata)
+    UsageError.raise_for([*problems, *name_problems(paths)])
+    inputs = {"LOG": paths, "--vehicle": [vehicle_toml]}
+    DataError.raise_for(replaced_inputs((out, metadata), inputs))
     logs: list[DerivedLog] = []
-    problems: list[InputProblem] = []
     for path in paths:
         try:
             logs.append(derive(path, vehicle, axle, believe))
@@ -259,8 +257,9 @@ def derive_files(
         name: np.concatenate([log.columns[name] for log in logs]) for name in logs[0].columns
     }
     columns["run"] = np.concatenate([log.run for log in logs])
-    written = {k: f"{v:.4g}" for k, v in {**stated_of(vehicle), **found_in(logs)}.items()}
-    first = _FIRST.format(" ".join(f"{k}={v}" for k, v in written.items()))
+    written = {k: f"{v:.4g}" for k, v in {**_stated(vehicle), **found_in(logs)}.items()}
+    first = "# tirefit: derived from vehicle logs, SI units, convention braking, constants "
+    first += " ".join(f"{k}={v}" for k, v in written.items()) + "\n"
     stated = {k: float(v) for k, v in written.items()}  # rounded as in the file
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
@@ -277,20 +276,9 @@ def _summary(logs: Sequence[DerivedLog]) -> str:
     if len(logs) == 1:
         return logs[0].summary()
     lines = [replace(log, warnings=()).summary() for log in logs]
-    for text in merged((log.name, log.warnings) for log in logs):
-        lines.append(fill(f"warning: {text}", 80, subsequent_indent="  "))
+    warnings = merged((log.name, log.warnings) for log in logs)
+    lines += [fill(f"warning: {text}", 80, subsequent_indent="  ") for text in warnings]
     return "\n".join(lines)
-
-
-def _together(logs: Sequence[DerivedLog], stated: Mapping[str, float]) -> str:
-    """The findings of several logs in the words of ``fit`` and ``diagnose``; empty for one."""
-    texts = findings(stated) if len(logs) > 1 else ()
-    return "".join(f"\n{fill(text, 80, subsequent_indent='  ')}" for text in texts)
-
-
-def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:
-    if problems and not believe:
-        raise DataError(problems)
 
 
 # --- the axle -------------------------------------------------------------------
@@ -305,14 +293,8 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
     if vehicle.h_cg is not None:
         transfer = vehicle.mass * motion.a_x * vehicle.h_cg / wheelbase
         load = load + transfer if axle == "rear" else load - transfer
-    columns = {
-        "time": motion.time,
-        "alpha": alpha,
-        "fy": force,
-        "fz": load,
-        "v": speed,
-        "alpha_rate": motion.rate_of(alpha),
-    }
+    columns = {"time": motion.time, "alpha": alpha, "fy": force, "fz": load, "v": speed}
+    columns["alpha_rate"] = motion.rate_of(alpha)
     names = ["a_x", "a_y", "yaw_rate", "yaw_acceleration"]
     names += ["heading", "x", "y"] if vehicle.columns.motion == POSE else []
     columns |= {name: getattr(motion, name) for name in names}
@@ -326,16 +308,17 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
 
 
 def _kept(
-    motion: Motion, track: Track, vehicle: Vehicle, axle: str
+    motion: Motion, track: Track, vehicle: Vehicle, axle: str, file: str
 ) -> tuple[np.ndarray, dict[str, int]]:
-    """Grid samples to keep (n,) bool, and reason -> samples dropped for it."""
+    """Grid samples to keep (n,) bool, and reason -> samples dropped for it.
+
+    Raises:
+        DataError: no sample is kept.
+    """
     last_row = np.searchsorted(track.time, motion.time, side="right") - 1
     keep = vehicle.keep
-    reasons = {
-        "near an edge or a gap": ~motion.settled,
-        "not active": ~track.active[last_row],
-        **not_ahead(motion, vehicle),
-    }
+    reasons = {"near an edge or a gap": ~motion.settled, "not active": ~track.active[last_row]}
+    reasons |= not_ahead(motion, vehicle)
     if keep.a_y_max is not None:
         # The filter spreads a glitch over its settling time, which is dropped as well.
         glitches = motion.time[np.abs(motion.a_y) > keep.a_y_max]
@@ -348,42 +331,72 @@ def _kept(
         command = vehicle.steering.command
         inside = (motion.command >= command[0]) & (motion.command <= command[-1])
         reasons["steering command outside the map"] = ~inside
-    kept = np.ones(len(motion.time), bool)
-    dropped = {}
+    kept, dropped = np.ones(len(motion.time), bool), {}
     for reason, rows in reasons.items():
         dropped[reason] = int(np.count_nonzero(kept & rows))
         kept &= ~rows
+    if not kept.any():
+        reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
+        if motion.settled.any():
+            reason += f" (at most {np.max(motion.v_x[motion.settled]):.3g} m/s ahead)"
+            remedy = "check the units and [keep] of vehicle.toml"
+        else:
+            reason += f"; the longest stretch is {2 * np.max(motion.within):.2g} s"
+            reason += f" of {len(track.runs)} runs" if len(track.runs) > 1 else ""
+            remedy = f"record more than {2 * vehicle.margin:.2g} s without a gap, or raise"
+            remedy += " cutoff in [filter] of vehicle.toml, which shortens keep.margin"
+        raise DataError(reason, remedy, file)
     return kept, dropped
 
 
-def _none_left(
-    track: Track, motion: Motion, vehicle: Vehicle, dropped: Mapping[str, int], file: str
-) -> InputProblem:
-    """The error that no sample is kept, with a remedy."""
-    reason = f"no sample is left of {len(motion.time)}: {_counts(dropped)}"
-    if motion.settled.any():
-        reason += f" (at most {np.max(motion.v_x[motion.settled]):.3g} m/s ahead)"
-        remedy = "check the units and [keep] of vehicle.toml"
-    else:
-        reason += f"; the longest stretch is {2 * np.max(motion.within):.2g} s"
-        reason += f" of {len(track.runs)} runs" if len(track.runs) > 1 else ""
-        remedy = f"record more than {2 * vehicle.margin:.2g} s without a gap, or raise"
-        remedy += " cutoff in [filter] of vehicle.toml, which shortens keep.margin"
-    return InputProblem(reason, remedy, file)
-
-
-def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]:
-    """A warning if nearly all samples are dropped for one reason."""
-    reason = max(dropped, key=lambda name: dropped[name])
-    if dropped[reason] <= _NEARLY_ALL * len(kept):
-        return ()
-    return (
-        f"only {np.count_nonzero(kept)} of {len(kept)} samples are kept,"
-        f" {dropped[reason]} are dropped as {reason!r}: check the units of the log",
-    )
-
-
 # --- words ----------------------------------------------------------------------
+
+_POSE_CLOCK = 0.005
+"""Standard error [s] of the time between x, y and yaw, which are from one instrument."""
+
+
+def _stated(vehicle: Vehicle) -> dict[str, float]:
+    """Values that the vehicle file states, so that they need not be assumed, by key."""
+    stated = dict(
+        wheelbase=vehicle.wheelbase,
+        yaw_inertia=vehicle.yaw_inertia,
+        tracked_point=None if vehicle.tracked_point is None else vehicle.tracked_point[0],
+        clock=vehicle.clock or (_POSE_CLOCK if vehicle.columns.motion == POSE else None),
+        wheel_radius=vehicle.wheel_radius,
+    )
+    return {key: value for key, value in stated.items() if value is not None}
+
+
+def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
+    """Sentences on bandwidth, model and all assumptions of a log."""
+    settings = vehicle.filter
+    messages = [
+        f"bandwidth {settings.bandwidth:.3g} Hz (-3 dB): Butterworth of order"
+        f" {settings.order}, {settings.cutoff:g} Hz, run both ways, then central"
+        f" differences at {settings.sample_rate:g} Hz; neighbouring samples are"
+        " correlated and do not count as independent",
+        f"gaps over {track.max_gap:.3g} s are not interpolated; shorter ones and uneven"
+        " sampling are bridged by a cubic spline",
+        "one rigid body on a flat floor, one wheel per axle: no roll, pitch, lateral"
+        " load transfer or drag, and no yaw moment but that of the axles' side forces",
+        "alpha > 0 where the axle slides to the left; fy > 0 to the right, as the force"
+        " then acts: alpha and fy are negative in a left turn (the canonical convention)",
+        "fz is the static axle load (h_cg is not given)"
+        if vehicle.h_cg is None
+        else "fz is the axle load with the load transfer m a_x h_cg / L",
+    ]
+    if vehicle.tracked_point is None:
+        messages.append("the log describes the centre of gravity (no tracked_point)")
+    if axle == "front":
+        assert vehicle.steering is not None
+        delay = vehicle.steering.delay
+        late = f"{delay:g} s later" if delay else "at once"
+        messages.append(f"the road wheels follow the steering command {late}")
+    if vehicle.driven not in (axle, "all"):
+        messages.append(f"the {axle} axle neither drives nor brakes")
+    elif vehicle.driven == "all" and vehicle.rear_share is None:
+        messages.append("the rear axle has half of the drive force (no rear_share)")
+    return (*messages, *vehicle.columns.notes, *track.notes)
 
 
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[str, Any]:
@@ -408,7 +421,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[s
                 "heading": log.heading,
                 "alpha_zero": log.zero,
                 "point": log.point.estimate,
-                "agreement": log.compared.as_dicts(),
+                "agreement": [agreement.as_dict() for agreement in log.compared.pairs],
                 "warnings": list(log.warnings),
                 "assumptions": list(log.assumptions),
             }
@@ -418,8 +431,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[s
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    counted = [f"{reason} {count}" for reason, count in counts.items() if count]
-    return ", ".join(counted) or "none"
+    return ", ".join(f"{reason} {count}" for reason, count in counts.items() if count) or "none"
 
 
 def run_name(path: Place) -> str:
@@ -439,18 +451,5 @@ def name_problems(paths: Sequence[str | Place]) -> list[InputProblem]:
     if not names:
         return [InputProblem("no log given", "name at least one")]
     remedy = "rename one: the run gets the name of its file"
-    return [
-        InputProblem(f"two logs are named {name!r}", remedy)
-        for name in sorted({name for name in names if names.count(name) > 1})
-    ]
-
-
-def _check_names(
-    paths: Sequence[str | Place], vehicle_toml: str | Path, made: tuple[Path, Path]
-) -> None:
-    """Raise an error unless the first of ``made`` can be written as CSV, all logs have
-    different names, and no input would be replaced."""
-    out, beside = made
-    problems = output_problems(out, ".csv") or output_problems(beside)
-    UsageError.raise_for([*problems, *name_problems(paths)])
-    DataError.raise_for(replaced_inputs(made, {"LOG": paths, "--vehicle": [vehicle_toml]}))
+    twice = sorted({name for name in names if names.count(name) > 1})
+    return [InputProblem(f"two logs are named {name!r}", remedy) for name in twice]

@@ -24,71 +24,68 @@ def found_in(logs: Sequence[Any]) -> dict[str, float]:
     Args:
         logs: results of :func:`tirefit.data.vehicle.derive.derive`.
     """
-    found, zeros = {}, [log.zero for log in logs if log.zero is not None]
+    means, zeros = {}, [log.zero for log in logs if log.zero is not None]
     if zeros:
-        found["alpha_zero"] = float(np.mean(zeros))
+        means["alpha_zero"] = float(np.mean(zeros))
     estimates = {"found_point": [log.point.estimate for log in logs]}
-    for pair in (pair for log in logs for pair in log.compared.pairs):
-        if pair.pair.exact or pair.pair.channel in _LAGS:
-            late = estimates.setdefault(f"late_{pair.pair.channel}", [])
-            late.append((pair.delay, pair.delay_std))
+    for compared in (compared for log in logs for compared in log.compared.pairs):
+        if compared.pair.exact or compared.pair.channel in _LAGS:
+            late = estimates.setdefault(f"late_{compared.pair.channel}", [])
+            late.append((compared.delay, compared.delay_std))
     for name, each in estimates.items():
-        known = np.array([one for one in each if one and 0 < one[1] < np.inf])
+        known = np.array([value for value in each if value and 0 < value[1] < np.inf])
         if len(known):
             weight = known[:, 1] ** -2
             mean = weight @ known[:, 0] / weight.sum()
             scatter = weight @ (known[:, 0] - mean) ** 2 / max(len(known) - 1, 1)
             if name == "found_point" or np.any(abs(known[:, 0]) > _DELAYED * known[:, 1]):
                 std = (max(scatter, 1.0) / weight.sum()) ** 0.5
-                found |= {name: float(mean), f"{name}_std": float(std)}
-    return found
+                means |= {name: float(mean), f"{name}_std": float(std)}
+    return means
 
 
 def findings(constants: Mapping[str, float]) -> tuple[str, ...]:
     """One sentence on the errors that ``derive`` found, from the constants of the derived file;
     empty without a finding. ``derive``, ``fit`` and ``diagnose`` report it in these words."""
-    found = []
+    sentences = []
     if "alpha_zero" in constants:
-        found.append(f"alpha is {constants['alpha_zero']:+.4f} rad where fy = 0")
+        sentences.append(f"alpha is {constants['alpha_zero']:+.4f} rad where fy = 0")
     known = error_of_point(constants)
     if known is not None:
         advice = ": correct it"
         if point_confirmed(constants):
             advice = f", less than {_DELAYED:g} standard errors: keep the stated point"
-        found.append(f"the tracked point is {point_words(-known[0], known[1])}{advice}")
+        sentences.append(f"the tracked point is {point_words(-known[0], known[1])}{advice}")
     elif "found_point" in constants:
         place, std = constants["found_point"], constants["found_point_std"]
-        found.append(f"the tracked point is {place:.3g} ± {std:.1g} m ahead of the rear axle")
-    found += delays(constants)
-    return (f"found by tirefit derive, without a tire model: {'; '.join(found)}",) if found else ()
+        sentences.append(f"the tracked point is {place:.3g} ± {std:.1g} m ahead of the rear axle")
+    sentences += delays(constants)
+    what = "found by tirefit derive, without a tire model"
+    return (f"{what}: {'; '.join(sentences)}",) if sentences else ()
 
 
 def delays(constants: Mapping[str, float]) -> list[str]:
     """Sentences on the delays among the constants of a derived file."""
-    each = ((key.removeprefix("late_"), key) for key in constants if key.startswith("late_"))
-    return [
-        _late_words(channel, constants[key], constants[f"{key}_std"])
-        for channel, key in each
-        if not key.endswith("_std")
-    ]
+    sentences = []
+    for key, late in constants.items():
+        if not key.startswith("late_") or key.endswith("_std"):
+            continue
+        channel, size = key[5:], f"{abs(late):.2g} ± {constants[f'{key}_std']:.1g} s"
+        if channel not in _LAGS:
+            sentences.append(f"{channel} is {size} {'late' if late > 0 else 'early'}")
+            continue
+        what, other = _LAGS[channel]
+        sentences.append(
+            f"{what} {size} {'after' if late > 0 else 'before'} {other} (the motion of a car causes"
+            " such a lag: it is not by itself a delay of the log)"
+        )
+    return sentences
 
 
 def point_words(ahead: float, std: float) -> str:
     """An estimate of the tracked point against the stated one [m]."""
     side = "ahead of" if ahead > 0 else "behind"
     return f"by force against slip {abs(ahead):.2g} ± {std:.1g} m {side} the stated one"
-
-
-def _late_words(channel: str, late: float, std: float) -> str:
-    size = f"{abs(late):.2g} ± {std:.1g} s"
-    if channel not in _LAGS:
-        return f"{channel} is {size} {'late' if late > 0 else 'early'}"
-    what, other = _LAGS[channel]
-    after = "after" if late > 0 else "before"
-    return (
-        f"{what} {size} {after} {other} (the motion of a car causes such a lag: it is not by itself"
-        " a delay of the log)"
-    )
 
 
 def error_of_point(constants: Mapping[str, float]) -> tuple[float, float] | None:

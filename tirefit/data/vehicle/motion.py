@@ -103,9 +103,8 @@ def slip_and_force(
     """Slip angle [rad], lateral force [N] and forward speed [m/s] of an axle, (n,)
     each, in canonical signs; formulas: :mod:`tirefit.data.vehicle.derive`.
     """
-    if axle == "rear":
-        arm, steer = -vehicle.l_r, np.zeros(len(motion.time))
-    else:
+    arm, steer = -vehicle.l_r, np.zeros(len(motion.time))
+    if axle != "rear":
         arm, steer = vehicle.l_f, road_wheel(motion, vehicle)
     sideways = motion.v_y + arm * motion.yaw_rate
     alpha = np.arctan2(sideways, motion.v_x) - steer
@@ -159,10 +158,9 @@ def road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
 def error_along(force: np.ndarray, vehicle: Vehicle, axle: str) -> np.ndarray:
     """Standard error (n,) [N] of the force along a driven axle."""
     total = force / (_part(vehicle, axle) or 1.0)
-    assumed = vehicle.driven == "all" and vehicle.rear_share is None
-    part = np.full(len(force), _SHARE_ASSUMED if assumed else _SHARE_STATED)
+    part: float | np.ndarray = _SHARE_ASSUMED if vehicle.rear_share is None else _SHARE_STATED
     if vehicle.driven != "all":
-        part = np.where(force > 0, _SHARE_BRAKING, part)
+        part = np.where(force > 0, _SHARE_BRAKING, _SHARE_STATED)
     rolling = _ROLLING[vehicle.drag is not None] * vehicle.mass * vehicle.gravity
     return np.hypot(part * total, rolling)
 
@@ -178,12 +176,11 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0) -> np
     """
     from scipy.signal import sosfiltfilt  # slow, and no other reader needs it
 
-    settings = vehicle.filter
-    rate, cutoff = settings.sample_rate, settings.cutoff / slower
-    padding = math.ceil(slower * settings.settling * rate)
+    order, rate = vehicle.filter.order, vehicle.filter.sample_rate
+    padding = math.ceil(slower * vehicle.filter.settling * rate)
     if len(uniform) <= 2 * padding:
         return None
-    sections = _sections(settings.order, cutoff, rate)
+    sections = _sections(order, vehicle.filter.cutoff / slower, rate)
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
 
@@ -224,8 +221,7 @@ _ROLLING = (0.02, 0.005)
 
 _MOST_SAMPLES = 3_000_000  # samples on the grid of one log: 8 h at 100 Hz
 
-_LOST = 3.5
-"""Largest gap in a channel that has blanks between its samples, in its periods."""
+_LOST = 3.5  # largest gap in a channel that has blanks between its samples, in its periods
 
 _Rates = tuple[np.ndarray, ...]
 """v_x, v_y, a_x, a_y, r, r', heading, x, y of the centre of gravity, (n,) each."""
@@ -233,11 +229,17 @@ _Rates = tuple[np.ndarray, ...]
 
 def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     """The motion on a uniform grid without the gaps, and the number of gaps."""
-    rate = vehicle.filter.sample_rate
+    rate, margin = vehicle.filter.sample_rate, vehicle.margin
     broken = (np.diff(track.time) > track.max_gap) | (np.diff(track.run) != 0)
     splits = np.flatnonzero(broken) + 1
-    _check_size(track, splits, rate)
-    margin = vehicle.margin
+    steps = np.diff(track.time)
+    steps[splits - 1] = 0.0
+    count = float(steps.sum()) * rate
+    if count > _MOST_SAMPLES:  # the grid would not fit in memory
+        raise DataError(
+            f"at {rate:g} Hz the log has {count:.2g} samples, more than {_MOST_SAMPLES:,}",
+            "lower filter.sample_rate, split the log, or check the unit of time",
+        )
     convert = _from_pose if vehicle.columns.motion == POSE else _from_rates
     names = [channel.quantity for channel in track.channels]
     parts = []
@@ -262,18 +264,6 @@ def motion_of(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
         rates = convert(of, vehicle)
         parts.append((grid, *rates, command, part, within, inside, signals))
     return Motion(*map(np.concatenate, zip(*parts, strict=True))), len(splits)
-
-
-def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
-    """Raises DataError if the grid would not fit in memory."""
-    steps = np.diff(track.time)
-    steps[splits - 1] = 0.0
-    count = float(steps.sum()) * rate
-    if count > _MOST_SAMPLES:
-        raise DataError(
-            f"at {rate:g} Hz the log has {count:.2g} samples, more than {_MOST_SAMPLES:,}",
-            "lower filter.sample_rate, split the log, or check the unit of time",
-        )
 
 
 def _on_grid(
@@ -316,14 +306,8 @@ def _from_pose(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
     def body(world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return cos * world[0] + sin * world[1], cos * world[1] - sin * world[0]
 
-    return (
-        *body(velocity),
-        *body(acceleration),
-        yaw_rate,
-        np.gradient(yaw_rate, 1 / rate),
-        yaw,
-        *position,
-    )
+    turning = yaw_rate, np.gradient(yaw_rate, 1 / rate)
+    return (*body(velocity), *body(acceleration), *turning, yaw, *position)
 
 
 def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
@@ -335,12 +319,10 @@ def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
     yaw_acceleration = np.gradient(yaw_rate, 1 / rate)
     ahead, left = vehicle.cg_from_tracked
     v_x, v_y = v_x - yaw_rate * left, v_y + yaw_rate * ahead
+    a_x = np.gradient(v_x, 1 / rate) - yaw_rate * v_y
     if "a_x" in vehicle.columns.motion:
         a_x = of["a_x"] - yaw_acceleration * left - yaw_rate**2 * ahead
-    else:
-        a_x = np.gradient(v_x, 1 / rate) - yaw_rate * v_y
-    if vehicle.columns.a_y_follows:
-        a_y = np.gradient(v_y, 1 / rate) + yaw_rate * v_x
-    else:
+    a_y = np.gradient(v_y, 1 / rate) + yaw_rate * v_x
+    if not vehicle.columns.a_y_follows:
         a_y = of["a_y"] + yaw_acceleration * ahead - yaw_rate**2 * left
     return (v_x, v_y, a_x, a_y, yaw_rate, yaw_acceleration, *[np.full(len(v_x), np.nan)] * 3)

@@ -1,10 +1,11 @@
-"""Estimate the tracked point of a log from the rear axle's force against its slip.
+"""Estimate the tracked point of a log from the rear axle's force against its slip; warn of parts
+of a log that a tire hardly caused: :func:`check_point`, :func:`doubts`.
 
 A point x further ahead lowers the slip angle by :math:`x r / v_x` and the lateral
 acceleration by :math:`x \\dot r`. At moderate slip
 :math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
 c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
-:mod:`tirefit.data.vehicle.agreement`, values before and after a row are its instruments, and
+:mod:`tirefit.data.vehicle.pairs`, values before and after a row are its instruments, and
 standard errors use the effective number of rows. The fit is repeated with signals below a
 fifth of the filter's cutoff, as noise of a pose that is differentiated twice may hide the
 force (:func:`_point`). A wrong yaw inertia, a delay and
@@ -12,24 +13,26 @@ another place of the accelerometer act alike: the message names them.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.vehicle.agreement import (
+from tirefit.data.vehicle.findings import point_words
+from tirefit.data.vehicle.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
+from tirefit.data.vehicle.pairs import (
+    ALIKE,
     AROUND,
+    CHANGED,
     EACH,
     FEWEST,
+    SURE,
     Fit,
     around,
     instrumented,
     surrounded,
 )
-from tirefit.data.vehicle.faults import ALIKE, CHANGED, SURE
-from tirefit.data.vehicle.findings import point_words
-from tirefit.data.vehicle.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
 from tirefit.data.vehicle.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
@@ -81,22 +84,7 @@ _ZERO = 0.02
 """Zero error [rad] of heading or mounting that is assumed if a log turns to one side
 only: 1 deg, twice the errors found in measured logs."""
 
-_ON_CAR = (-0.5, 1.5)
-"""Smallest and largest position on a car [wheelbases ahead of the rear axle]."""
-
-_KNOWN = 0.15
-"""Largest standard error [wheelbases] of an estimate that is reported: a quarter of
-the distance from the centre of gravity to an axle, about."""
-
-_ONE_POINT = 0.05
-"""Standard deviation of the force over the strong force below which the log has one
-operating point and its slope is undefined."""
-
-_BETTER = 2.0
-"""Ratio of the standard errors above which the fit below a fifth of the cutoff counts."""
-
-_BIAS = 0.01
-"""Error [wheelbases] by the cube of a filtered force, in simulated drives."""
+_ON_CAR = (-0.5, 1.5)  # positions on a car [wheelbases ahead of the rear axle]
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
@@ -135,10 +123,10 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
         kept: (n,) bool, the samples that will be written.
     """
     found = _point(motion, vehicle, kept)
-    check = PointCheck("tracked point: this log does not determine it", None)
+    line, estimate = "this log does not determine it", None
     if found.known:
-        line = f"tracked point: {point_words(found.ahead, found.std)}"
-        check = PointCheck(line, (found.at, found.std))
+        line, estimate = point_words(found.ahead, found.std), (found.at, found.std)
+    check = PointCheck(f"tracked point: {line}", estimate)
     against = found.slope <= -SURE
     if (found.is_off or not found.known) and _fits_mirrored(motion, vehicle, kept, found):
         other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
@@ -146,7 +134,16 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
         words = f"v_y or {other} has the wrong sign"
         remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
     elif found.is_off:
-        words, remedy = _words(found, vehicle)
+        stated, left = found.at - found.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
+        words = f"the tracked point is {found.at:.3g} ± {found.std:.1g} m ahead of the rear axle,"
+        words += f" not {stated:.3g} m"
+        remedy = f"set tracked_point = [{found.at:.3g}, {left:g}] in vehicle.toml"
+        if not vehicle.tracked_point:
+            words += " (the centre of gravity, which is assumed, as tracked_point is not stated)"
+            remedy += " (or correct l_r)"
+        sensor = "the place of the a_y sensor, " if "a_y" in vehicle.columns.motion else ""
+        remedy += ", unless one of these is wrong, which acts alike: the time of a channel,"
+        remedy += f" {sensor}yaw_inertia ({vehicle.inertia_ratio:.2g} mass l_f l_r)"
     elif against:
         words = "no point on the car explains it"
         remedy = "check tracked_point, the signs of the channels and yaw_inertia, which is"
@@ -158,22 +155,6 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
     reason = "channels contradict each other: the lateral force acts in the direction"
     reason += f" of the axle's slip ({-found.slope:.0f} standard errors): {words}"
     return check._replace(problems=(InputProblem(reason, remedy, file),))
-
-
-def _words(found: _Point, vehicle: Vehicle) -> tuple[str, str]:
-    """Reason and remedy of a wrong point."""
-    stated, left = found.at - found.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
-    reason = f"the tracked point is {found.at:.3g} ± {found.std:.1g} m ahead of the rear axle,"
-    reason += f" not {stated:.3g} m"
-    if not vehicle.tracked_point:
-        reason += " (the centre of gravity, which is assumed, as tracked_point is not stated)"
-    remedy = f"set tracked_point = [{found.at:.3g}, {left:g}] in vehicle.toml"
-    remedy += "" if vehicle.tracked_point else " (or correct l_r)"
-    sensor = "the place of the a_y sensor, " if "a_y" in vehicle.columns.motion else ""
-    return reason, (
-        f"{remedy}, unless one of these is wrong, which acts alike: the time of a channel,"
-        f" {sensor}yaw_inertia ({vehicle.inertia_ratio:.2g} mass l_f l_r)"
-    )
 
 
 def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept: np.ndarray, found: _Point) -> bool:
@@ -237,16 +218,16 @@ def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Point:
     """The point by the filtered signals, or by the slower ones if only these determine it or, of a
     pose, if these determine it better or contradict it."""
     each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
-    known = [one for one in each if one.known]
+    known = [point for point in each if point.known]
     best = known[-1] if known else _Point()
     if len(known) > 1:
         apart = abs(known[0].at - best.at) > SURE * math.hypot(known[0].std, best.std)
-        better = apart or _BETTER * best.std < known[0].std
+        better = apart or 2.0 * best.std < known[0].std
         if not (better and vehicle.columns.motion == POSE):  # rates are differentiated less
             best = known[0]
         best = best._replace(misfit=math.inf if apart else best.misfit)
-    effect = max((one.effect for one in known), default=0.0)
-    return best._replace(effect=effect, slope=min((one.slope for one in each), default=0.0))
+    effect = max((point.effect for point in known), default=0.0)
+    return best._replace(effect=effect, slope=min((point.slope for point in each), default=0.0))
 
 
 def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Iterator[_Lines]:
@@ -275,8 +256,7 @@ def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Iterator[_Line
 def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     """Fit of the tracked point; starts at the best point of a grid."""
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
-    none = _Point(slope=_slope(lines))
-    start, misfit = 0.0, math.inf
+    slope, start, misfit = _slope(lines), 0.0, math.inf
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
         rows, strong, offset = lines.moderate(x)
@@ -300,7 +280,7 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
             if abs(fit.theta[2]) < 0.05 * fit.std[2]:
                 break
     except np.linalg.LinAlgError:
-        return none
+        return _Point(slope=slope)
     assert fit is not None  # the loop has at least one round
     size = max(float(np.mean(alpha[rows] ** 2)), 1e-300)
     effect = abs(x) * math.sqrt(np.mean(sides[rows, 2] ** 2) / size)
@@ -308,13 +288,14 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     # Jaeger, Baker, JASA 1995, eq. 7.
     share, count = fit.seen[2], sides.shape[1] * len(AROUND)
     strength = share / max(1 - share, 1e-9) * fit.effective / count
-    bias = _BIAS * vehicle.wheelbase
+    bias = 0.01 * vehicle.wheelbase  # by the cube of a filtered force, in simulated drives
     std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9), bias)
     on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
     stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
-    known = on_car and stable and std < _KNOWN * vehicle.wheelbase
-    misfit = math.sqrt(np.mean(fit.error**2))
-    return _Point(stated + x, x, std, effect, misfit, known, none.slope)
+    # Largest standard error [wheelbases] of an estimate that is reported: a quarter of the distance
+    # from the centre of gravity to an axle, about.
+    known = on_car and stable and std < 0.15 * vehicle.wheelbase
+    return _Point(stated + x, x, std, effect, math.sqrt(np.mean(fit.error**2)), known, slope)
 
 
 def _slope(lines: _Lines) -> float:
@@ -323,7 +304,7 @@ def _slope(lines: _Lines) -> float:
     rows, strong, offset = lines.moderate(0.0)
     alpha, sides = lines.at(0.0, strong)
     share, slopes = sides[rows, :1], [0.0]
-    if np.std(share) < _ONE_POINT:
+    if np.std(share) < 0.05:  # one operating point, at which the slope is undefined
         return 0.0
     for free in {offset, math.inf}:
         try:
@@ -333,3 +314,64 @@ def _slope(lines: _Lines) -> float:
         if fit.effective * np.mean(share**2) ** 2 / np.mean(share**4) >= SURE**2:  # enough rows
             slopes.append(float(fit.theta[0] / max(fit.std[0], 1e-300)))
     return min(slopes)
+
+
+# --- parts that a tire hardly caused ----------------------------------------------
+
+_CUT, _MUCH_CUT = 0.7, 0.05
+"""Share of the bandwidth above which the filter attenuates, and the smallest share of a
+column's variance there that causes a warning."""
+
+_GRIP = 1.5  # largest |F_y| / F_z of racing tires on dry asphalt, without downforce
+_DRY = 1.0  # largest |F_y| / F_z of road tires on dry asphalt
+
+
+def doubts(
+    columns: Mapping[str, np.ndarray], motion: Motion, kept: np.ndarray, vehicle: Vehicle
+) -> Iterator[str]:
+    """Warnings on content that a tire model should not be fitted to: forces larger than tires
+    transmit without downforce or mostly due to yaw inertia (at the limit, F_y / F_z is about
+    |a_y| / g), samples next to an edge, and much variance just below the bandwidth, and so above.
+
+    Args:
+        columns: :attr:`tirefit.data.vehicle.derive.DerivedLog.columns` of every grid sample.
+        kept: (n,) bool, the samples that will be written.
+    """
+
+    def high(values: np.ndarray) -> float:
+        return float(np.percentile(np.abs(values[kept]), 99))
+
+    share = high(columns["fy"] / columns["fz"])
+    level = high(columns["a_y"]) / vehicle.gravity
+    by_inertia = share > max(_DRY, ALIKE * level)
+    if share >= _GRIP or by_inertia:
+        message = f"|fy| reaches {share:.2g} fz (99th percentile), more than a tire's friction"
+        if by_inertia:
+            moment = vehicle.yaw_inertia * columns["yaw_acceleration"] / vehicle.wheelbase
+            message += (
+                f", while |a_y| reaches {level:.2g} g: yaw_inertia dr/dt / wheelbase alone"
+                f" is {high(moment / columns['fz']):.2g} fz, and yaw_inertia"
+                f" {vehicle.inertia_ratio:.2g} mass l_f l_r (about 1 of cars)"
+            )
+        yield f"{message}: check mass, yaw_inertia and the unit of a_y or of the positions"
+    reach = vehicle.filter.settling
+    if inside := np.count_nonzero(kept & (motion.within < reach * (1 - 1e-9))):
+        yield (
+            f"{inside} samples are within {reach:.2g} s of an edge or a gap, where the"
+            " filter has not settled: raise keep.margin, or omit it"
+        )
+    band = vehicle.filter.bandwidth
+    signals = np.stack([columns["alpha"], columns["fy"]], axis=1)
+    slow = slowed(signals, motion, vehicle, vehicle.filter.cutoff / (_CUT * band))
+    there = kept & np.isfinite(slow).all(axis=1)
+    if not there.any():
+        return
+    cut = np.mean((signals - slow)[there] ** 2, axis=0)
+    shares = cut / np.maximum(np.var(signals[there], axis=0), 1e-300)  # 0 if it never changes
+    for name, share in zip(("alpha", "fy"), shares, strict=True):
+        if share > _MUCH_CUT:
+            yield (
+                f"{100 * share:.0f} % of the variance of {name} lies above"
+                f" {_CUT * band:.2g} Hz, where the filter ({band:.3g} Hz) cuts: raise"
+                " filter.cutoff, unless that is noise"
+            )

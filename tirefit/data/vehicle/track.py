@@ -19,8 +19,7 @@ from tirefit.data.vehicle.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit
 from tirefit.results import DataError, InputProblem
 
 _CORRECT = "correct the cell, or name another column in [columns] of vehicle.toml"
-_CLOSEST = 0.3
-"""Samples closer than this share of the sampling period are repeats of one sample."""
+_CLOSEST = 0.3  # samples closer than this share of the sampling period are repeats of one sample
 
 _LASTING = 1.0
 """A new run begins if time stamps go back and stay back for this time [s]; rows that a
@@ -30,16 +29,6 @@ _HELD, _COARSE = 0.02, 1e-3
 """Smallest share of samples that repeat the one before, and smallest half step over the
 standard deviation of a channel, for a note on its quantisation."""
 
-_JITTER = 1.05  # of a period: 20 Hz by the clock of a bus is 19.9 Hz
-
-_SI = {
-    "time": "s",
-    "length": "m",
-    "angle": "rad",
-    "speed": "m/s",
-    "angular speed": "rad/s",
-    "acceleration": "m/s2",
-}
 _MEANT = {"yaw": "heading", "v_x": "v"}
 """Quantity of a log -> its canonical column, if that has another name."""
 
@@ -90,12 +79,30 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     active = np.ones(len(time), bool)
     if vehicle.keep.active:
         active = columns[vehicle.keep.active] == vehicle.keep.active_value
-    label = _labels(table, vehicle, notes)
+    headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
+    header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
+    label = np.full(len(table.lines), "")
+    if header is not None:
+        notes.append(f"column {header!r} read as the run")
+        label = np.array(words_of(table.cells[table.headers.index(header)]))
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
+    read = [c.header for c in (clock, *channels[:needed])]
     if not finite.any():
-        raise DataError(_no_row(table.file, [clock, *channels[:needed]], columns))
-    lacking = _lacking(table, [clock, *channels[:needed]], columns)
+        remedy = "fill the column, or name another one in [columns] of vehicle.toml"
+        reason = "has no value in any row, but {} is needed"
+        empty = [c for c in (clock, *channels[:needed]) if not np.isfinite(columns[c.header]).any()]
+        where = f"no row has a value in all of {', '.join(map(repr, read))}"
+        raise DataError(
+            [
+                InputProblem(reason.format(c.quantity), remedy, table.file, None, c.header)
+                for c in empty
+            ]
+            or [InputProblem(where, remedy, table.file)]
+        )
+    absent = {h: np.flatnonzero(~np.isfinite(columns[h])) for h in read}
+    faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items() if len(rows)]
+    lacking, _ = excluded(faults, table.lines, table.file, False)
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
     max_gap = vehicle.filter.max_gap or 3.5 * period
@@ -112,35 +119,15 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     }
     signals = signals[fresh]
     notes += _steps(channels, signals)
-    for place, channel in enumerate(channels):
+    for channel, values in zip(channels, signals.T, strict=True):
         if channel.quantity == "yaw":
-            signals[:, place] = _unwrapped(signals[:, place]) + vehicle.yaw_offset
+            there = np.isfinite(values)
+            values[there] = np.unwrap(values[there]) + vehicle.yaw_offset
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
         max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
-        tuple(notes), run[fresh], runs, (*table.doubts, *lacking),
+        tuple(notes), run[fresh], runs, (*table.doubts, *([lacking] if lacking else [])),
     )  # fmt: skip
-
-
-def _lacking(
-    table: Table, channels: Sequence[Channel], columns: Mapping[str, np.ndarray]
-) -> tuple[str, ...]:
-    """A sentence that names the rows without a value in one of the channels, if any."""
-    absent = {c.header: np.flatnonzero(~np.isfinite(columns[c.header])) for c in channels}
-    faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items()]
-    warning, _ = excluded([f for f in faults if len(f.rows)], table.lines, table.file, False)
-    return (warning,) if warning else ()
-
-
-def _labels(table: Table, vehicle: Vehicle, notes: list[str]) -> np.ndarray:
-    """The run of each row (n,) as text, from the named column or the one recognised by
-    its header; all "" without one."""
-    headers = [h for h in table.headers if (g := guess(h)) and g.name == "run"]
-    header = vehicle.columns.run or (headers[0] if len(headers) == 1 else None)
-    if header is None:
-        return np.full(len(table.lines), "")
-    notes.append(f"column {header!r} read as the run")
-    return np.array(words_of(table.cells[table.headers.index(header)]))
 
 
 def _in_runs(
@@ -175,14 +162,6 @@ def _in_runs(
     return time, run, names if len(names) > 1 else ("",)
 
 
-def _unwrapped(yaw: np.ndarray) -> np.ndarray:
-    """Yaw (n,) without steps of a full turn; NaN stays NaN."""
-    there = np.isfinite(yaw)
-    whole = yaw.copy()
-    whole[there] = np.unwrap(yaw[there])
-    return whole
-
-
 # --- the file -------------------------------------------------------------------
 
 
@@ -202,31 +181,24 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
         vehicle = vehicle.model_copy(update={"columns": columns})
         wanted = [headings[name] if name == yaw else name for name in wanted]
     absent = [name for name in dict.fromkeys(wanted) if name not in table.headers]
-    if absent:
-        known = ", ".join(table.headers)
-        remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
-        remedy += "".join(f"; {note}" for note in table.notes if "not read" in note)
-        raise DataError(
-            [
-                InputProblem("the column is missing", remedy, table.file, column=name)
-                for name in absent
-            ]
-        )
+    remedy = f"correct [columns] of vehicle.toml; the file has: {', '.join(table.headers)}"
+    remedy += "".join(f"; {note}" for note in table.notes if "not read" in note)
+    what = "the column is missing"
+    DataError.raise_for([InputProblem(what, remedy, table.file, column=name) for name in absent])
     return table, vehicle
 
 
 def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]:
     """The columns to read: time, those of the motion, steering command, comparisons."""
     names, problems = vehicle.columns, list[InputProblem]()
-    channels = []
-    for quantity in ("time", *names.motion):
-        header = getattr(names, quantity)
-        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
-    if names.steering:
-        channels.append(Channel("steering", names.steering, "", 1.0, True))
-    for quantity in names.beyond:
-        header = getattr(names, quantity)
-        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
+    steering = ["steering"] if names.steering else []
+    channels = [
+        Channel(quantity, header, "", 1.0, True)
+        if quantity == "steering"
+        else _channel(table, quantity, header, vehicle, notes, problems)
+        for quantity in ("time", *names.motion, *steering, *names.beyond)
+        for header in [getattr(names, quantity)]
+    ]
     DataError.raise_for(problems)
     taken = {channel.header for channel in channels}
     for quantity in CHECKS:
@@ -236,11 +208,11 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
         headers = [h for h in table.headers if (g := guess(h)) and g.name == meant]
         if len(headers) == 1 and headers[0] not in taken:
             # A column that the vehicle does not name may have any content: skip odd ones.
-            odd: list[InputProblem] = []
-            channel = _channel(table, quantity, headers[0], vehicle, notes, odd, False)
+            channel = _channel(table, quantity, headers[0], vehicle, notes, problems, False)
             cells = table.cells[table.headers.index(headers[0])]
             faults = read_numbers(cells, headers[0], table.ragged, gaps=True)[1]
-            channels += [] if odd or faults else [channel]
+            channels += [] if problems or faults else [channel]
+            problems.clear()
     return channels
 
 
@@ -255,44 +227,37 @@ def _channel(
 ) -> Channel:
     """The column with its unit: declared, from the header, or from the row below it."""
     dimension = QUANTITIES[quantity]
+    usual = units_of(dimension)
     text, where = vehicle.units.get(quantity), ""
     in_header = stated_unit(header)
-    remedy = f'correct [columns], or set units.{quantity} = "{_SI[dimension]}" in vehicle.toml'
-    remedy += f" (--unit {quantity}={_SI[dimension]})"
-    if table.units_row is not None and table.units_row[table.headers.index(header)] == ARC:
+    place = table.headers.index(header)
+    below = None if table.units_row is None else table.units_row[place]
+    remedy = f'correct [columns], or set units.{quantity} = "{usual[0]}" in vehicle.toml'
+    remedy += f" (--unit {quantity}={usual[0]})"
+    if below == ARC:
         text, remedy = ARC, "name columns in metres; these are latitude and longitude"
     if text is None and in_header:
-        text, where = in_header, ""
-    elif text is None and table.units_row is not None:
-        text = table.units_row[table.headers.index(header)].strip().strip("[](){}")
-        where = " (units row)"
+        text = in_header
+    elif text is None and below is not None:
+        text, where = below.strip().strip("[](){}"), " (units row)"
     elif text is not None and in_header not in (None, text):
         where = f" (declared; the header says {in_header!r})"
     if text == NO_UNIT:
         remedy = f"state it: {quantity} = ... in [units] of vehicle.toml, or --unit {quantity}=..."
-        remedy += f" ({', '.join(units_of(dimension))})"
+        remedy += f" ({', '.join(usual)})"
     unit = unit_of(text, quantity) if text else None
     # Round brackets may contain other text, as in ``W (IMU)``.
     bracketed = text if f"({in_header})" in header and text == in_header else None
     label = bracketed is not None and known_unit(bracketed.removeprefix("-")) is None
     if text and text != "-" and unit is None and not label:
-        problems.append(
-            InputProblem(
-                f"unit {text!r} is not a unit of {dimension}, as {quantity} needs",
-                remedy,
-                table.file,
-                table.header_line,
-                header,
-            )
-        )
+        reason = f"unit {text!r} is not a unit of {dimension}, as {quantity} needs"
+        problems.append(InputProblem(reason, remedy, table.file, table.header_line, header))
     if unit is None:
         where = f" ({text!r} is not a unit)" if label else " (no unit stated)"
-        text, scale = _SI[dimension], 1.0
-    else:
-        scale = unit.scale
-    if named or text != _SI[dimension]:
+        text = usual[0]
+    if named or text != usual[0]:
         notes.append(f"column {header!r} read as {quantity} in {text}{where}")
-    return Channel(quantity, header, text or "", scale, named)
+    return Channel(quantity, header, text or "", unit.scale if unit else 1.0, named)
 
 
 def _numbers(
@@ -313,21 +278,6 @@ def _numbers(
     return columns
 
 
-def _no_row(
-    file: str, needed: Sequence[Channel], columns: Mapping[str, np.ndarray]
-) -> list[InputProblem]:
-    """The columns without any value, or that no row has a value in all of them."""
-    remedy = "fill the column, or name another one in [columns] of vehicle.toml"
-    empty = [c for c in needed if not np.isfinite(columns[c.header]).any()]
-    if empty:
-        reason = "has no value in any row, but {} is needed"
-        return [
-            InputProblem(reason.format(c.quantity), remedy, file, None, c.header) for c in empty
-        ]
-    names = ", ".join(repr(c.header) for c in needed)
-    return [InputProblem(f"no row has a value in all of {names}", remedy, file)]
-
-
 # --- usable samples -------------------------------------------------------------
 
 
@@ -336,25 +286,21 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
     steps = np.diff(time)
     steps = steps[steps > 0]
     cutoff = vehicle.filter.cutoff
-    needed = f"a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
-    if len(steps) == 0:
-        column = vehicle.columns.time
-        reason, remedy = "holds fewer than two samples", f"give {needed}"
-        if len(time) > 1:
-            reason = "time does not rise from any sample to the next"
-            remedy = "sort the log by time, or name the right column"
-        raise DataError(reason, remedy, file, column=column)
-    period = float(np.median(steps))
-    if period > _JITTER / (4 * cutoff):
-        lower = math.floor(100 / (4 * period)) / 100
-        raise DataError(
-            f"is sampled at {1 / period:.3g} Hz only",
-            f"give {needed}, set cutoff = {max(lower, 0.001):g} in [filter] of"
-            " vehicle.toml, or check the unit of time",
-            file,
-            column=vehicle.columns.time,
-        )
-    return period
+    remedy = f"give a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
+    period = float(np.median(steps)) if len(steps) else math.inf
+    # Allow for jitter: 20 Hz by the clock of a bus is 19.9 Hz.
+    if period <= 1.05 / (4 * cutoff):
+        return period
+    reason = f"is sampled at {1 / period:.3g} Hz only"
+    if len(steps):
+        lower = max(math.floor(100 / (4 * period)) / 100, 0.001)
+        remedy += f", set cutoff = {lower:g} in [filter] of vehicle.toml, or check the unit of time"
+    elif len(time) > 1:
+        reason = "time does not rise from any sample to the next"
+        remedy = "sort the log by time, or name the right column"
+    else:
+        reason = "holds fewer than two samples"
+    raise DataError(reason, remedy, file, column=vehicle.columns.time)
 
 
 def _steps(channels: Iterable[Channel], signals: np.ndarray) -> list[str]:
@@ -369,17 +315,14 @@ def _steps(channels: Iterable[Channel], signals: np.ndarray) -> list[str]:
         if step > _COARSE * math.sqrt(12) * float(np.std(values)):
             text = f"{step / abs(channel.factor):.3g} {channel.unit.removeprefix('-')}"
             coarse.append(f"{channel.quantity} {text.strip()}")
-    if not coarse:
-        return []
-    return [f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"]
+    what = f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"
+    return [what] if coarse else []
 
 
 def _later(time: np.ndarray, period: float) -> np.ndarray:
     """Which samples (n,) bool are clearly later than the last one taken."""
-    taken = np.zeros(len(time), bool)
-    last = -math.inf
+    taken, last = np.zeros(len(time), bool), -math.inf
     for index, stamp in enumerate(time.tolist()):
         if stamp - last > _CLOSEST * period:
-            taken[index] = True
-            last = stamp
+            taken[index], last = True, stamp
     return taken

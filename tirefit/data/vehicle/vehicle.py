@@ -37,17 +37,9 @@ RATES = ("v_x", "v_y", "yaw_rate")
 CHECKS = (*POSE, *RATES, "a_y", "a_x")
 """Quantities that are compared with the motion if they are not needed for it."""
 
-_FOLLOWS = (
-    "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of the"
-    " filtered channels): it is not an independent measurement and checks none of them; a"
-    " channel that a filter or a model computed is not a measurement"
-)
 _FROUDE = 0.5
 """Default of the lowest speed that is kept, over sqrt(g L): 0.65 m/s for a model car with
 a wheelbase of 0.17 m, 2.6 m/s for a car with 2.7 m. Below, noise dominates alpha."""
-_AXLE_TOLERANCE = 0.01
-"""Largest relative difference of axle masses and the position of the centre of gravity,
-which are measured separately."""
 
 
 class Columns(Section):
@@ -76,20 +68,18 @@ class Columns(Section):
         given = [name for name in CHECKS if getattr(self, name) is not None]
         names: dict[str, list[str]] = {}
         for name in ("time", *given, "run"):
-            header = getattr(self, name)
-            for one in header if isinstance(header, list) else [header] if header else []:
-                names.setdefault(one, []).append(f"columns.{name}")
+            stated = getattr(self, name)
+            for header in stated if isinstance(stated, list) else [stated] if stated else []:
+                names.setdefault(header, []).append(f"columns.{name}")
         for header, keys in names.items():
             if len(keys) > 1:
                 reason = f"{' and '.join(keys)} are the same column {header!r}"
                 yield InputProblem(reason, "name the column of each quantity")
         if not (set(POSE) <= set(given) or set(RATES) <= set(given)):
-            yield InputProblem(
-                f"neither a pose log nor a log of rates: named are"
-                f" {', '.join(given) or 'none of their columns'}",
-                f"name {', '.join(POSE)} (a pose log) or {', '.join(RATES)} (rates;"
-                " a_y as well where it is measured)",
-            )
+            reason = "neither a pose log nor a log of rates: named are"
+            remedy = f"name {', '.join(POSE)} (a pose log) or {', '.join(RATES)} (rates;"
+            remedy += " a_y as well where it is measured)"
+            yield InputProblem(f"{reason} {', '.join(given) or 'none of their columns'}", remedy)
 
     @property
     def motion(self) -> tuple[str, ...]:
@@ -107,7 +97,12 @@ class Columns(Section):
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions that follow from the columns, as sentences."""
-        return (_FOLLOWS,) if self.a_y_follows else ()
+        follows = (
+            "a_y follows from the speeds (dv_y/dt + v_x r at the centre of gravity, of the"
+            " filtered channels): it is not an independent measurement and checks none of them; a"
+            " channel that a filter or a model computed is not a measurement"
+        )
+        return (follows,) if self.a_y_follows else ()
 
     @property
     def beyond(self) -> tuple[str, ...]:
@@ -134,17 +129,13 @@ class Filter(Section):
 
     def contradictions(self) -> Iterator[InputProblem]:
         if self.sample_rate < 5 * self.cutoff:
-            yield InputProblem(
-                f"sample_rate {self.sample_rate:g} Hz is below 5 x cutoff"
-                f" ({5 * self.cutoff:g} Hz): central differences would lose the band",
-                "raise sample_rate or lower cutoff",
-            )
+            reason = f"sample_rate {self.sample_rate:g} Hz is below 5 x cutoff"
+            reason += f" ({5 * self.cutoff:g} Hz): central differences would lose the band"
+            yield InputProblem(reason, "raise sample_rate or lower cutoff")
         if self.max_gap is not None and self.max_gap > 1 / self.cutoff:
-            yield InputProblem(
-                f"max_gap {self.max_gap:g} s is above 1/cutoff ({1 / self.cutoff:g} s):"
-                " the motion in such a gap is unknown",
-                "lower max_gap or cutoff",
-            )
+            reason = f"max_gap {self.max_gap:g} s is above 1/cutoff ({1 / self.cutoff:g} s):"
+            reason += " the motion in such a gap is unknown"
+            yield InputProblem(reason, "lower max_gap or cutoff")
 
     @property
     def bandwidth(self) -> float:
@@ -188,20 +179,14 @@ class Steering(Section):
 
     def contradictions(self) -> Iterator[InputProblem]:
         if len(self.command) != len(self.angle):
-            yield InputProblem(
-                f"command has {len(self.command)} points, angle {len(self.angle)}",
-                "give one angle for each command",
-            )
+            reason = f"command has {len(self.command)} points, angle {len(self.angle)}"
+            yield InputProblem(reason, "give one angle for each command")
         pairs = zip(self.command, self.command[1:], strict=False)
         if any(right <= left for left, right in pairs):
             yield InputProblem("command does not increase", "list the points in order")
         if max(abs(angle) for angle in self.angle) >= math.pi / 2:
             yield InputProblem("an angle is 90 deg or more", "give the angles in rad")
 
-
-_DENSITIES, _INERTIAS, _ARMS = (5.0, 3000.0), (0.15, 4.0), (0.2, 5.0)
-_HEIGHTS, _GRAVITIES = (0.0, 1.0), (9.7, 9.9)
-"""Ranges of road vehicles, including racing cars (17 kg/m3) and scale models (300)."""
 
 _SHORTEST, _LONGEST = 0.005, 50.0
 """Lengths [m] that a vehicle can have: below those of scale models, above those of lorries."""
@@ -269,7 +254,7 @@ class Vehicle(Section):
         given = dict(given)
 
         def positive(*names: str) -> bool:
-            values = [given.get(name) for name in names]
+            values = map(given.get, names)
             return all(type(value) in (int, float) and value > 0 for value in values)
 
         if positive("mass_front", "mass_rear"):
@@ -283,7 +268,21 @@ class Vehicle(Section):
         return given
 
     def contradictions(self) -> Iterator[InputProblem]:
-        yield from self._geometry_problems()
+        def differ(value: float, other: float) -> bool:
+            # Largest relative difference of axle masses and the position of the centre of gravity,
+            # which are measured separately.
+            return abs(value - other) > 0.01 * abs(other)
+
+        arms = self.l_f + self.l_r
+        if differ(self.wheelbase, arms):
+            reason = f"wheelbase {self.wheelbase:g} m is not l_f + l_r = {arms:g} m"
+            yield InputProblem(reason, "correct one of them, or leave wheelbase out")
+        for name, arm in (("mass_front", self.l_r), ("mass_rear", self.l_f)):
+            stated, implied = getattr(self, name), self.mass * arm / self.wheelbase
+            if stated is not None and differ(stated, implied):
+                reason = f"{name} {stated:g} kg contradicts mass, l_f and l_r, which give"
+                remedy = f"correct one of them, or leave {name} out"
+                yield InputProblem(f"{reason} {implied:.4g} kg", remedy)
         for name, text in self.units.items():
             if name in QUANTITIES and unit_of(text, name) is not None:
                 continue
@@ -291,43 +290,31 @@ class Vehicle(Section):
             what = f"units.{name} = {text!r}" if units else f"units.{name}: {name}"
             known = ", ".join(units or QUANTITIES)
             yield InputProblem(f"{what} is not one of {known}", "choose one of them")
-        if (self.steering is None) != (self.columns.steering is None):
-            yield InputProblem(
-                "[steering] and columns.steering need each other", "give both, or leave both out"
-            )
-        if self.rear_share is not None and self.driven != "all":
-            yield InputProblem(
+        pose = self.columns.motion == POSE
+        for is_wrong, reason, remedy in (
+            (
+                (self.steering is None) != (self.columns.steering is None),
+                "[steering] and columns.steering need each other",
+                "give both, or leave both out",
+            ),
+            (
+                self.rear_share is not None and self.driven != "all",
                 'rear_share applies to driven = "all" only',
                 "leave it out, or state which axles drive",
-            )
-        if self.yaw_offset and self.columns.motion != POSE:
-            yield InputProblem(
-                "yaw_offset applies to a pose log only", "leave it out: a log of rates has no yaw"
-            )
-        if self.sideslip_offset and self.columns.motion == POSE:
-            yield InputProblem(
+            ),
+            (
+                self.yaw_offset and not pose,
+                "yaw_offset applies to a pose log only",
+                "leave it out: a log of rates has no yaw",
+            ),
+            (
+                self.sideslip_offset and pose,
                 "sideslip_offset applies to a log of rates only",
                 "leave it out; for a pose log, correct yaw_offset",
-            )
-
-    def _geometry_problems(self) -> Iterator[InputProblem]:
-        def differ(one: float, other: float) -> bool:
-            return abs(one - other) > _AXLE_TOLERANCE * abs(other)
-
-        if differ(self.wheelbase, self.l_f + self.l_r):
-            yield InputProblem(
-                f"wheelbase {self.wheelbase:g} m is not l_f + l_r = {self.l_f + self.l_r:g} m",
-                "correct one of them, or leave wheelbase out",
-            )
-        for name, arm in (("mass_front", self.l_r), ("mass_rear", self.l_f)):
-            stated = getattr(self, name)
-            implied = self.mass * arm / self.wheelbase
-            if stated is not None and differ(stated, implied):
-                yield InputProblem(
-                    f"{name} {stated:g} kg contradicts mass, l_f and l_r, which give"
-                    f" {implied:.4g} kg",
-                    f"correct one of them, or leave {name} out",
-                )
+            ),
+        ):
+            if is_wrong:
+                yield InputProblem(reason, remedy)
 
     def doubts(self) -> tuple[str, ...]:
         """Warnings on numbers that vehicles do not have, usually because of a wrong unit.
@@ -335,17 +322,18 @@ class Vehicle(Section):
         Lengths are compared with the wheelbase, masses with its third power, so that the
         limits apply to cars and to scale models.
         """
+        # Ranges of road vehicles, including racing cars (17 kg/m3) and scale models (300).
         compared = (
-            ("mass / wheelbase^3", self.mass / self.wheelbase**3, _DENSITIES, "kg/m3"),
-            ("yaw_inertia / (mass l_f l_r)", self.inertia_ratio, _INERTIAS, ""),
-            ("l_f / l_r", self.l_f / self.l_r, _ARMS, ""),
-            ("h_cg / wheelbase", (self.h_cg or 0.0) / self.wheelbase, _HEIGHTS, ""),
-            ("gravity", self.gravity, _GRAVITIES, "m/s2"),
+            ("mass / wheelbase^3", self.mass / self.wheelbase**3, 5.0, 3000.0, " kg/m3"),
+            ("yaw_inertia / (mass l_f l_r)", self.inertia_ratio, 0.15, 4.0, ""),
+            ("l_f / l_r", self.l_f / self.l_r, 0.2, 5.0, ""),
+            ("h_cg / wheelbase", (self.h_cg or 0.0) / self.wheelbase, 0.0, 1.0, ""),
+            ("gravity", self.gravity, 9.7, 9.9, " m/s2"),
         )
         return tuple(
-            f"{what} = {value:.3g}{unit and ' '}{unit}, where vehicles have {low:g} to"
+            f"{what} = {value:.3g}{unit}, where vehicles have {low:g} to"
             f" {high:g}: check the units of vehicle.toml (kg, m, kg m2)"
-            for what, value, (low, high), unit in compared
+            for what, value, low, high, unit in compared
             if not low <= value <= high
         )
 
@@ -364,14 +352,12 @@ class Vehicle(Section):
     @property
     def margin(self) -> float:
         """Time dropped next to every edge, gap and glitch [s]."""
-        given = self.keep.margin
-        return self.filter.settling if given is None else given
+        return self.filter.settling if self.keep.margin is None else self.keep.margin
 
     @property
     def v_min(self) -> float:
         """Lowest forward speed that is kept [m/s]."""
-        given = self.keep.v_min
-        return _FROUDE * math.sqrt(self.gravity * self.wheelbase) if given is None else given
+        return self.keep.v_min or _FROUDE * math.sqrt(self.gravity * self.wheelbase)
 
 
 def vehicle_toml(vehicle: Vehicle, note: str) -> str:

@@ -44,38 +44,9 @@ def _message(header: str) -> str:
     return header.partition(".")[0] if header.startswith("/") else ""
 
 
-_MANY = 2
-"""Number of quantities that no test rig measures (speeds, yaw rate, lateral acceleration,
-steering) from which on a file is a vehicle log, even if it lacks those for the slip."""
-
-
-def _incomplete(
-    found: Mapping[str, str], file: str, headers: Sequence[str], units: Sequence[str] | None
-) -> InputProblem | None:
-    """The problem of a log with too few channels for ``tirefit derive``, which needs them."""
-    there = [name for name in ("v_x", "v_y", "yaw_rate", "a_y", "steering") if name in found]
-    if "time" not in found or len(there) < _MANY:
-        return None
-    has = ", ".join(f"{name} ({found[name]!r})" for name in there)
-    lacks = " and ".join(name for name in ("v_x", "v_y", "yaw_rate") if name not in found)
-    remedy = (
-        "tirefit derive computes those of an axle from v_x, v_y and yaw_rate, or from the pose"
-        f" x, y and yaw (VEHICLE.md). This log has {has}, and no {lacks}: add it, as from an"
-        " optical sensor or a GPS with two antennas, or name its column in vehicle.toml:"
-    )
-    names = ("time", "v_x", "v_y", "yaw_rate", "a_y", "steering")
-    remedy += _template(found, names, headers, units)
-    remedy += f"\n      The columns of this log: {', '.join(map(repr, headers))}"
-    return InputProblem(IS_VEHICLE_LOG, remedy, file)
-
-
-def _template(
-    found: Mapping[str, str],
-    names: Sequence[str],
-    headers: Sequence[str],
-    units: Sequence[str] | None,
-) -> str:
-    """The lines of a vehicle.toml; those of needed channels without a column are comments."""
+def _template(found: Mapping[str, str], names: Sequence[str], steered: str) -> str:
+    """The lines of a vehicle.toml; those of needed channels without a column are comments.
+    ``steered`` is the unit of the steering, as written."""
     lines = [*_CAR]
     for name in names:
         if name in found:
@@ -84,23 +55,16 @@ def _template(
             other = _ENDS[name].split()[-1]
             lines.append(f'# {name} = "..."  # not in this log: a column such as {other!r}')
     if "steering" in found:
-        header = found["steering"]
-        beside = units[list(headers).index(header)] if units else ""
-        lines += _steering(" ".join((stated_unit(header) or beside).split()))
+        unit = known_unit(steered) if steered else None
+        scale = unit.scale if unit and unit.dimension == "angle" else 1.0
+        reach = 1.0 if scale == 1.0 else _REACH / scale
+        angle = f"[{-reach * scale:.4g}, {reach * scale:.4g}]"
+        lines += [
+            "[steering]  # from the column to the road wheel angle [rad]",
+            f"command = [{-reach:.4g}, {reach:.4g}]  # {steered or 'rad'}",
+            f"angle = {angle}  # of a steering wheel: divide by the steering ratio",
+        ]
     return "".join(f"\n      {line}" for line in lines)
-
-
-def _steering(text: str) -> list[str]:
-    """Lines of the steering map of a column in a unit, as for the angle of the road wheel."""
-    unit = known_unit(text) if text else None
-    scale = unit.scale if unit and unit.dimension == "angle" else 1.0
-    reach = 1.0 if scale == 1.0 else _REACH / scale
-    angle = reach * scale
-    return [
-        "[steering]  # from the column to the road wheel angle [rad]",
-        f"command = [{-reach:.4g}, {reach:.4g}]  # {text or 'rad'}",
-        f"angle = [{-angle:.4g}, {angle:.4g}]  # of a steering wheel: divide by the steering ratio",
-    ]
 
 
 def vehicle_log(
@@ -134,13 +98,28 @@ def vehicle_log(
             beside = _message(header) == message != _message(found.get(name, ""))
             if ends & set(known.split()) and (name not in found or beside and name in _OF_ONE):
                 found[name] = header
-    motion = POSE if by_pose and found.keys() >= {*POSE} else RATES
     # A message with both has measured both: speeds are differentiated once, not twice.
     messages = {_message(found.get(name, "")) for name in ("x", *RATES)}
-    if len(messages) == 1 and messages != {""}:
-        motion = RATES
+    has_pose = by_pose and found.keys() >= {*POSE}
+    motion = POSE if has_pose and (len(messages) > 1 or messages == {""}) else RATES
+    steering = found.get("steering", "")
+    below = units[list(headers).index(steering)] if units and steering else ""
+    steered = " ".join((stated_unit(steering) or below).split())
     if not found.keys() >= {*motion}:
-        return _incomplete(found, file, headers, units)
+        there = [name for name in (*RATES, "a_y", "steering") if name in found]
+        # No test rig measures two of these.
+        if "time" not in found or len(there) < 2:
+            return None
+        has = ", ".join(f"{name} ({found[name]!r})" for name in there)
+        lacks = " and ".join(name for name in RATES if name not in found)
+        remedy = (
+            "tirefit derive computes those of an axle from v_x, v_y and yaw_rate, or from the pose"
+            f" x, y and yaw (VEHICLE.md). This log has {has}, and no {lacks}: add it, as from an"
+            " optical sensor or a GPS with two antennas, or name its column in vehicle.toml:"
+        )
+        remedy += _template(found, ("time", *RATES, "a_y", "steering"), steered)
+        remedy += f"\n      The columns of this log: {', '.join(map(repr, headers))}"
+        return InputProblem(IS_VEHICLE_LOG, remedy, file)
     # The index of a data frame often has no header; in such logs it is the time.
     found.setdefault("time", "" if "" in headers else "HEADER")
     names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")
@@ -148,6 +127,6 @@ def vehicle_log(
         IS_VEHICLE_LOG,
         f"tirefit derive {file} --vehicle vehicle.toml --out axle.csv computes those of"
         " an axle. Write vehicle.toml (VEHICLE.md) with the numbers of your car:"
-        + _template(found, names, headers, units),
+        + _template(found, names, steered),
         file,
     )
