@@ -26,7 +26,7 @@ from tirefit.diagnosis.rows.prepared import (
 )
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
-from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
+from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of, with_readings
 from tirefit.diagnosis.summary.readings import readings_of
@@ -39,9 +39,6 @@ from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import Values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
-
-_CHANGED = 0.1
-"""Change of the log noise level after which the search is repeated."""
 
 _MOST_ROWS = 6000
 """Number of rows, evenly spread, on which the search runs; the verdict uses all rows."""
@@ -133,7 +130,16 @@ def diagnose(
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, others)
     data, others = without_far(data), [without_far(other) for other in others]
-    _are_known(without, {effect.id for effect in effects})
+    known = {effect.id for effect in effects}
+    UsageError.raise_for(
+        [
+            InputProblem(
+                f"--without: no effect {name!r}",
+                f"{did_you_mean(name, known)}known effects: {', '.join(sorted(known))}",
+            )
+            for name in sorted(set(without) - known)
+        ]
+    )
     is_fitted = sim is None
     if model in MAGIC_FORMULAS and is_fitted:
         # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
@@ -246,15 +252,6 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
             raise unfit(other, reason, remedy)
 
 
-def _are_known(without: Sequence[str], known: set[str]) -> None:
-    """Raises UsageError if a name to leave out is not an effect."""
-    every, problems = ", ".join(sorted(known)), []
-    for name in sorted(set(without) - known):
-        remedy = f"{did_you_mean(name, known)}known effects: {every}"
-        problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
-    UsageError.raise_for(problems)
-
-
 def _asked_for(
     forces: Sequence[str], data: TireData, gives: Sequence[str], in_columns: Sequence[str]
 ) -> tuple[str, ...]:
@@ -293,17 +290,6 @@ def _testable(
     return possible, missing
 
 
-def _changed(judged: Base, base: Base) -> bool:
-    """Whether the noise level changed, or other rows are excluded."""
-    for channel, old in base.noise.items():
-        new = judged.noise[channel]
-        level = np.median(new.std) / np.median(old.std)
-        level *= np.sqrt(new.inflation / old.inflation)
-        if abs(np.log(level)) > _CHANGED or np.any(new.outlier != old.outlier):
-            return True
-    return False
-
-
 def studied(
     prepared: Prepared,
     model: str | None,
@@ -315,22 +301,21 @@ def studied(
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
     testable, lacks = _testable(prepared, base.atoms, without)
-    _are_smooth(base, testable)
-    base = replace(base, testable=tuple(testable))
-    search = searched(base)
-    # The remainder of the best set shows the noise better than that of no effect.
-    best = search.ranked[0]
-    judged = with_noise_judged(base, rig, best.z, base.amplitudes(best.atoms, best.amplitude))
-    if _changed(judged, base):
-        base = replace(judged, testable=base.testable)
-        search = searched(base)
-    return Case.of(search, lacks)
-
-
-def _are_smooth(base: Base, testable: Sequence[int]) -> None:
-    """Raises UsageError for an effect whose slope at amplitude zero is not finite."""
     finite = np.asarray(np.isfinite(base.at_null.columns).all(axis=0))
     if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there and finite for all rows"
         raise UsageError(reason, remedy)
+    base = replace(base, testable=tuple(testable))
+    search = searched(base)
+    # The remainder of the best set shows the noise better than that of no effect.
+    best = search.ranked[0]
+    amplitudes = base.amplitudes(best.atoms, best.amplitude)
+    judged = with_noise(base, rig, best.z, amplitudes, outliers=True)
+    for channel, old in base.noise.items():
+        new = judged.noise[channel]
+        level = np.median(new.std) / np.median(old.std) * np.sqrt(new.inflation / old.inflation)
+        # Search again for a change of the noise level by a tenth, or of the excluded rows.
+        if abs(np.log(level)) > 0.1 or np.any(new.outlier != old.outlier):
+            return Case.of(searched(judged), lacks)
+    return Case.of(search, lacks)

@@ -103,8 +103,7 @@ class Forward(Protocol):
         ...
 
     def folds(self, effects: Key) -> Folds:
-        """The parts of the data that are left out in turn, for the naming of these
-        effects."""
+        """The parts of the data that are left out in turn, for the naming of these effects."""
         ...
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list["Fit"]:
@@ -214,15 +213,10 @@ def with_priors(
 
 
 def fitted(
-    atoms: tuple[int, ...],
-    effects: Sequence[str],
-    start: Start,
-    linear: tuple[np.ndarray, np.ndarray],
-    pull: np.ndarray,
-    off: np.ndarray,
-    sign: np.ndarray,
+    atoms: tuple[int, ...], effects: Sequence[str], start: Start,
+    linear: tuple[np.ndarray, np.ndarray], pull: np.ndarray, off: np.ndarray, sign: np.ndarray,
     within: tuple[np.ndarray, np.ndarray],
-) -> Fit:
+) -> Fit:  # fmt: skip
     """A fit from its linearisation.
 
     Args:
