@@ -17,13 +17,8 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.engine.search import searched
-from tirefit.diagnosis.rows.prepared import (
-    Prepared,
-    blocks_of_settings,
-    coincides,
-    prepare,
-    thinned,
-)
+from tirefit.diagnosis.rows import prepared as table
+from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
@@ -130,16 +125,7 @@ def diagnose(
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, others)
     data, others = without_far(data), [without_far(other) for other in others]
-    known = {effect.id for effect in effects}
-    UsageError.raise_for(
-        [
-            InputProblem(
-                f"--without: no effect {name!r}",
-                f"{did_you_mean(name, known)}known effects: {', '.join(sorted(known))}",
-            )
-            for name in sorted(set(without) - known)
-        ]
-    )
+    _are_known(without, {effect.id for effect in effects})
     is_fitted = sim is None
     if model in MAGIC_FORMULAS and is_fitted:
         # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
@@ -156,20 +142,16 @@ def diagnose(
     if asked is not None:
         gives = _asked_for(asked, data, gives, own)
     library = tuple(effect for effect in effects if effect.id not in without)
-    settings = Settings(
-        rig=rig,
-        effects=tuple(effect.id for effect in library),
-        forces=asked,
-        holdout=tuple(other.source.sha256 for other in others),
-    )
+    ids, digests = (tuple(e.id for e in library), tuple(other.source.sha256 for other in others))
+    settings = Settings(rig=rig, effects=ids, forces=asked, holdout=digests)
     # One thread: the matrices are too small for two, and another order of summation
     # changes last digits, which can change the course of a search.
     with ThreadpoolController().limit(limits=1, user_api="blas"):
-        whole = prepare(data, rig, gives)
+        whole = table.prepare(data, rig, gives)
         form = STAND_INS[0] if plain in MAGIC_FORMULAS else plain
-        some = thinned(whole, _MOST_ROWS)
+        some = table.thinned(whole, _MOST_ROWS)
         if (shown := shown_slip_noise(some, form, effects, rig)) is not None:
-            some = thinned(whole := prepare(data, rig, gives, shown), _MOST_ROWS)
+            some = table.thinned(whole := table.prepare(data, rig, gives, shown), _MOST_ROWS)
         case = studied(some, model, rig, effects, without, given)
         name, simulated = plain, case.base.simulator
         if simulated is not None:
@@ -252,6 +234,15 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
             raise unfit(other, reason, remedy)
 
 
+def _are_known(without: Sequence[str], known: set[str]) -> None:
+    """Raises UsageError if a name to leave out is not an effect."""
+    every, problems = ", ".join(sorted(known)), []
+    for name in sorted(set(without) - known):
+        remedy = f"{did_you_mean(name, known)}known effects: {every}"
+        problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
+    UsageError.raise_for(problems)
+
+
 def _asked_for(
     forces: Sequence[str], data: TireData, gives: Sequence[str], in_columns: Sequence[str]
 ) -> tuple[str, ...]:
@@ -274,11 +265,11 @@ def _testable(
 ) -> tuple[list[int], dict[str, list[str]]]:
     """Atoms that the data can show, and the missing needs of the other effects."""
     possible, missing = [], {}
-    blocks = blocks_of_settings(prepared)
+    blocks = table.blocks_of_settings(prepared)
     for k, atom in enumerate(atoms):
         effect = atom.effect
         during = effect.during and effect.during(atom.constants)
-        if effect.id in without or (during and coincides(during[0], during[1], blocks)):
+        if effect.id in without or (during and table.coincides(during[0], during[1], blocks)):
             continue
         lacks = [need for need in effect.needs if need not in prepared.has]
         if effect.channels and not set(effect.channels) & set(prepared.channels):

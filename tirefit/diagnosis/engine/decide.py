@@ -258,7 +258,7 @@ def _features(
             spread=math.log(min(float(spread), 3.0) + 0.05),
             unequal=math.sqrt(max((one.explains for one in sizes), default=0.0)),
             listed=_odds(found.holding((effect,))),
-            beside=_odds(found.holding_beside((effect,))),
+            beside=_odds(found.holding((effect,), beside=True)),
             unlisted=_odds(unlisted),
             closed=float(np.clip(gains[effect].closed, -1.0, 1.0)),
             known=math.log(max(abs(fit.amplitude[place]) / fit.errors[place], NONZERO)),
@@ -326,7 +326,7 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
         alike = (e, *(twins := rivals.get(e, ())))
         features = found.features[key][e]._replace(
             listed=_odds(min(sum(sets.holding((one,)) for one in alike), 1.0)),
-            beside=_odds(min(sum(sets.holding_beside((one,)) for one in alike), 1.0)),
+            beside=_odds(min(sum(sets.holding((one,), beside=True) for one in alike), 1.0)),
         )
         each[e] = Each(learned.cause(features), gains[e].closed, gains[e].closed_std, twins)
     effects = tuple(e for e, one in each.items() if one.probability > policy.likely)

@@ -211,9 +211,7 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
 
     def step(effects: Key, after: np.ndarray, before: np.ndarray) -> Step:
         parts, rms = share * (before - after), float(np.sqrt(share @ after))
-        closed = (1.0, 0.0)
-        if effects != NOISE:
-            closed = closed_share(out.rows, after, first, floor)
+        closed = closed_share(out.rows, after, first, floor) if effects != NOISE else (1.0, 0.0)
         return Step(effects, rms, *closed, float(parts.sum()), _error(parts))
 
     now: Key = ()

@@ -206,7 +206,8 @@ class Search:
 
     def pairs(self) -> None:
         """Refit pairs of effects that are visible only together."""
-        ranked, starts = self.best_variants(self.gram, self.scores), {}
+        ranked = self.best_variants(self.gram, self.scores)
+        starts: dict[tuple[int, ...], list[Start]] = {}
         sets = list(combinations(sorted(variants[0][1] for variants in ranked), 2))
         values = zip(self._screened(self.gram, self.scores, sets), sets, strict=True)
         for _, pair in sorted(values, reverse=True)[: self.effort.pairs]:
@@ -249,10 +250,6 @@ class Search:
                 for part in parts_of(fit.atoms)[1:]
             }
         )
-
-    def rest(self) -> list[tuple[float, float]]:
-        """(log weight, log evidence) of the sets that were not refitted."""
-        return [both for atoms, both in self.guessed.items() if atoms not in self.fits]
 
 
 def searched(subject: Forward, effort: Effort = Effort()) -> Search:
@@ -313,15 +310,12 @@ class Weighed:
     @cached_property
     def sets(self) -> dict[Key, float]:
         """Probability of every set, without an unlisted effect."""
-        return self._probabilities(self.log_weight)
+        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_weight.items()}
 
     @cached_property
     def beside(self) -> dict[Key, float]:
         """Probability of the leading sets, each beside an unlisted effect."""
-        return self._probabilities(self.log_beside)
-
-    def _probabilities(self, log: Mapping[Key, float]) -> dict[Key, float]:
-        return {k: float(np.exp(v - self.log_total)) for k, v in log.items()}
+        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_beside.items()}
 
     @property
     def unlisted(self) -> float:
@@ -334,24 +328,18 @@ class Weighed:
         log = self.log_weight
         return dict(zip(log, softmax([*log.values()]).tolist(), strict=True))
 
-    def holding(self, effects: tuple[str, ...]) -> float:
-        """Probability of the sets that hold these effects, given an effect, all listed."""
-        return _holding({k: p for k, p in self.listed.items() if k}, effects)
-
-    def holding_beside(self, effects: tuple[str, ...]) -> float:
-        """Probability of the sets that hold these effects, beside an unlisted one."""
-        return _holding(self.beside, effects)
+    def holding(self, effects: tuple[str, ...], beside: bool = False) -> float:
+        """Probability of the sets that hold these effects: given an effect, all listed; or
+        beside an unlisted one."""
+        sets = self.beside if beside else {k: p for k, p in self.listed.items() if k}
+        held = sum(p for k, p in sets.items() if set(effects) <= set(k))
+        return held / max(sum(sets.values()), NONZERO)
 
     @property
     def nothing_shown(self) -> float:
         """Probability of the sets that these data could not show."""
         weak = (p for k, p in self.sets.items() if self.evidence[k] < _SHOWS)
         return min(self.hidden + sum(weak), 1.0)
-
-
-def _holding(sets: Mapping[Key, float], effects: tuple[str, ...]) -> float:
-    held = sum(p for k, p in sets.items() if set(effects) <= set(k))
-    return held / max(sum(sets.values()), NONZERO)
 
 
 def weighed(search: Search) -> Weighed:
@@ -371,7 +359,8 @@ def weighed(search: Search) -> Weighed:
         + float(np.log(PRIOR_OF_UNKNOWN))
         for key in dict.fromkeys([*ranked[:8], *singles[:8], ()])
     }
-    rest = search.rest()
+    # (log weight, log evidence) of the sets that were not refitted.
+    rest = [both for atoms, both in search.guessed.items() if atoms not in search.fits]
     everything = float(logsumexp([*total.values(), *beside.values(), *(w for w, _ in rest)]))
     weak = [weight for weight, evidence in rest if evidence < _SHOWS]
     return Weighed(

@@ -133,12 +133,12 @@ class Rig:
         """
         names = {k: k.removesuffix("_relative").removesuffix("_speed") for k in self.noise}
         # Keys whose column is not named KEY_std.
-        others = {"force": ("fx_std", "fy_std"), "slip": ("sigma_x_std", "alpha_std")}
-        others["kappa"] = ("sigma_x_std",)
+        others = {"force": ["fx_std", "fy_std"], "slip": ["sigma_x_std", "alpha_std"]}
+        others["kappa"] = ["sigma_x_std"]
         return tuple(
             f"[noise] {key} of the rig is not used: the file has a column {column}"
             for key, name in names.items()
-            for column in others.get(name, (f"{name}_std",))
+            for column in others.get(name, [f"{name}_std"])
             if column in data
         )
 

@@ -151,7 +151,7 @@ class Given:
                 held = {name: {"value": float(value)} for name, value in values.items()}
                 config = parse_config({"parameters": held})
                 tire, layout, *_ = choose_layout(tire, config, ("run",), prepared.channels)
-            z = layout.unconstrained(values)
+            z = np.asarray(layout.unconstrained(values))
         z = np.asarray(z)
         return Tire(tire, layout, tuple(effects), prepared.mode), z, z
 

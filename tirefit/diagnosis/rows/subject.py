@@ -13,26 +13,12 @@ from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
-from tirefit.diagnosis.rows import fits
+from tirefit.diagnosis.rows import fits, noise
+from tirefit.diagnosis.rows import prepared as table
 from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
-from tirefit.diagnosis.rows.noise import (
-    NoiseLevel,
-    between,
-    in_order,
-    judge_noise,
-    noise_in_motion,
-    slip_scatter,
-)
-from tirefit.diagnosis.rows.prepared import (
-    NOT_STATED,
-    SCATTER,
-    Prepared,
-    neighbours,
-    on_scale_of,
-    order_of,
-    slip_of,
-)
+from tirefit.diagnosis.rows.noise import NoiseLevel
+from tirefit.diagnosis.rows.prepared import Prepared, neighbours
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
@@ -225,18 +211,12 @@ class Base:
             residual = ((observed - mean) * weight)[:, :n].reshape(-1)
             columns = (by * weight)[..., :n].reshape(len(by), -1).T
             amplitude = found.amplitude[k, : len(atoms)]
-            made.append(
-                fitted(
-                    atoms,
-                    [self.atoms[a].effect.id for a in atoms],
-                    Start(found.z[k], amplitude),
-                    (self.sure(residual), self.sure(columns)),
-                    np.append(np.zeros(p), np.ones(len(atoms))),
-                    np.append(np.zeros(p), amplitude - priors.center[index]),
-                    priors.sign[index],
-                    (priors.low[index], priors.high[index]),
-                )
-            )
+            pull, off = np.ones(len(atoms)), amplitude - priors.center[index]
+            pull, off = (np.append(np.zeros(p), part) for part in (pull, off))
+            ids = [self.atoms[a].effect.id for a in atoms]
+            start, linear = Start(found.z[k], amplitude), (self.sure(residual), self.sure(columns))
+            within = priors.low[index], priors.high[index]
+            made.append(fitted(atoms, ids, start, linear, pull, off, priors.sign[index], within))
         return made
 
     def tangents(self, fit: Fit) -> np.ndarray:
@@ -321,8 +301,8 @@ def shown_slip_noise(
     the slip about its path may be noise, or if the force was derived from the motion and so
     has the errors of the slip.
     """
-    sweeps = prepared.slip_source == SCATTER
-    known = prepared.slip_source != NOT_STATED and not sweeps
+    sweeps = prepared.slip_source == table.SCATTER
+    known = prepared.slip_source != table.NOT_STATED and not sweeps
     if known or prepared.derived is not None or (prepared.mode == "xy" and not sweeps):
         return None
     tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
@@ -336,16 +316,16 @@ def shown_slip_noise(
     residual = prepared.observed[channel] - force(0.0)
     moving: float | None = 0.0
     if sweeps:
-        stretches = in_order(*order_of(prepared.data))
-        off = between(slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
-        moving = noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
+        stretches = noise.in_order(*table.order_of(prepared.data))
+        off = noise.between(table.slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
+        moving = noise.noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
     if moving is None or prepared.mode == "xy":
         return moving
     # Where the slip changes its sign the curve bends, and a shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
-    in_time = in_order(prepared.time, prepared.run)
-    found = slip_scatter(residual, slope**2, np.asarray(prepared.inputs.fz), one_sided, in_time)
+    in_time, fz = noise.in_order(prepared.time, prepared.run), np.asarray(prepared.inputs.fz)
+    found = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
     return max(found, moving) if sweeps else found or None
 
 
@@ -357,7 +337,7 @@ def with_noise(
     ``outliers`` are excluded from a fit without a gross gap."""
     rows, fz = base.rows, np.asarray(base.rows.inputs.fz)
     mean, spread = base.tire.moments(z, base.design, rows.n, amplitudes)
-    typical, noise, groups = fz / np.mean(fz), dict[str, NoiseLevel](), neighbours(rows)
+    typical, levels, groups = fz / np.mean(fz), dict[str, NoiseLevel](), neighbours(rows)
     basis = smooth_basis(rows, base.slip_fraction, typical, rows.n // 6)
     of_friction = np.minimum(np.abs(base.slip_fraction), 1.0)  # of a brush, within 0.2
     for c in rows.channels:
@@ -365,24 +345,23 @@ def with_noise(
         given = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
         common = spread[c] * rows.common
         waves = partial(wave_basis, rows, typical, of_friction * mean[c])
-        level = judge_noise(
+        level = noise.judge_noise(
             rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
             waves, groups, rows.time, rows.run, outliers,
         )  # fmt: skip
-        noise[c] = level._replace(std=np.sqrt(level.std**2 + common))
-    size, levels = len(base.design.keep), noise.values()
-    wide = np.sqrt(max(level.inflation for level in levels))
-    scale = {c: pad_rows(level.std * wide, size) for c, level in noise.items()}
+        levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
+    size, wide = len(base.design.keep), np.sqrt(max(x.inflation for x in levels.values()))
+    scale = {c: pad_rows(level.std * wide, size) for c, level in levels.items()}
     keep = (np.arange(size) < rows.n).astype(float)
-    keep[: rows.n] = ~np.any([level.outlier for level in levels], axis=0)
+    keep[: rows.n] = ~np.any([level.outlier for level in levels.values()], axis=0)
     design = base.design._replace(scale=scale, keep=keep)
     z = fits.refit(base.tire, [(base.z, ())], [()], design).z[0]
-    return replace(base, design=design, z=z, noise=noise)
+    return replace(base, design=design, z=z, noise=levels)
 
 
 def on_rows(base: Base, prepared: Prepared, rig: Rig) -> Base:
     """The same fit on other rows, for its forces; the noise is that of its own rows."""
-    tire, prepared = base.tire, on_scale_of(prepared, base.rows)
+    tire, prepared = base.tire, table.on_scale_of(prepared, base.rows)
     design = fits.design_of(prepared, tire.effects, rig)
     if base.simulator is not None:
         design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
