@@ -18,7 +18,7 @@ from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.engine.search import searched
 from tirefit.diagnosis.rows import prepared as table
-from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.prepared import Prepared, prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
@@ -147,11 +147,11 @@ def diagnose(
     # One thread: the matrices are too small for two, and another order of summation
     # changes last digits, which can change the course of a search.
     with ThreadpoolController().limit(limits=1, user_api="blas"):
-        whole = table.prepare(data, rig, gives)
+        whole = prepare(data, rig, gives)
         form = STAND_INS[0] if plain in MAGIC_FORMULAS else plain
-        some = table.thinned(whole, _MOST_ROWS)
+        some = thinned(whole, _MOST_ROWS)
         if (shown := shown_slip_noise(some, form, effects, rig)) is not None:
-            some = table.thinned(whole := table.prepare(data, rig, gives, shown), _MOST_ROWS)
+            some = thinned(whole := prepare(data, rig, gives, shown), _MOST_ROWS)
         case = studied(some, model, rig, effects, without, given)
         name, simulated = plain, case.base.simulator
         if simulated is not None:

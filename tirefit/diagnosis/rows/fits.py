@@ -18,7 +18,7 @@ from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given
 from tirefit.diagnosis.rows.slips import slip_nodes
-from tirefit.diagnosis.rows.structure import structures_of
+from tirefit.diagnosis.rows.structure import rms, structures_of
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
@@ -213,13 +213,9 @@ def as_measured(data: TireData, channels: tuple[str, ...]) -> TireData:
     return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
 
 
-def _rms(values: Values) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 def missed_share(prepared: Prepared, channel: str, values: Values) -> float:
     """Error (n,) of a tire as a share of the simulated force, rms."""
-    return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
+    return rms(values) / max(rms(prepared.column(f"{channel}_sim")), NONZERO)
 
 
 def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> None:
@@ -230,7 +226,7 @@ def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> Non
         if share > _FARTHEST_OFF:
             reason = (
                 f"the tire fitted to the simulator ({name}) does not follow it: the error"
-                f" of {c}_sim is {_rms(values):.3g} {CANONICAL[c][0]} rms,"
+                f" of {c}_sim is {rms(values):.3g} {CANONICAL[c][0]} rms,"
                 f" {100 * share:.0f} % of it ({100 * _FARTHEST_OFF:.0f} % at most)"
             )
             remedy = "choose a base model closer to the simulator with --model, and check"

@@ -12,7 +12,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.rows import covariates as table
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck, check_data, check_slip, unfit
-from tirefit.diagnosis.rows.slips import AHEAD, slip_law, slip_rate
+from tirefit.diagnosis.rows.slips import slip_law, slip_rate
 from tirefit.fitting.problem.build import check_slip_noise
 from tirefit.fitting.problem.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
@@ -74,11 +74,6 @@ class Prepared:
         if self.slip_law is None:
             return np.zeros(self.n)
         return self.slip_law.moments(self.slip, self.slip_std)[2]
-
-    @property
-    def path(self) -> np.ndarray | None:
-        """Slips (n,) estimated from their neighbours in time; None without sweeps."""
-        return None if self.past is None else self.past[:, AHEAD]
 
     @property
     def past(self) -> np.ndarray | None:

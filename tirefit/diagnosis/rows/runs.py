@@ -110,7 +110,7 @@ def _estimates(
         own = own - own.mean()
         inverse = inverse - one @ inverse - inverse @ one + one @ inverse @ one
         inverse = inverse + one * np.trace(inverse) / max(len(codes) - 1, 1)
-    return codes, own, max(level.inflation for level in base.noise.values()) * inverse
+    return codes, own, base.inflation * inverse
 
 
 def offsets_of_runs(base: Any, hypothesis: Fit) -> dict[str, RunOffsets]:

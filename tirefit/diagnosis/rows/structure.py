@@ -9,7 +9,9 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.rows.noise import in_order
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.params import Values
 
 _EXPLAINED = 0.005
 """Largest rms error of a structure over the simulated force (rms)."""
@@ -54,8 +56,8 @@ def _structures(prepared: Prepared, channel: str, name: str) -> Iterator[Structu
     what = "slip angle" if name == "alpha" else "slip"
     for scale, of_load in ((np.ones_like(load), ""), (load, " and the load")):
         slope, offset = np.polynomial.polynomial.polyfit(slip, force / scale, 1)[::-1]
-        missed = _rms(force - scale * (slope * slip + offset))
-        if missed < _EXPLAINED * max(_rms(force), NONZERO):
+        missed = rms(force - scale * (slope * slip + offset))
+        if missed < _EXPLAINED * max(rms(force), NONZERO):
             steep = float(slope * np.mean(scale))
             used = np.max(np.abs(force) / np.maximum(load, NONZERO))
             means = f"it is proportional to the {what}{of_load} ({steep:.4g} N{per}), so it has no"
@@ -113,7 +115,7 @@ def _clipped(slip: np.ndarray, share: np.ndarray) -> tuple[float, float] | None:
 
     start = np.polynomial.polynomial.polyfit(slip[inner], share[inner], 1)[::-1]
     found = least_squares(missed, start).x
-    return None if _rms(missed(found)) > _EXPLAINED * _rms(share) else (top, float(found[0]))
+    return None if rms(missed(found)) > _EXPLAINED * rms(share) else (top, float(found[0]))
 
 
 def _own_time(
@@ -121,8 +123,7 @@ def _own_time(
 ) -> Iterator[Structure]:
     """A delay or a time constant by which the force follows the slip."""
     time, tried = prepared.column("time"), []
-    runs = [np.flatnonzero(prepared.run == number) for number in np.unique(prepared.run)]
-    runs = [rows[np.argsort(time[rows], kind="stable")] for rows in runs]
+    runs = in_order(time, prepared.run)
     steps = np.concatenate([np.diff(time[rows]) for rows in runs])
     if not len(steps):
         return
@@ -145,7 +146,7 @@ def _own_time(
         remedy += " (see channel delay and relaxation length among the effects)"
         yield Structure(id, channel, f"it follows the slip {how}", remedy)
     # Four rows in a delay always show it; with fewer, a part of the scatter may be due to it.
-    elif least < 0.8 * plain and plain > _EXPLAINED * _rms(share) and constant < 4.0 * apart:
+    elif least < 0.8 * plain and plain > _EXPLAINED * rms(share) and constant < 4.0 * apart:
         means = "it may follow the slip with a delay or a lag, which rows"
         means += f" {1000 * apart:.0f} ms apart are too far apart to show"
         remedy = "give more rows per second: all of the log and of the simulator"
@@ -179,8 +180,9 @@ def _scatter(slip: np.ndarray, force: np.ndarray) -> float:
     x, y = slip[order], force[order]
     wide = np.maximum(x[2:] - x[:-2], NONZERO)
     share = np.where(x[2:] > x[:-2], (x[1:-1] - x[:-2]) / wide, 0.5)
-    return _rms(y[1:-1] - (1 - share) * y[:-2] - share * y[2:])
+    return rms(y[1:-1] - (1 - share) * y[:-2] - share * y[2:])
 
 
-def _rms(values: np.ndarray) -> float:
+def rms(values: Values) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

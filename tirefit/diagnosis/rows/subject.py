@@ -22,7 +22,7 @@ from tirefit.diagnosis.rows.prepared import Prepared, neighbours
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
-from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
+from tirefit.diagnosis.rows.slips import AHEAD, slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
@@ -63,9 +63,11 @@ class Base:
         """Error of the residual that rows share through the unknown true slips, and what no
         effect explains of it (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k),
         each times an independent unit normal number."""
-        rows = self.rows
-        slip = rows.slip_law, rows.slip, rows.slip_std
-        off = [slip_doubt(*slip, rows.path), slip_proxies(*slip, rows.moving, rows.path, rows.past)]
+        rows, past = self.rows, self.rows.past
+        slip, path = (rows.slip_law, rows.slip, rows.slip_std), None
+        if past is not None:  # the slips estimated from their neighbours in time
+            path = past[:, AHEAD]
+        off = [slip_doubt(*slip, path), slip_proxies(*slip, rows.moving, path, past)]
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
         forces = steep[:, None] * np.tile(np.hstack(off), (len(rows.channels), 1))
         if self.simulator is None or self.simulator.given.tire is not None:
