@@ -288,6 +288,11 @@ def test_values_per_run_shrink_to_a_common_value():
     assert sure.spread == pytest.approx(np.std(values, ddof=1), rel=0.01)
     assert sure.std == pytest.approx(sure.spread / np.sqrt(3), rel=0.01)
     assert sure.spread_ci[0] < sure.spread < sure.spread_ci[1]
+    # Of R runs with error e: b e^2 + (1 - b)^2 (e^2 + s^2) / R, where b = s^2 / (e^2 + s^2).
+    law, _, errors = shrunk(values, np.eye(3))
+    square = law.spread**2
+    far = square / (1 + square)
+    np.testing.assert_allclose(errors**2, far + (1 - far) ** 2 * (1 + square) / 3)
     noise, own, errors = shrunk(values, 100 * np.eye(3))
     assert noise.spread == 0.0 and noise.spread_ci[0] == 0.0
     np.testing.assert_allclose(own, 3.0)

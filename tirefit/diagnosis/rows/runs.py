@@ -134,8 +134,10 @@ def with_runs(base: Any) -> Any:
     patterns, rows = {}, base.design.rows
     for kind, offset in RUN_OFFSETS.items():
         pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
-        law, values, _ = shrunk(*seen[1:]) if seen else (None, (), ())
-        if law is not None and law.spread:
+        if seen is None:
+            continue
+        law, values, _ = shrunk(*seen[1:])
+        if law.spread:
             for code, value in zip(seen[0], values, strict=True):
                 pattern[base.rows.run == code] = value
             pattern -= pattern.mean()
