@@ -13,6 +13,8 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis import diagnose as module
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
+from tirefit.models import Brush
+from tirefit.params import specs
 from tirefit.report.diagnosis_words import range_text
 from tirefit.results import DataError, UsageError
 
@@ -323,3 +325,14 @@ def test_a_large_file_is_diagnosed_on_some_rows(monkeypatch):
     found = diagnose(read_frame(frame, "large"), rig=RIG, effects=FEW)
     assert found.verdict.effects == ("slip_offset",)
     assert found.n == len(found.rows["fx"]["extended"]) == 480
+
+
+@pytest.mark.parametrize("zero", [-0.024, pytest.param(-0.03, marks=pytest.mark.long)])
+def test_a_heading_offset_is_named_if_the_plain_fit_has_no_friction(zero):
+    data = {name: values[::4] for name, values in half(0).items()}
+    change, *_ = CHANGES["slip_offset"]
+    result = diagnose(read_frame(data | change(data, zero, None)))
+    # Slips of one sign, shifted past zero: nothing slides, by the plain fit.
+    assert result.base_parameters["mu"] > 0.99 * specs(Brush())["mu"].upper
+    assert "slip_offset" in result.verdict.helping
+    assert 0.6 < result.extended_parameters["mu"] < 1.1

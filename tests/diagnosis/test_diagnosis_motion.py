@@ -281,17 +281,22 @@ def test_a_relaxation_of_10_ms_is_named_from_thinned_rows():
 def test_values_per_run_shrink_to_a_common_value():
     """Two limits in closed form, and the mean of many cases in between."""
     values = np.array([1.0, 2.0, 6.0])
-    sure = shrunk(values, 1e-12 * np.eye(3))
-    np.testing.assert_allclose(sure.values, values, rtol=1e-3)
+    sure, own, _ = shrunk(values, 1e-12 * np.eye(3))
+    np.testing.assert_allclose(own, values, rtol=1e-3)
     assert sure.common == pytest.approx(3.0)
     # Restricted likelihood: the sample's standard deviation.
     assert sure.spread == pytest.approx(np.std(values, ddof=1), rel=0.01)
     assert sure.std == pytest.approx(sure.spread / np.sqrt(3), rel=0.01)
     assert sure.spread_ci[0] < sure.spread < sure.spread_ci[1]
-    noise = shrunk(values, 100 * np.eye(3))
+    # Of R runs with error e: b e^2 + (1 - b)^2 (e^2 + s^2) / R, where b = s^2 / (e^2 + s^2).
+    law, _, errors = shrunk(values, np.eye(3))
+    square = law.spread**2
+    far = square / (1 + square)
+    np.testing.assert_allclose(errors**2, far + (1 - far) ** 2 * (1 + square) / 3)
+    noise, own, errors = shrunk(values, 100 * np.eye(3))
     assert noise.spread == 0.0 and noise.spread_ci[0] == 0.0
-    np.testing.assert_allclose(noise.values, 3.0)
-    np.testing.assert_allclose(noise.errors, 10 / np.sqrt(3), rtol=1e-6)
+    np.testing.assert_allclose(own, 3.0)
+    np.testing.assert_allclose(errors, 10 / np.sqrt(3), rtol=1e-6)
     assert noise.p_value == pytest.approx(0.93, abs=0.01)  # chi2 = 14 / 100 of 2
 
 
@@ -300,10 +305,10 @@ def test_shrunk_values_are_closer_with_right_errors():
     for _ in range(300):
         truth = 2 + 0.5 * generator.standard_normal(8)
         seen = truth + 0.5 * generator.standard_normal(8)
-        found = shrunk(seen, 0.25 * np.eye(8))
-        off.append(np.mean((found.values - truth) ** 2))
+        _, values, errors = shrunk(seen, 0.25 * np.eye(8))
+        off.append(np.mean((values - truth) ** 2))
         raw.append(np.mean((seen - truth) ** 2))
-        inside.append(np.abs(found.values - truth) < norm.ppf(0.95) * found.errors)
+        inside.append(np.abs(values - truth) < norm.ppf(0.95) * errors)
     assert np.mean(off) < 0.75 * np.mean(raw)
     assert 0.8 < np.mean(inside) < 0.95
 

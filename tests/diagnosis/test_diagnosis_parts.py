@@ -337,6 +337,11 @@ def test_one_wave_among_many_is_found():
     chi2 = waves_within(waves, np.ones((400, 1)), residual)
     assert int(np.argmax(chi2)) == 6
     assert chi2[6] > 30 and np.median(chi2) < 4
+    # At uneven places sine and cosine are correlated: the decrease by least squares.
+    few, one = x[:60] ** 2, np.ones((60, 1))
+    pair = np.stack([np.sin(4 * few), np.cos(4 * few)], axis=1)
+    left = [np.linalg.lstsq(a, residual[:60])[1][0] for a in (one, np.hstack([one, pair]))]
+    assert waves_within(pair, one, residual[:60])[0] == pytest.approx(left[0] - left[1], rel=1e-4)
 
 
 def test_shares_do_not_depend_on_the_order():

@@ -211,6 +211,26 @@ def test_a_pair_that_is_visible_only_together_is_found():
     assert search.ranked[0].effects == ("b1", "d1")
 
 
+@pytest.mark.parametrize("center", [0.0, 0.7])
+def test_refits_start_at_the_best_amplitudes_of_a_linear_subject(center):
+    """From the expected amplitudes; a pair also at small ones of the other sign."""
+    subject, begun = toy([(0, 1.5)], center=center), {}
+    refit = subject.refit
+
+    def noted(starts, sets):
+        for start, atoms in zip(starts, sets, strict=True):
+            begun.setdefault(atoms, []).append(start.amplitude)
+        return refit(starts, sets)
+
+    subject.refit, search = noted, Search(subject)
+    search.singles()
+    search.pairs()
+    pairs = [atoms for atoms in begun if len(atoms) == 2]
+    for atoms in begun.keys() - {(), *(pairs if center else ())}:
+        np.testing.assert_allclose(begun[atoms][0], search.fits[atoms].amplitude, atol=1e-6)
+    assert pairs and all(np.all(begun[pair][1] == (center or -0.3)) for pair in pairs)
+
+
 def test_priors_sum_to_those_of_their_size():
     """Over all single effects; over pairs, less those of one effect with itself."""
     search = Search(toy())

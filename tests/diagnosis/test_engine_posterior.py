@@ -102,7 +102,7 @@ def test_posterior_probabilities_sum_to_one():
     assert sum(of.listed.values()) == pytest.approx(1.0)
     assert of.holding(("b",)) == pytest.approx(0.2 / 0.6)
     assert of.holding(("a",)) == pytest.approx(1.0)
-    assert of.holding_beside(("a",)) == pytest.approx(0.6)
+    assert of.holding(("a",), beside=True) == pytest.approx(0.6)
     assert of.nothing_shown == pytest.approx(0.1)
     assert weighed_of({(): 1.0}).best == () and weighed_of({(): 1.0}).ranked == []
 
@@ -302,7 +302,7 @@ def test_the_findings_come_from_the_fits_and_the_data_left_out(size):
         assert features.left == pytest.approx(np.log(rest / ROWS), abs=1e-3)
         p = posterior.holding((effect,))
         assert features.listed == pytest.approx(np.clip(np.log(p / (1 - p)), -7, 7))
-        p = posterior.holding_beside((effect,))
+        p = posterior.holding((effect,), beside=True)
         assert features.beside == pytest.approx(np.clip(np.log(p / (1 - p)), -7, 7))
         assert (features.closed, features.others) == (pytest.approx(gain.closed), len(best))
         sizes = sizes_by_group(fit, fit.atoms[place], search.subject.groups(), rest / ROWS)

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tirefit.data.accept import as_data
 from tirefit.diagnosis.diagnose import diagnose
@@ -126,6 +127,11 @@ def test_an_own_lag_is_found():
         late[k] = keep * late[k - 1] + (1 - keep) * SLIP[k]
     found = shown(brush(late))
     assert list(found) == ["own_lag"] and "150 ms" in found["own_lag"].means
+    # Of a slip that is linear between the rows, in steps of a quarter of a millisecond.
+    fine = np.interp(np.arange(200 * (len(SLIP) - 1) + 1) / 200, np.arange(len(SLIP)), SLIP)
+    keep = np.exp(-0.05 / 200 / 0.15)
+    late = fine[0] + lfilter([1 - keep], [1, -keep], fine - fine[0])
+    assert "150 ms" in shown(brush(late[::200]))["own_lag"].means
 
 
 @pytest.mark.parametrize("late", ["delay", "lag"])

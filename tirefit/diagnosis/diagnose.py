@@ -17,16 +17,11 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.engine.search import searched
-from tirefit.diagnosis.rows.prepared import (
-    Prepared,
-    blocks_of_settings,
-    coincides,
-    prepare,
-    thinned,
-)
+from tirefit.diagnosis.rows import prepared as table
+from tirefit.diagnosis.rows.prepared import Prepared, prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
-from tirefit.diagnosis.rows.subject import Base, fit_base, shown_slip_noise, with_noise_judged
+from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of, with_readings
 from tirefit.diagnosis.summary.readings import readings_of
@@ -39,9 +34,6 @@ from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import Values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError, did_you_mean
-
-_CHANGED = 0.1
-"""Change of the log noise level after which the search is repeated."""
 
 _MOST_ROWS = 6000
 """Number of rows, evenly spread, on which the search runs; the verdict uses all rows."""
@@ -150,12 +142,8 @@ def diagnose(
     if asked is not None:
         gives = _asked_for(asked, data, gives, own)
     library = tuple(effect for effect in effects if effect.id not in without)
-    settings = Settings(
-        rig=rig,
-        effects=tuple(effect.id for effect in library),
-        forces=asked,
-        holdout=tuple(other.source.sha256 for other in others),
-    )
+    ids, digests = (tuple(e.id for e in library), tuple(other.source.sha256 for other in others))
+    settings = Settings(rig=rig, effects=ids, forces=asked, holdout=digests)
     # One thread: the matrices are too small for two, and another order of summation
     # changes last digits, which can change the course of a search.
     with ThreadpoolController().limit(limits=1, user_api="blas"):
@@ -277,11 +265,11 @@ def _testable(
 ) -> tuple[list[int], dict[str, list[str]]]:
     """Atoms that the data can show, and the missing needs of the other effects."""
     possible, missing = [], {}
-    blocks = blocks_of_settings(prepared)
+    blocks = table.blocks_of_settings(prepared)
     for k, atom in enumerate(atoms):
         effect = atom.effect
         during = effect.during and effect.during(atom.constants)
-        if effect.id in without or (during and coincides(during[0], during[1], blocks)):
+        if effect.id in without or (during and table.coincides(during[0], during[1], blocks)):
             continue
         lacks = [need for need in effect.needs if need not in prepared.has]
         if effect.channels and not set(effect.channels) & set(prepared.channels):
@@ -291,17 +279,6 @@ def _testable(
         else:
             possible.append(k)
     return possible, missing
-
-
-def _changed(judged: Base, base: Base) -> bool:
-    """Whether the noise level changed, or other rows are excluded."""
-    for channel, old in base.noise.items():
-        new = judged.noise[channel]
-        level = np.median(new.std) / np.median(old.std)
-        level *= np.sqrt(new.inflation / old.inflation)
-        if abs(np.log(level)) > _CHANGED or np.any(new.outlier != old.outlier):
-            return True
-    return False
 
 
 def studied(
@@ -315,22 +292,21 @@ def studied(
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
     testable, lacks = _testable(prepared, base.atoms, without)
-    _are_smooth(base, testable)
-    base = replace(base, testable=tuple(testable))
-    search = searched(base)
-    # The remainder of the best set shows the noise better than that of no effect.
-    best = search.ranked[0]
-    judged = with_noise_judged(base, rig, best.z, base.amplitudes(best.atoms, best.amplitude))
-    if _changed(judged, base):
-        base = replace(judged, testable=base.testable)
-        search = searched(base)
-    return Case.of(search, lacks)
-
-
-def _are_smooth(base: Base, testable: Sequence[int]) -> None:
-    """Raises UsageError for an effect whose slope at amplitude zero is not finite."""
     finite = np.asarray(np.isfinite(base.at_null.columns).all(axis=0))
     if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there and finite for all rows"
         raise UsageError(reason, remedy)
+    base = replace(base, testable=tuple(testable))
+    search = searched(base)
+    # The remainder of the best set shows the noise better than that of no effect.
+    best = search.ranked[0]
+    amplitudes = base.amplitudes(best.atoms, best.amplitude)
+    judged = with_noise(base, rig, best.z, amplitudes, outliers=True)
+    for channel, old in base.noise.items():
+        new = judged.noise[channel]
+        level = np.median(new.std) / np.median(old.std) * np.sqrt(new.inflation / old.inflation)
+        # Search again for a change of the noise level by a tenth, or of the excluded rows.
+        if abs(np.log(level)) > 0.1 or np.any(new.outlier != old.outlier):
+            return Case.of(searched(judged), lacks)
+    return Case.of(search, lacks)

@@ -9,7 +9,7 @@ the cause: it belongs into a simulator, but says little about the car.
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
@@ -27,16 +27,6 @@ from tirefit.results import Outcome
 
 UNKNOWN = "unknown"
 """The id of an effect that the library does not list."""
-
-_FARTHEST = 7.0
-"""Largest log odds that are distinguished."""
-
-_WIDEST, _EVEN = 3.0, 0.05
-"""Largest spread of sizes that is distinguished; a spread that is as good as none."""
-
-_LEADING = 6
-"""Numbers of the most probable sets, and of the most probable single effects, that predict
-the data left out."""
 
 
 class Status(StrEnum):
@@ -57,13 +47,13 @@ class Status(StrEnum):
     @property
     def limits(self) -> dict[Outcome, str]:
         """Outcome -> sentence where the answer is open, for a record."""
-        return {
-            Status.CANNOT_TELL: {
-                Outcome.NOT_IDENTIFIED: "other effects explain these data as well"
-            },
-            Status.INCOMPLETE: {Outcome.INCOMPLETE: "an unlisted effect is more probable than not"},
-            Status.UNKNOWN: {Outcome.INCOMPLETE: "no listed effect is the likely cause"},
-        }.get(self, {})
+        if self is Status.CANNOT_TELL:
+            return {Outcome.NOT_IDENTIFIED: "other effects explain these data as well"}
+        open_answers = {
+            Status.INCOMPLETE: "an unlisted effect is more probable than not",
+            Status.UNKNOWN: "no listed effect is the likely cause",
+        }
+        return {Outcome.INCOMPLETE: open_answers[self]} if self in open_answers else {}
 
 
 @dataclass(frozen=True)
@@ -129,12 +119,11 @@ class Each(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """All inputs of a verdict: the posterior over sets; by set (empty if no gap is found,
-    of the leading sets first the one that predicts data left out best, then its subsets,
-    the largest and most probable first) the gain of each effect on data left out in
-    addition to the others, and the features of each; for the first of them its gain over the
-    sets with another effect in the place of one, {effect: {other: gain}}; and the probability
-    of an unlisted effect, not calibrated."""
+    """All inputs of a verdict: the posterior over sets; by set (empty if no gap is found, of the
+    leading sets first the one that predicts data left out best, then its subsets, the largest and
+    most probable first) the gain of each effect on data left out in addition to the others, and the
+    features of each; for the first of them its gain over the sets with another effect in the place
+    of one, {effect: {other: gain}}; and the probability of an unlisted effect, not calibrated."""
 
     weighed: Weighed
     gains: Mapping[Key, Mapping[str, Gain]]
@@ -199,15 +188,15 @@ def calibration() -> Learned:
 
 
 def predictions(search: Search) -> tuple[Weighed, Predicted]:
-    """The posterior, and the predictions of data left out by the leading sets and their
-    subsets."""
+    """The posterior, and the predictions of data left out by the leading sets and their subsets."""
     found, known = weighed(search), len(search.fits)
     search.refit_parts(found.best_of[found.best_beside])
     if len(search.fits) > known:
         found = weighed(search)
     ranked = found.ranked
     singles = [k for k in ranked if len(k) == 1]
-    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING]]
+    # The six most probable sets and single effects, and subsets of the leading ones.
+    wanted = [(), *ranked[:6], *singles[:6]]
     wanted += [part for key in (*ranked[:2], found.best_beside) for part in parts_of(key)]
     sets = [found.best_of[key] for key in dict.fromkeys(wanted) if key in found.best_of]
     folds = search.subject.folds(found.best)
@@ -246,15 +235,11 @@ def findings_of(
             each = gains_of(out, part, floor)
             if len(each) == len(part):
                 gains.setdefault(part, each)
-    return Findings(
-        weighed=found,
-        gains=gains,
-        features={
-            part: _features(subject, found, part, each, unlisted) for part, each in gains.items()
-        },
-        swaps=swaps_of(out, next(iter(gains), ()), floor),
-        unlisted=unlisted,
-    )
+    features = {
+        part: _features(subject, found, part, each, unlisted) for part, each in gains.items()
+    }
+    swaps = swaps_of(out, next(iter(gains), ()), floor)
+    return Findings(weighed=found, gains=gains, features=features, swaps=swaps, unlisted=unlisted)
 
 
 def _features(
@@ -269,10 +254,11 @@ def _features(
         sizes = sizes_by_group(fit, atom, groups, left)
         spread = np.mean([one.spread for one in sizes]) if sizes else 0.0
         each[effect] = Features(
-            spread=math.log(min(float(spread), _WIDEST) + _EVEN),
+            # A spread of .05 is as good as none, above 3 none is distinguished.
+            spread=math.log(min(float(spread), 3.0) + 0.05),
             unequal=math.sqrt(max((one.explains for one in sizes), default=0.0)),
             listed=_odds(found.holding((effect,))),
-            beside=_odds(found.holding_beside((effect,))),
+            beside=_odds(found.holding((effect,), beside=True)),
             unlisted=_odds(unlisted),
             closed=float(np.clip(gains[effect].closed, -1.0, 1.0)),
             known=math.log(max(abs(fit.amplitude[place]) / fit.errors[place], NONZERO)),
@@ -283,9 +269,9 @@ def _features(
 
 
 def _odds(probability: float) -> float:
-    """Log odds, limited."""
+    """Log odds, of which none beyond 7 are distinguished."""
     with np.errstate(divide="ignore"):
-        return float(np.clip(logit(np.clip(probability, 0.0, 1.0)), -_FARTHEST, _FARTHEST))
+        return float(np.clip(logit(np.clip(probability, 0.0, 1.0)), -7.0, 7.0))
 
 
 def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
@@ -336,18 +322,17 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
     also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
     gains, each = found.gains.get(key, {}), {}
     for e in sorted(key, key=lambda e: -gains[e].gain):
-        twins = rivals.get(e, ())
-        there = learned.cause(_with_twins(sets, found.features[key][e], (e, *twins)))
-        each[e] = Each(there, gains[e].closed, gains[e].closed_std, twins)
+        # A twin in its place is the same claim, so their probabilities count together.
+        alike = (e, *(twins := rivals.get(e, ())))
+        features = found.features[key][e]._replace(
+            listed=_odds(min(sum(sets.holding((one,)) for one in alike), 1.0)),
+            beside=_odds(min(sum(sets.holding((one,), beside=True) for one in alike), 1.0)),
+        )
+        each[e] = Each(learned.cause(features), gains[e].closed, gains[e].closed_std, twins)
     effects = tuple(e for e, one in each.items() if one.probability > policy.likely)
-    acts_like = tuple(e for e in each if e not in effects)
     also = tuple(e for e in also if e not in each)
-    answers: dict[str, Any] = {
-        "acts_like": acts_like,
-        "key": key,
-        "each": each,
-        "also_possible": also,
-    }
+    answers: dict[str, Any] = {"key": key, "each": each, "also_possible": also}
+    answers["acts_like"] = tuple(e for e in each if e not in effects)
     if not effects:
         shown = best and sets.nothing_shown <= policy.perhaps
         if not (key or more or shown):
@@ -355,22 +340,16 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
         there = max(unlisted, policy.likely)
         return verdict(Status.UNKNOWN, there, effects=(UNKNOWN,), **answers)
     exact = math.prod(each[e].probability for e in effects)
+    if more:
+        return verdict(Status.INCOMPLETE, exact * unlisted, effects=effects, **answers)
     status = Status.CANNOT_TELL if also else Status.NAMED
-    return verdict(
-        Status.INCOMPLETE if more else status,
-        exact * (unlisted if more else 1 - unlisted),
-        effects=effects,
-        **answers,
-    )
+    return verdict(status, exact * (1 - unlisted), effects=effects, **answers)
 
 
 def helping(found: Findings, policy: Policy = POLICY) -> Key:
     """The first set of ``gains`` whose every effect predicts data left out better."""
-
-    def help_all(gains: Mapping[str, Gain]) -> bool:
-        return all(_helps(gain, policy) for gain in gains.values())
-
-    return next((key for key, gains in found.gains.items() if help_all(gains)), ())
+    every = found.gains.items()
+    return next((k for k, gains in every if all(_helps(x, policy) for x in gains.values())), ())
 
 
 def _helps(gain: Gain, policy: Policy) -> bool:
@@ -378,20 +357,11 @@ def _helps(gain: Gain, policy: Policy) -> bool:
     return gain.gain > policy.gain * gain.std
 
 
-def _with_twins(sets: Weighed, features: Features, alike: Sequence[str]) -> Features:
-    """The features of an effect and its twins: a twin in its place is the same claim, so
-    their probabilities count together."""
-    listed = min(sum(sets.holding((e,)) for e in alike), 1.0)
-    beside = min(sum(sets.holding_beside((e,)) for e in alike), 1.0)
-    return features._replace(listed=_odds(listed), beside=_odds(beside))
-
-
 def _rivals(
     findings: Findings, best: Key, policy: Policy, more: bool
 ) -> dict[str, tuple[str, ...]]:
-    """Effects of other sets that are nearly as probable, or predict data left out nearly as
-    well, by the effect that they replace; those in addition to the whole set have the empty
-    name.
+    """Effects of other sets that are nearly as probable, or predict data left out nearly as well,
+    by the effect that they replace; those in addition to the whole set have the empty name.
 
     Args:
         more: whether an unlisted effect is likely.

@@ -24,10 +24,6 @@ SIZES = 0.5 * 4.0 ** np.arange(4)
 """Standard deviations of the functions, in usual changes of their quantity."""
 
 
-_FEWEST, _FIRST = 16, 3
-"""Smallest number of places of a record with waves; fewest half turns of a wave in it."""
-
-
 class Cell(NamedTuple):
     """A quantity that varies with a covariate: its columns are ``first`` to ``end``, the
     values at ``places`` of the covariate; ``settings``: these are its only values;
@@ -110,29 +106,19 @@ class Discrepancy:
                 roots[k, j, :size, :size] = _root(cell, length)
         return roots
 
-    @cached_property
-    def _grams(self) -> list[np.ndarray]:
-        parts = (self.columns[:, cell.first : cell.end] for cell in self.cells)
-        return [part.T @ part for part in parts]
-
-    def _beside(self, fit: "Fit") -> tuple[np.ndarray, np.ndarray]:
-        """Products (cells, k, k) and scores (cells, k) of each cell beside a fit."""
+    def _gains(self, fit: "Fit") -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """Log evidence (cells, lengths, sizes) beside a fit, and what gives the functions."""
+        if not self.cells:
+            return np.zeros((0, len(LENGTHS), len(SIZES))), ()
+        roots, most = self._roots, self._roots.shape[-1]
         used = self.columns.T @ fit.unit[: len(self.columns)]
         score = self.columns.T @ fit.remainder()[: len(self.columns)]
-        most = self._roots.shape[-1]
+        # Products (cells, k, k) and scores (cells, k) of each cell.
         grams, scores = np.zeros((len(self.cells), most, most)), np.zeros((len(self.cells), most))
         for k, (cell, gram) in enumerate(zip(self.cells, self._grams, strict=True)):
             own, size = used[cell.first : cell.end], len(cell.places)
             grams[k, :size, :size] = gram - own @ own.T
             scores[k, :size] = score[cell.first : cell.end]
-        return grams, scores
-
-    def _gains(self, fit: "Fit") -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        """Log evidence (cells, lengths, sizes), and what gives the functions."""
-        if not self.cells:
-            return np.zeros((0, len(LENGTHS), len(SIZES))), ()
-        grams, scores = self._beside(fit)
-        roots = self._roots
         turned = np.swapaxes(roots, 2, 3) @ grams[:, None] @ roots
         values, vectors = np.linalg.eigh(turned)
         values = np.maximum(values, 0.0)[..., None, :]
@@ -140,6 +126,11 @@ class Discrepancy:
         t = SIZES[:, None] ** 2
         gains = 0.5 * (t * along[..., None, :] ** 2 / (1 + t * values) - np.log1p(t * values))
         return gains.sum(axis=-1), (roots @ vectors, values, along)
+
+    @cached_property
+    def _grams(self) -> list[np.ndarray]:
+        parts = (self.columns[:, cell.first : cell.end] for cell in self.cells)
+        return [part.T @ part for part in parts]
 
     def log_evidence(self, fit: "Fit") -> float:
         """Log evidence of an unlisted effect beside a fit, over none: each cell, and each
@@ -158,8 +149,7 @@ class Discrepancy:
         return sum(one.probability for one in found if one.cell.is_local)
 
     def found(self, fit: "Fit", most: int = 3) -> list[Found]:
-        """The most probable functions and waves in the remainder of a fit, the first one
-        first."""
+        """The most probable functions and waves in the remainder of a fit, the first one first."""
         gains, parts = self._gains(fit)
         rest, found = fit.remainder(), self._of_waves(fit)
         energy = max(float(rest @ rest), ROUNDING)
@@ -190,21 +180,21 @@ class Discrepancy:
 
 
 def _wave_in(fit: "Fit", wave: Wave) -> Found | None:
-    """The most probable wave in the remainder of a fit, from three half turns over the record
-    on, with the evidence of all, averaged over frequency and size."""
-    count, weight = int(wave.clock.max(initial=-1)) + 1, wave.weight
-    if count < _FEWEST:
+    """The most probable wave in the remainder of a fit, from three half turns over a record of 16
+    places and more, with the evidence of all, averaged over frequency and size."""
+    count, weight, least = int(wave.clock.max(initial=-1)) + 1, wave.weight, 3
+    if count < 16:
         return None
     rest, there = fit.remainder(), wave.clock >= 0
     own = (weight * rest[: len(weight)])[there]
-    sums = np.fft.rfft(np.bincount(wave.clock[there], own, count), 2 * count)[_FIRST:]
+    sums = np.fft.rfft(np.bincount(wave.clock[there], own, count), 2 * count)[least:]
     # Sine and cosine of unit size share the square of the weights.
     half = max(0.5 * float(weight @ weight), NONZERO)
     t = SIZES[:, None] ** 2
     logs = _averaged(0.5 * t * np.abs(sums) ** 2 / (1 + t * half) - np.log1p(t * half), 0)
     best = int(np.argmax(logs))
     size, angle = np.abs(sums[best]) / half, np.angle(sums[best])
-    period = 2 * count / (best + _FIRST) * wave.tick
+    period = 2 * count / (best + least) * wave.tick
     at = np.linspace(0.0, period, 41)
     value = size * np.cos(2 * np.pi * at / period + angle)
     explains = min(size**2 * half / max(float(rest @ rest), ROUNDING), 1.0)

@@ -100,20 +100,15 @@ class Forward(Protocol):
 
     def groups(self) -> dict[str, np.ndarray]:
         """Covariates (m,) in whose groups the size of an effect is compared."""
-        ...
 
     def folds(self, effects: Key) -> Folds:
-        """The parts of the data that are left out in turn, for the naming of these
-        effects."""
-        ...
+        """The parts of the data that are left out in turn, for the naming of these effects."""
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list["Fit"]:
         """Sets of atoms fitted from these starts."""
-        ...
 
     def tangents(self, fit: "Fit") -> np.ndarray:
         """Whitened slopes (m, K) of the prediction by the amplitudes of all atoms."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,15 +209,10 @@ def with_priors(
 
 
 def fitted(
-    atoms: tuple[int, ...],
-    effects: Sequence[str],
-    start: Start,
-    linear: tuple[np.ndarray, np.ndarray],
-    pull: np.ndarray,
-    off: np.ndarray,
-    sign: np.ndarray,
+    atoms: tuple[int, ...], effects: Sequence[str], start: Start,
+    linear: tuple[np.ndarray, np.ndarray], pull: np.ndarray, off: np.ndarray, sign: np.ndarray,
     within: tuple[np.ndarray, np.ndarray],
-) -> Fit:
+) -> Fit:  # fmt: skip
     """A fit from its linearisation.
 
     Args:

@@ -15,9 +15,6 @@ from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING, UNSEEN
 from tirefit.diagnosis.engine.discrepancy import SIZES
 from tirefit.diagnosis.engine.fit import Fit, Folds, Forward, Key, without
 
-_UNRESOLVED = 0.01
-"""Energy of the smallest gap that is resolved, over the energy of the noise."""
-
 AS_GIVEN: Key = ("as given",)
 """``Step.effects`` of a simulator as given, the first step of its ladder."""
 
@@ -105,18 +102,23 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     unit = subject.unit
     outs = [folds.code == number for number in range(folds.number)]
     first = [out & (unit > 0) for out in outs]
+
+    def mean_squares(left: Sequence[np.ndarray]) -> np.ndarray:
+        """Of residuals (m,) on the part that each of them is for, first channel."""
+        return np.array([np.mean((x * unit)[own] ** 2) for x, own in zip(left, first, strict=True)])
+
+    def squares(left: Sequence[np.ndarray]) -> np.ndarray:
+        return np.array([np.sum(x[out] ** 2) for x, out in zip(left, outs, strict=True)])
+
     loss, whitened = np.empty((2, len(outs), len(sets)))
     parameters, sizes = [], []
     for s, fit in enumerate(sets):
         moved = np.array([fit.without(out) for out in outs])
-        for f, (out, own) in enumerate(zip(outs, first, strict=True)):
-            left = fit.residual - fit.columns @ moved[f]
-            loss[f, s] = np.mean((left * unit)[own] ** 2)
-            whitened[f, s] = np.sum(left[out] ** 2)
+        left = [fit.residual - fit.columns @ one for one in moved]
+        loss[:, s], whitened[:, s] = mean_squares(left), squares(left)
         parameters.append(fit.z + moved[:, : len(fit.z)])
         sizes.append(fit.amplitude + moved[:, len(fit.z) :])
-    smooth = _smooth(subject, null, outs)
-    given = subject.given_residual
+    smooth, given = _smooth(subject, null, outs), subject.given_residual
     return Predicted(
         folds.on,
         tuple(fit.key for fit in sets),
@@ -125,9 +127,9 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
         np.array([own.sum() for own in first]),
         tuple(parameters),
         tuple(sizes),
-        np.array([np.mean((x * unit)[own] ** 2) for x, own in zip(smooth, first, strict=True)]),
-        np.array([np.sum(x[out] ** 2) for x, out in zip(smooth, outs, strict=True)]),
-        None if given is None else np.array([np.mean((given * unit)[own] ** 2) for own in first]),
+        mean_squares(smooth),
+        squares(smooth),
+        None if given is None else mean_squares([given] * len(outs)),
     )
 
 
@@ -186,7 +188,8 @@ def closed_share(
     over the parts left out."""
     weights = rows * np.vstack([np.ones(len(rows)), 1 - np.eye(len(rows))])
     shares = weights / weights.sum(axis=1, keepdims=True)
-    gap = np.maximum(shares @ before - floor, max(_UNRESOLVED * floor, NONZERO))
+    # A gap of less than a hundredth of the energy of the noise is not resolved.
+    gap = np.maximum(shares @ before - floor, max(0.01 * floor, NONZERO))
     left = np.maximum(shares @ after - floor, 0.0)
     whole, *each = np.clip(1 - np.sqrt(left / gap), -1.0, 1.0)
     return float(whole), float(jackknife_error(each))
@@ -208,9 +211,7 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
 
     def step(effects: Key, after: np.ndarray, before: np.ndarray) -> Step:
         parts, rms = share * (before - after), float(np.sqrt(share @ after))
-        closed = (1.0, 0.0)
-        if effects != NOISE:
-            closed = closed_share(out.rows, after, first, floor)
+        closed = closed_share(out.rows, after, first, floor) if effects != NOISE else (1.0, 0.0)
         return Step(effects, rms, *closed, float(parts.sum()), _error(parts))
 
     now: Key = ()
@@ -228,13 +229,6 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
     steps.append(step(SMOOTH, out.smooth, loss[now]))
     steps.append(step(NOISE, np.full(len(share), floor), loss[now]))
     return Ladder(out.on, tuple(steps))
-
-
-GROUPS = 4
-"""Number of groups of a covariate, of as many values each."""
-
-_KNOWN = 3.0
-"""A group whose size is known to worse than this many times the size itself says nothing."""
 
 
 class SizeByGroup(NamedTuple):
@@ -258,11 +252,11 @@ class SizeByGroup(NamedTuple):
 
 
 def grouped(values: np.ndarray) -> np.ndarray:
-    """Group (n,) of each value: its settings if there are few, else parts of equal number."""
+    """Group (n,) of each value: its settings if there are up to four, else quarters of the rows."""
     settings = np.unique(values)
-    if len(settings) <= GROUPS:
+    if len(settings) <= 4:
         return np.searchsorted(settings, values)
-    edges = np.unique(np.quantile(values, np.arange(1, GROUPS) / GROUPS))
+    edges = np.unique(np.quantile(values, [0.25, 0.5, 0.75]))
     return np.searchsorted(edges, values, side="right")
 
 
@@ -277,12 +271,9 @@ def sizes_by_group(
         noise: mean square of the remainder, at least one, that widens the errors.
         unit: prior scale of the amplitude in its own unit.
     """
-    found = [
-        one
-        for name, values in groups.items()
-        if (one := _sizes(fit, fit.atoms.index(atom), name, values, noise, unit)) is not None
-    ]
-    return sorted(found, key=lambda one: -one.spread)
+    place, every = fit.atoms.index(atom), groups.items()
+    found = [_sizes(fit, place, name, values, noise, unit) for name, values in every]
+    return sorted((one for one in found if one is not None), key=lambda one: -one.spread)
 
 
 def _sizes(
@@ -301,12 +292,10 @@ def _sizes(
     score = left.T @ rest
     gained = score @ np.linalg.pinv(left.T @ left, hermitian=True, rcond=UNSEEN) @ score
     # Each size, beside the others of the set.
-    others = np.concatenate(
-        [np.delete(fit.columns, own, axis=1), np.diag(np.delete(fit.pull, own))]
-    )
-    target = np.concatenate([fit.residual + whole * amplitude, np.zeros(len(fit.pull) - 1)])
-    split = np.concatenate([split, np.zeros((len(fit.pull) - 1, len(groups)))])
-    split = without(split, others)
+    pull = np.delete(fit.pull, own)
+    others = np.concatenate([np.delete(fit.columns, own, axis=1), np.diag(pull)])
+    target = np.concatenate([fit.residual + whole * amplitude, np.zeros(len(pull))])
+    split = without(np.concatenate([split, np.zeros((len(pull), len(groups)))]), others)
     inverse = np.linalg.inv(split.T @ split + ROUNDING * np.eye(len(groups)))
     size = inverse @ (split.T @ target)
     std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * max(noise, 1.0))
@@ -321,8 +310,9 @@ def _sizes(
 
 
 def _spread(size: np.ndarray, std: np.ndarray, whole: float) -> float:
-    """Spread of sizes beyond their errors over the whole size; by the groups that know it."""
-    known = (std > 0) & (std < _KNOWN * max(abs(whole), NONZERO))
+    """Spread of sizes beyond their errors over the whole size; by the groups that know it to
+    three times itself."""
+    known = (std > 0) & (std < 3.0 * max(abs(whole), NONZERO))
     if known.sum() < 2:
         return 0.0
     weight = 1 / std[known] ** 2

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain, combinations
 from math import factorial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, softmax
@@ -23,10 +23,6 @@ PRIOR_OF_SIZE = (0.4, 0.4, 0.1, 0.015)
 """Prior probability by number of effects: none and one are equally likely, and each
 further effect is four to seven times rarer."""
 
-_WITHIN = 15.0
-"""A single effect is refitted if its log evidence in the linear screen, which is inaccurate for a
-large gap, is at most this far below the best."""
-
 
 @dataclass(frozen=True)
 class Effort:
@@ -37,7 +33,8 @@ class Effort:
         beam: number of sets of each size that are extended; ``width``: of effects that
             are added to each.
         pairs: number of pairs of the linear screen.
-        near: log evidence below the best within which a single effect is refitted.
+        near: log evidence below the best, in the linear screen, which is inaccurate for a large
+            gap, within which a single effect is refitted.
     """
 
     singles: int = 6
@@ -45,17 +42,11 @@ class Effort:
     beam: int = 3
     width: int = 6
     pairs: int = 6
-    near: float = _WITHIN
+    near: float = 15.0
 
 
-_WORTH_A_REFIT = 4.0
-"""A set is not refitted if its log weight by the linear step is this far below the best:
-less than a fiftieth of its weight."""
-
-_FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
-"""Starts of a refit, in prior scales: largest amplitude, second start, and smallest
-amplitude of an effect with one sign."""
-
+_FAR, _SMALL = 4.0, 0.3
+"""Starts of a refit, in prior scales: largest amplitude, and second start."""
 
 Item = TypeVar("Item")
 
@@ -67,12 +58,9 @@ def parts_of(key: tuple[Item, ...]) -> list[tuple[Item, ...]]:
 
 
 def log_bayes(
-    gram: np.ndarray,
-    score: np.ndarray,
-    center: np.ndarray,
-    sign: np.ndarray,
+    gram: np.ndarray, score: np.ndarray, center: np.ndarray, sign: np.ndarray,
     sets: Sequence[tuple[int, ...]],
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Log Bayes factors (s,) of Gaussian amplitudes, prior scale 1, on the columns of
     each of the sets (s, k), all of one size."""
     index = np.asarray(sets)
@@ -149,14 +137,12 @@ class Search:
             total += self.subject.priors.odds[k] - np.log(self.variants[self.ids[k]])
         return float(total + np.log(factorial(len(atoms))))
 
-    def refit(
-        self, sets: Sequence[tuple[int, ...]], starts: dict[tuple[int, ...], list[Any]]
-    ) -> None:
-        """Refit sets of atoms from their starts, by set; the better one of several counts."""
-        sets = [s for s in dict.fromkeys(sets) if s and s not in self.fits]
-        begin = [start for s in sets for start in starts[s]]
-        index = [s for s in sets for _ in starts[s]]
-        for fit in self.subject.refit(begin, index) if sets else ():
+    def refit(self, starts: Mapping[tuple[int, ...], Sequence[Start]]) -> None:
+        """Refit sets of atoms, each from its starts; the better one of several counts."""
+        new = [(s, start) for s in starts if s and s not in self.fits for start in starts[s]]
+        for fit in (
+            self.subject.refit([start for _, start in new], [s for s, _ in new]) if new else ()
+        ):
             known = self.fits.get(fit.atoms)
             if np.isfinite(fit.log_evidence) and (
                 known is None or fit.log_evidence > known.log_evidence
@@ -171,11 +157,10 @@ class Search:
         open_to = [
             k for k in self.subject.testable if gram[k, k] >= UNSEEN and self.ids[k] not in inside
         ]
-        if not open_to:
-            return []
-        values = self._screened(gram, score, [(k,) for k in open_to])
         found: dict[str, list[tuple[float, int]]] = {}
-        for value, k in zip(values, open_to, strict=True):
+        for value, k in zip(
+            self._screened(gram, score, [(k,) for k in open_to]), open_to, strict=True
+        ):
             found.setdefault(self.ids[k], []).append((value, k))
         return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
 
@@ -183,13 +168,15 @@ class Search:
         self, gram: np.ndarray, score: np.ndarray, sets: Sequence[tuple[int, ...]]
     ) -> list[float]:
         center = self.subject.priors.center
-        return log_bayes(gram, score, center, self.sign, sets).tolist()
+        return log_bayes(gram, score, center, self.sign, sets).tolist() if sets else []
 
-    def _clipped(
-        self, atoms: tuple[int, ...], amplitude: np.ndarray | Sequence[float]
-    ) -> np.ndarray:
+    def _start(self, fit: Fit, atoms: Sequence[int], amplitude: np.ndarray) -> Start:
+        """A start of a refit: a fit with amplitudes of these atoms, within their bounds, in
+        addition."""
         priors, index = self.subject.priors, list(atoms)
-        return np.clip(amplitude, priors.low[index], priors.high[index])
+        more = np.clip(amplitude, priors.low[index], priors.high[index])
+        order = np.argsort((*fit.atoms, *atoms))
+        return Start(fit.z, np.append(fit.amplitude, more)[order], fit.state)
 
     def _with(
         self, fit: Fit, k: int, gram: np.ndarray, score: np.ndarray
@@ -200,18 +187,11 @@ class Search:
         shift = (score[k] - gram[k, k] * center) / (gram[k, k] + 1)
         first = float(np.clip(center + shift, -_FAR, _FAR))
         if self.sign[k]:  # a start at zero would stay there
-            first = self.sign[k] * max(self.sign[k] * first, _TINY)
-        atoms = tuple(sorted((*fit.atoms, k)))
-        order = np.argsort((*fit.atoms, k))
-
-        def start(size: float) -> Start:
-            sizes = np.append(fit.amplitude, self._clipped((k,), [size]))[order]
-            return Start(fit.z, sizes, fit.state)
-
-        starts = [start(first)]
+            first = self.sign[k] * max(self.sign[k] * first, 0.1)
+        atoms, sizes = tuple(sorted((*fit.atoms, k))), [first]
         if any(self.effects[j].far for j in atoms):
-            starts.append(start(center or _SMALL * (self.sign[k] or -1.0)))
-        return atoms, starts
+            sizes.append(center or _SMALL * (self.sign[k] or -1.0))
+        return atoms, [self._start(fit, (k,), np.array([size])) for size in sizes]
 
     def singles(self) -> None:
         """Refit the likeliest single effects, and those whose tangent misleads."""
@@ -222,31 +202,24 @@ class Search:
                 for _, k in variants[: self.effort.variants]:
                     atoms, begin = self._with(self.null, k, self.gram, self.scores)
                     starts[atoms] = begin
-        self.refit(list(starts), starts)
+        self.refit(starts)
 
     def pairs(self) -> None:
         """Refit pairs of effects that are visible only together."""
         ranked = self.best_variants(self.gram, self.scores)
-        best = sorted(variants[0][1] for variants in ranked)
-        sets = list(combinations(best, 2))
-        if not sets:
-            return
+        starts: dict[tuple[int, ...], list[Start]] = {}
+        sets = list(combinations(sorted(variants[0][1] for variants in ranked), 2))
         values = zip(self._screened(self.gram, self.scores, sets), sets, strict=True)
-        chosen = [s for _, s in sorted(values, reverse=True)[: self.effort.pairs]]
-
-        def start(pair: tuple[int, ...], sizes: np.ndarray | float) -> Start:
-            priors = self.subject.priors
-            wanted = np.where(priors.center[list(pair)] != 0, priors.center[list(pair)], sizes)
-            wanted = np.where(self.sign[list(pair)] != 0, self.sign[list(pair)], wanted)
-            return Start(self.null.z, self._clipped(pair, wanted), self.null.state)
-
-        self.refit(chosen, {s: [start(s, self._step(s)), start(s, -_SMALL)] for s in chosen})
-
-    def _step(self, atoms: tuple[int, ...]) -> np.ndarray:
-        """Amplitudes of a set by the linear step from no effect."""
-        index = np.ix_(atoms, atoms)
-        found = np.linalg.solve(self.gram[index] + np.eye(len(atoms)), self.scores[list(atoms)])
-        return np.clip(found, -_FAR, _FAR)
+        for _, pair in sorted(values, reverse=True)[: self.effort.pairs]:
+            index, starts[pair] = list(pair), []
+            # The linear step from no effect, and a small one of the other sign.
+            products = self.gram[np.ix_(index, index)] + np.eye(2)
+            step = np.clip(np.linalg.solve(products, self.scores[index]), -_FAR, _FAR)
+            center, sign = self.subject.priors.center[index], self.sign[index]
+            for sizes in (step, -_SMALL):
+                wanted = np.where(sign != 0, sign, np.where(center != 0, center, sizes))
+                starts[pair].append(self._start(self.null, pair, wanted))
+        self.refit(starts)
 
     def extend(self, size: int) -> None:
         """Extend the best sets of this size by the effects that their remainders suggest."""
@@ -254,7 +227,7 @@ class Search:
         starts: dict[tuple[int, ...], list[Start]] = {}
         top = max(self.weight(self.ranked[0]), *[w for w, _ in self.guessed.values()], -np.inf)
         for fit in leading:
-            if self.weight(fit) < top - 2 * _WITHIN and fit is not leading[0]:
+            if self.weight(fit) < top - 30.0 and fit is not leading[0]:  # too far to catch up
                 continue
             gram, score, _ = self.further(fit)
             ranked = self.best_variants(gram, score, fit.effects)
@@ -262,23 +235,21 @@ class Search:
                 atoms, begin = self._with(fit, k, gram, score)
                 evidence = self.evidence(fit) + value
                 weight = evidence + self.log_prior(atoms)
-                if weight > top - _WORTH_A_REFIT:
+                # Below by 4, it has less than a fiftieth of the weight of the best.
+                if weight > top - 4.0:
                     starts.setdefault(atoms, begin)
                 elif atoms not in self.fits:
                     self.guessed.setdefault(atoms, (weight, evidence))
-        self.refit(list(starts), starts)
+        self.refit(starts)
 
     def refit_parts(self, fit: Fit) -> None:
         """Refit the subsets of the effects of a fit."""
-        sets, starts = parts_of(fit.atoms)[1:], {}
-        for part in sets:
-            kept = [fit.atoms.index(k) for k in part]
-            starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
-        self.refit(sets, starts)
-
-    def rest(self) -> list[tuple[float, float]]:
-        """(log weight, log evidence) of the sets that were not refitted."""
-        return [both for atoms, both in self.guessed.items() if atoms not in self.fits]
+        self.refit(
+            {
+                part: [Start(fit.z, fit.amplitude[[fit.atoms.index(k) for k in part]], fit.state)]
+                for part in parts_of(fit.atoms)[1:]
+            }
+        )
 
 
 def searched(subject: Forward, effort: Effort = Effort()) -> Search:
@@ -300,9 +271,10 @@ PRIOR_OF_UNKNOWN = 0.1
 _SHOWS = 3.0
 """Log evidence over no effect above which the data show a set of effects: 20 to 1."""
 
-_LEADING = 8
-"""Numbers of the most probable sets, and of the most probable single effects, that are
-also weighed beside an unlisted one."""
+
+def _ranked(log_weight: Mapping[Key, float]) -> list[Key]:
+    """The sets of one effect and more, the most probable first."""
+    return sorted((k for k in log_weight if k), key=lambda k: log_weight[k], reverse=True)
 
 
 @dataclass(frozen=True)
@@ -321,35 +293,29 @@ class Weighed:
     odds: Mapping[Key, float] = field(default_factory=dict)
 
     @property
+    def ranked(self) -> list[Key]:
+        """The sets of one effect and more, the most probable first."""
+        return _ranked(self.log_weight)
+
+    @property
     def best(self) -> Key:
         """The most probable set of effects; () without a fit."""
-        log = self.log_weight
-        return max((k for k in log if k), key=lambda k: log[k], default=())
+        return next(iter(self.ranked), ())
 
     @property
     def best_beside(self) -> Key:
         """The most probable set of effects beside an unlisted one."""
-        log = self.log_beside
-        return max((k for k in log if k), key=lambda k: log[k], default=())
-
-    @property
-    def ranked(self) -> list[Key]:
-        """The sets of one effect and more, the most probable first."""
-        log = self.log_weight
-        return sorted((k for k in log if k), key=lambda k: log[k], reverse=True)
+        return next(iter(_ranked(self.log_beside)), ())
 
     @cached_property
     def sets(self) -> dict[Key, float]:
         """Probability of every set, without an unlisted effect."""
-        return self._probabilities(self.log_weight)
+        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_weight.items()}
 
     @cached_property
     def beside(self) -> dict[Key, float]:
         """Probability of the leading sets, each beside an unlisted effect."""
-        return self._probabilities(self.log_beside)
-
-    def _probabilities(self, log: Mapping[Key, float]) -> dict[Key, float]:
-        return {k: float(np.exp(v - self.log_total)) for k, v in log.items()}
+        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_beside.items()}
 
     @property
     def unlisted(self) -> float:
@@ -362,24 +328,18 @@ class Weighed:
         log = self.log_weight
         return dict(zip(log, softmax([*log.values()]).tolist(), strict=True))
 
-    def holding(self, effects: tuple[str, ...]) -> float:
-        """Probability of the sets that hold these effects, given an effect, all listed."""
-        return _holding({k: p for k, p in self.listed.items() if k}, effects)
-
-    def holding_beside(self, effects: tuple[str, ...]) -> float:
-        """Probability of the sets that hold these effects, beside an unlisted one."""
-        return _holding(self.beside, effects)
+    def holding(self, effects: tuple[str, ...], beside: bool = False) -> float:
+        """Probability of the sets that hold these effects: given an effect, all listed; or
+        beside an unlisted one."""
+        sets = self.beside if beside else {k: p for k, p in self.listed.items() if k}
+        held = sum(p for k, p in sets.items() if set(effects) <= set(k))
+        return held / max(sum(sets.values()), NONZERO)
 
     @property
     def nothing_shown(self) -> float:
         """Probability of the sets that these data could not show."""
         weak = (p for k, p in self.sets.items() if self.evidence[k] < _SHOWS)
         return min(self.hidden + sum(weak), 1.0)
-
-
-def _holding(sets: Mapping[Key, float], effects: tuple[str, ...]) -> float:
-    held = sum(p for k, p in sets.items() if set(effects) <= set(k))
-    return held / max(sum(sets.values()), NONZERO)
 
 
 def weighed(search: Search) -> Weighed:
@@ -392,13 +352,15 @@ def weighed(search: Search) -> Weighed:
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
     singles = [key for key in ranked if len(key) == 1]
+    # The eight most probable sets and single effects are also weighed beside an unlisted one.
     beside = {
         key: total[key]
         + search.subject.discrepancy.log_evidence(best[key])
         + float(np.log(PRIOR_OF_UNKNOWN))
-        for key in dict.fromkeys([*ranked[:_LEADING], *singles[:_LEADING], ()])
+        for key in dict.fromkeys([*ranked[:8], *singles[:8], ()])
     }
-    rest = search.rest()
+    # (log weight, log evidence) of the sets that were not refitted.
+    rest = [both for atoms, both in search.guessed.items() if atoms not in search.fits]
     everything = float(logsumexp([*total.values(), *beside.values(), *(w for w, _ in rest)]))
     weak = [weight for weight, evidence in rest if evidence < _SHOWS]
     return Weighed(

@@ -18,9 +18,6 @@ LOADS, _ANGLE = 0.03, 1e-3
 """Spread above which a quantity varies: relative (loads, speeds, pressures, other forces),
 and of camber, steering or the other slip [rad]."""
 
-_COOLINGS = (np.inf, 0.2, 0.05)
-"""Time constants of the cooling, in shares of the record."""
-
 
 class Sizes(NamedTuple):
     """Units of the expected amplitudes."""
@@ -120,18 +117,16 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
 
 def work_of_sliding(power: np.ndarray, time: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Work of sliding so far, from its power (n,), with each cooling: (n, coolings)."""
-    work = np.zeros((len(power), len(_COOLINGS)))
-    span = np.ptp(time)
+    coolings, span = np.array([np.inf, 0.2, 0.05]), np.ptp(time)  # in shares of the record
+    work, heated = np.zeros((len(power), len(coolings))), np.zeros(len(power))
     if span <= 0:
         return work
-    heated = np.zeros(len(power))
     for part in segments(time, run):
         mean = 0.5 * (power[part][1:] + power[part][:-1])
         heated[part[1:]] = mean * np.diff(time[part])
     order = np.lexsort((time, run))
     step = np.maximum(np.diff(time[order], prepend=time[order][0]), 0.0)
-    warmth = np.zeros(len(_COOLINGS))
-    keep = np.exp(-step[:, None] / (np.array(_COOLINGS) * span))
+    warmth, keep = np.zeros(len(coolings)), np.exp(-step[:, None] / (coolings * span))
     for row, left in zip(order.tolist(), keep, strict=True):
         warmth = left * warmth + heated[row]
         work[row] = warmth

@@ -1,7 +1,7 @@
 """Least-squares fits: the first fit of a base model, the tire that stands in for a
 simulator known by its forces, and refits of hypotheses."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given
 from tirefit.diagnosis.rows.slips import slip_nodes
-from tirefit.diagnosis.rows.structure import structures_of
+from tirefit.diagnosis.rows.structure import rms, structures_of
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
@@ -32,22 +32,14 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import Values
 from tirefit.results import DataError
 
-_STEPS, _TOLERANCE, _FARTHEST = 26, 1e-3, 20.0
-"""Largest number of steps of a refit; chi-squared that one more step may gain (whole
-units of evidence matter); and largest amplitude in prior scales."""
-
-_SOLVER = NormalEquations(rtol=0.0, atol=_TOLERANCE)
+_FARTHEST = 20.0
+"""Largest amplitude in prior scales."""
 
 _LEAST_ROWS = 256
 """Smallest number of rows for which a diagnosis is compiled; small files share it."""
 
-_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
-"""Largest error of a stand-in for a simulator over the simulated force (rms), and error
-up to which the simplest stand-in is used."""
-
-_OPPOSITE = -0.8
-"""Correlation of a simulated with the measured force below which its sign is reversed: a
-simulator with the wrong sign of its slip has that of its force."""
+_FARTHEST_OFF = 0.2
+"""Largest error of a stand-in for a simulator over the simulated force (rms)."""
 
 
 class Refit(NamedTuple):
@@ -58,50 +50,13 @@ class Refit(NamedTuple):
     amplitude: np.ndarray
 
 
-class _Hypotheses:
-    """Sets of atoms to be refitted from ``starts`` (h, w). Smaller sets are padded with
-    amplitudes without effect."""
-
-    def __init__(
-        self,
-        model: Tire,
-        starts: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]],
-        sets: Sequence[tuple[int, ...]],
-        design: Design,
-    ) -> None:
-        self.model, self.design, self.p = model, design, len(starts[0][0])
-        self.starts = np.zeros((len(sets), self.p + MOST_EFFECTS))
-        for row, (z, amplitude) in zip(self.starts, starts, strict=True):
-            row[: self.p + len(amplitude)] = *z, *amplitude
-        self.sets, self.weights = [tuple(atoms) for atoms in sets], design.weights()
-        self.forces, none = design.forces, len(design.prior_scale)
-        index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in self.sets]
-        self.center = np.append(design.prior_center, 0.0)[index]
-        ends = np.append(design.low, -np.inf)[index], np.append(design.high, np.inf)[index]
-        free = np.full((len(sets), self.p), np.inf)
-        self.bounds = tuple(
-            np.hstack([side * free, np.clip(end, -_FARTHEST, _FARTHEST)])
-            for side, end in zip((-1.0, 1.0), ends, strict=True)
-        )
-
-    def at(self, numbers: Sequence[int], points: np.ndarray) -> Normal:
-        """Normal equations at points (k, w), priors included."""
-        held, center = self.starts[numbers, : self.p], self.center[numbers]
-        pull = np.ones(points.shape[1])
-        pull[: self.p] = float(self.design.hold) ** 2
-        off = points - np.concatenate([held, center], axis=1)
-        cost, gradient = np.sum(pull * off**2, axis=1), pull * off
-        normal = np.tile(np.diag(pull), (len(points), 1, 1))
-        sets = [self.sets[number] for number in numbers]
-        found = self.model.slopes(points, sets, self.design)
-        for k, (mean, columns) in enumerate(found):
-            own = slice(len(columns))
-            rows = (columns * self.weights).reshape(len(columns), -1)
-            missed = ((self.forces - mean) * self.weights).reshape(-1)
-            cost[k] += missed @ missed
-            normal[k, own, own] += rows @ rows.T
-            gradient[k, own] -= rows @ missed
-        return Normal(cost, normal, gradient)
+def _weighted(
+    model: Tire, points: np.ndarray, sets: Sequence[tuple[int, ...]], design: Design
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Whitened residual and slopes (p + k, C n) of sets of atoms, each at its point."""
+    weights, forces = design.weights(), design.forces
+    for mean, columns in model.slopes(points, sets, design):
+        yield ((forces - mean) * weights).reshape(-1), (columns * weights).reshape(len(columns), -1)
 
 
 def refit(
@@ -111,9 +66,35 @@ def refit(
     design: Design,
 ) -> Refit:
     """Sets of atoms refitted from starts (z, amplitudes in prior scales)."""
-    those = _Hypotheses(model, starts, sets, design)
-    z, _ = minimised(those.at, those.starts, those.bounds, _SOLVER, _STEPS)
-    return Refit(z[:, : those.p], z[:, those.p :])
+    p, none = len(starts[0][0]), len(design.prior_scale)
+    begin = np.zeros((len(sets), p + MOST_EFFECTS))
+    for row, (z, amplitude) in zip(begin, starts, strict=True):
+        row[: p + len(amplitude)] = *z, *amplitude
+    # Smaller sets are padded with amplitudes without effect.
+    index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in sets]
+    center = np.hstack([begin[:, :p], np.append(design.prior_center, 0.0)[index]])
+    bounds = []
+    for side, end in ((-np.inf, design.low), (np.inf, design.high)):
+        ends = np.clip(np.append(end, side)[index], -_FARTHEST, _FARTHEST)
+        bounds.append(np.hstack([np.full((len(sets), p), side), ends]))
+    pull = np.append(np.full(p, float(design.hold) ** 2), np.ones(MOST_EFFECTS))
+
+    def at(numbers: Sequence[int], points: np.ndarray) -> Normal:
+        """Normal equations at points (k, w), priors included."""
+        off = points - center[numbers]
+        cost, gradient = np.sum(pull * off**2, axis=1), pull * off
+        normal = np.tile(np.diag(pull), (len(points), 1, 1))
+        found = _weighted(model, points, [tuple(sets[number]) for number in numbers], design)
+        for k, (missed, rows) in enumerate(found):
+            own = slice(len(rows))
+            cost[k] += missed @ missed
+            normal[k, own, own] += rows @ rows.T
+            gradient[k, own] -= rows @ missed
+        return Normal(cost, normal, gradient)
+
+    # Until one more step would gain less chi-squared: whole units of evidence matter.
+    z, _ = minimised(at, begin, bounds, NormalEquations(rtol=0.0, atol=1e-3), 26)
+    return Refit(z[:, :p], z[:, p:])
 
 
 def minimised(
@@ -207,17 +188,14 @@ def first_fit(
     )
     design = measured_slips(design_of(prepared, effects, rig), prepared)
     design = design._replace(observed=observed, scale=scale)
-    weights, forces = design.weights(), design.forces
 
     def at(numbers: Sequence[int], points: np.ndarray) -> Normal:
         found = []
-        for mean, columns in tire.slopes(points, [()] * len(points), design):
-            missed = ((forces - mean) * weights).reshape(-1)
+        for missed, by in _weighted(tire, points, [()] * len(points), design):
             size = np.abs(missed)
             root = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, HUBER**2))
             far = size > HUBER
             missed = np.where(far, np.sign(missed) * root, missed)
-            by = (columns * weights).reshape(len(columns), -1)
             by = by * np.where(far, HUBER / root, 1.0)
             found.append((missed @ missed, by @ by.T, -by @ missed))
         return Normal(*(np.array(part) for part in zip(*found, strict=True)))
@@ -228,17 +206,6 @@ def first_fit(
     return tire, z[int(np.argmin(costs))], starts[0]
 
 
-def begin(
-    prepared: Prepared, tire: Tire, z: np.ndarray, guess: np.ndarray, rig: Rig, simulated: bool
-) -> tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """(tire, design of the rows, z, guess, offset of a simulator by channel (n,))."""
-    design = design_of(prepared, tire.effects, rig)
-    missed: dict[str, np.ndarray] = {}
-    if simulated:
-        design, missed = with_offset(prepared, tire, design, z)
-    return tire, design, z, guess, missed
-
-
 def as_measured(data: TireData, channels: tuple[str, ...]) -> TireData:
     """The data with the simulated forces in place of the measured ones."""
     dropped = {f"{c}_std" for c in channels}
@@ -246,13 +213,9 @@ def as_measured(data: TireData, channels: tuple[str, ...]) -> TireData:
     return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
 
 
-def _rms(values: Values) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 def missed_share(prepared: Prepared, channel: str, values: Values) -> float:
     """Error (n,) of a tire as a share of the simulated force, rms."""
-    return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
+    return rms(values) / max(rms(prepared.column(f"{channel}_sim")), NONZERO)
 
 
 def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> None:
@@ -263,7 +226,7 @@ def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> Non
         if share > _FARTHEST_OFF:
             reason = (
                 f"the tire fitted to the simulator ({name}) does not follow it: the error"
-                f" of {c}_sim is {_rms(values):.3g} {CANONICAL[c][0]} rms,"
+                f" of {c}_sim is {rms(values):.3g} {CANONICAL[c][0]} rms,"
                 f" {100 * share:.0f} % of it ({100 * _FARTHEST_OFF:.0f} % at most)"
             )
             remedy = "choose a base model closer to the simulator with --model, and check"
@@ -271,7 +234,7 @@ def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> Non
             force, measured = prepared.column(f"{c}_sim"), prepared.observed[c]
             varies = np.ptp(force) > 0 and np.ptp(measured) > 0
             along = np.corrcoef(force, measured)[0, 1] if varies else 0.0
-            if along < _OPPOSITE:
+            if along < -0.8:  # a wrong sign of its slip gives the force the wrong sign
                 remedy = f"reverse the sign of {c}_sim: it is opposite to the measured {c}"
                 remedy += f" (correlation {along:.2f})"
             for one in structures_of(prepared):
@@ -279,44 +242,42 @@ def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> Non
             raise unfit(prepared.data, reason, remedy)
 
 
+Fitted = tuple[Tire, np.ndarray, np.ndarray]
+"""A tire, its parameters z, and the first guess of them."""
+
+
 def standing_in(
     prepared: Prepared, name: str | None, effects: tuple[Effect, ...], rig: Rig, given: Given
-) -> tuple[tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]], str]:
-    """:func:`begin` of a tire fitted to a simulator's forces, and its model: ``name``, or
-    the first of :data:`STAND_INS` that follows closely, else the better one."""
+) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
+    """(model, tire fitted to a simulator's forces, :func:`with_offset` of it): of the model
+    ``name``, or the first of :data:`STAND_INS` that follows closely, else the better one."""
     simulated = as_measured(prepared.data, prepared.channels)
 
-    def tried(
-        model: str,
-    ) -> tuple[tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]], str]:
+    def tried(model: str) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
         if model in MAGIC_FORMULAS:
             # Its coefficients follow the simulator; only scaling factors are adapted.
             own = replace(given, tire=fit_magic_formula(simulated, model).tire)
             fitted = own.tire_for(prepared, effects)
         else:
             fitted = first_fit(prepared, model, simulated, effects, rig)
-        return begin(prepared, *fitted, rig, True), model
+        design = design_of(prepared, effects, rig)
+        return model, fitted, with_offset(prepared, fitted[0], design, fitted[1])
 
     if name is not None:
         return tried(name)
     plain, flexible = STAND_INS
     first = tried(plain)
-    off = [missed_share(prepared, c, v) for c, v in first[0][-1].items()]
-    if max(off) <= _CLOSELY:
-        return first
+    if max(missed_share(prepared, c, v) for c, v in first[-1][1].items()) <= 0.01:
+        return first  # the simplest one that follows closely
     try:
         other = tried(flexible)
     except DataError:  # too few rows for its coefficients
         return first
 
-    def energy(one: Any) -> float:
-        return sum(float(np.mean(values**2)) for values in one[0][-1].values())
+    def energy(one: tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]) -> float:
+        return sum(float(np.mean(values**2)) for values in one[-1][1].values())
 
     return min(first, other, key=energy)
-
-
-_AROUND = 4
-"""Number of rows on either side for the slope of the error of a stand-in."""
 
 
 def not_followed(
@@ -331,10 +292,11 @@ def not_followed(
         groups: index arrays of like rows in the order of their slip.
         changed: typical size of a and b, at least a tenth.
     """
-    steep, wide = np.zeros(len(slip)), 2 * _AROUND + 1
+    around = 4  # number of rows on either side for the slope of the error
+    steep, wide = np.zeros(len(slip)), 2 * around + 1
     for rows in (rows for rows in groups if len(rows) >= wide):
         x, y = (
-            np.lib.stride_tricks.sliding_window_view(np.pad(v, _AROUND, "edge"), wide)
+            np.lib.stride_tricks.sliding_window_view(np.pad(v, around, "edge"), wide)
             for v in (slip[rows], missed[rows])
         )
         x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))

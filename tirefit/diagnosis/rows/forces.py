@@ -10,37 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.diagnosis.effects import Effect, atoms_of
+from tirefit.diagnosis.effects import state as law
 from tirefit.diagnosis.effects.record import States
-from tirefit.diagnosis.effects.state import (
-    Covariates,
-    State,
-    arm_of,
-    force_of_state,
-    is_plain,
-    peak_ratio,
-    slip_of_state,
-    slope_at_rest,
-    with_offsets,
-)
+from tirefit.diagnosis.effects.state import Covariates, State
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.problem.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values
 
-_AT_ONCE, _MOST_ROWS = 16, 16384
-"""Largest number of fits in one call of a program, and of rows of all of them."""
-
 
 class Design(NamedTuple):
     """Data of a refit as arrays, padded to few shapes.
 
-    ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their
-    probabilities. ``observed``, ``scale`` and ``offset`` (force of a simulator minus that
-    of its tire) are (n,) by channel; ``keep`` (n,) is 0 for padding and outliers.
-    ``hold`` is the stiffness that pulls z to the start of a refit. For the amplitudes
-    (K,), ``prior_scale`` is in their own units, center, ``low`` and ``high`` are in prior
-    scales. ``reference`` is load and speed.
+    ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their probabilities.
+    ``observed``, ``scale`` and ``offset`` (force of a simulator minus that of its tire) are (n,) by
+    channel; ``keep`` (n,) is 0 for padding and outliers. ``hold`` is the stiffness that pulls z to
+    the start of a refit. For the amplitudes (K,), ``prior_scale`` is in their own units, center,
+    ``low`` and ``high`` are in prior scales. ``reference`` is load and speed.
     """
 
     inputs: TireInputs
@@ -102,34 +89,39 @@ def _reference(
     tire: AbstractTire, where: _Where, mode: str
 ) -> tuple[jax.Array, jax.Array, Values | float]:
     """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
-    stiffness = jax.vmap(lambda one: slope_at_rest(tire, one, mode))(where.inputs) / 2
-    return stiffness, peak_ratio(tire, *where.reference), arm_of(tire)
+    stiffness = jax.vmap(lambda one: law.slope_at_rest(tire, one, mode))(where.inputs) / 2
+    return stiffness, law.peak_ratio(tire, *where.reference), law.arm_of(tire)
+
+
+def _carrier(
+    model: AbstractTire, layout: Layout, mode: str, z: jax.Array, where: _Where
+) -> tuple[jax.Array, ...] | None:
+    """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
+    if law.is_plain(model):
+        return None
+    found = _reference(with_values(model, layout.natural(z)), where, mode)
+    return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
 
 
 def _mean_and_spread(
     model: AbstractTire, layout: Layout, mode: str, where: _Where
 ) -> Callable[..., Any]:
     """(z, reference, state, slips, weights, second, inputs) of one row -> mean and
-    variance of each force over the latent slip, without offset: two tuples."""
+    variance of each force over the latent slip, without offset: two lists."""
 
     def row(
-        z: jax.Array,
-        reference: tuple[Any, ...] | None,
-        state: State,
-        slips: jax.Array,
-        weights: jax.Array,
-        second: jax.Array,
-        inputs: TireInputs,
-    ) -> tuple[list[jax.Array], list[jax.Array]]:
+        z: jax.Array, reference: tuple[Any, ...] | None, state: State, slips: jax.Array,
+        weights: jax.Array, second: jax.Array, inputs: TireInputs,
+    ) -> tuple[list[jax.Array], list[jax.Array]]:  # fmt: skip
         tire = with_values(model, layout.natural(z))
 
         def at(slip: jax.Array) -> tuple[Values, ...]:
-            moved = slip_of_state(state, slip)
+            moved = law.slip_of_state(state, slip)
             pair: tuple[Any, Any] = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
-            found = force_of_state(tire, reference, state, *pair, inputs)
-            found = with_offsets(found, state, mode)
+            found = law.force_of_state(tire, reference, state, *pair, inputs)
+            found = law.with_offsets(found, state, mode)
             forces = dict(zip(("fx", "fy", "mz"), found, strict=True))
             return tuple(forces[channel] for channel in where.offset)
 
@@ -139,16 +131,6 @@ def _mean_and_spread(
         return means, [jnp.sum((f - mean) ** 2 * weights) for f, mean in pairs]
 
     return row
-
-
-def _carrier(
-    model: AbstractTire, layout: Layout, mode: str, z: jax.Array, where: _Where
-) -> tuple[jax.Array, ...] | None:
-    """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
-    if is_plain(model):
-        return None
-    found = _reference(with_values(model, layout.natural(z)), where, mode)
-    return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
 
 
 def _each(
@@ -167,14 +149,9 @@ def _each(
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
 def _forces_of(
-    model: AbstractTire,
-    layout: Layout,
-    mode: str,
-    z: jax.Array,
-    states: jax.Array,
-    count: jax.Array,
-    where: _Where,
-) -> tuple[jax.Array, ...]:
+    model: AbstractTire, layout: Layout, mode: str, z: jax.Array, states: jax.Array,
+    count: jax.Array, where: _Where,
+) -> tuple[jax.Array, ...]:  # fmt: skip
     """Mean and variance over the latent slip of the forces (b, C, n) of the first
     ``count`` fits, of z (b, p) and states with effects (b, F, n)."""
     row = _mean_and_spread(model, layout, mode, where)
@@ -190,14 +167,9 @@ def _forces_of(
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
 def _slopes_of(
-    model: AbstractTire,
-    layout: Layout,
-    mode: str,
-    z: jax.Array,
-    states: jax.Array,
-    count: jax.Array,
-    where: _Where,
-) -> tuple[jax.Array, ...]:
+    model: AbstractTire, layout: Layout, mode: str, z: jax.Array, states: jax.Array,
+    count: jax.Array, where: _Where,
+) -> tuple[jax.Array, ...]:  # fmt: skip
     """Mean forces (b, C, n) of some fits and their slopes by z (b, C, p, n) and by the
     fields of the state (b, C, F, n). A row's force depends on z and its own state
     alone: one pass back for each channel serves all, with a z for every row."""
@@ -252,8 +224,8 @@ class Tire:
     ) -> Iterator[tuple[np.ndarray, ...]]:
         """Results of a program for z (h, p) and the states (F, n) of fits, one by one;
         the next states are computed while JAX evaluates the last ones."""
-        size, where, waiting = len(design.keep), _Where.of(design), None
-        room = int(np.clip(_MOST_ROWS // size, 1, _AT_ONCE))
+        size, where, waiting, count = len(design.keep), _Where.of(design), (), 0
+        room = int(np.clip(16384 // size, 1, 16))  # fits in one call, by the rows of all of them
         for first in range(0, len(points), room):
             some = points[first : first + room]
             z = np.zeros((room, some.shape[1]))
@@ -261,30 +233,19 @@ class Tire:
             z[: len(some)] = some
             for state in several[: len(some)]:
                 state[:] = next(states)
-            tire = self.model, self.layout, self.mode
-            found = program(*tire, z, several, len(some), where)
-            if waiting is not None:
-                yield from _one_by_one(*waiting)
-            waiting = found, len(some)
-        if waiting is not None:
-            yield from _one_by_one(*waiting)
-
-    def forces(
-        self, fits: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]], design: Design
-    ) -> Iterator[tuple[np.ndarray, ...]]:
-        """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
-        variances over the slip."""
-        points = np.array([z for z, _ in fits])
-        states = self.states(design)
-        some = (states.state(_present(a)) for _, a in fits)
-        return self._run(_forces_of, points, some, design)
+            found = program(self.model, self.layout, self.mode, z, several, len(some), where)
+            yield from _one_by_one(waiting, count)
+            waiting, count = found, len(some)
+        yield from _one_by_one(waiting, count)
 
     def moments(
         self, z: np.ndarray, design: Design, n: int, amplitudes: np.ndarray | tuple[Any, ...] = ()
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Mean and variance for one fit, of the first n rows, by channel."""
-        both, names = self.forces([(z, amplitudes)], design), sorted(design.observed)
-        mean, spread = ({c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both))
+        """Mean and variance over the slip for one fit, of the first n rows, by channel."""
+        states = iter([self.states(design).state(_present(amplitudes))])
+        both = next(self._run(_forces_of, np.array([z]), states, design))
+        names = sorted(design.observed)
+        mean, spread = ({c: x[:n] for c, x in zip(names, part, strict=True)} for part in both)
         return mean, spread
 
     def brush(self, z: np.ndarray, design: Design) -> tuple[jax.Array, jax.Array]:
@@ -346,9 +307,7 @@ def _present(amplitudes: np.ndarray | tuple[Any, ...]) -> list[tuple[int, float]
     return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
 
 
-def _one_by_one(
-    found: tuple[jax.Array, jax.Array, jax.Array], count: int
-) -> Iterator[tuple[np.ndarray, ...]]:
+def _one_by_one(found: tuple[Any, ...], count: int) -> Iterator[tuple[np.ndarray, ...]]:
     """Results of a program for each of the first ``count`` fits."""
     parts = [np.asarray(part) for part in found]
     yield from (tuple(part[k] for part in parts) for k in range(count))
@@ -363,20 +322,20 @@ def with_force(prepared: Prepared, tire: Tire, design: Design, z: np.ndarray) ->
     """The force of the base model over its peak, for effects that depend on it."""
     channel, fz = prepared.channels[0], prepared.inputs.fz
     mean = tire.moments(z, design, prepared.n)[0][channel]
-    size = len(design.keep)
-    share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
+    share = mean / (np.max(np.abs(mean) / fz) * fz)
     before = _pull(prepared, tire, design, z)
-    rows = design.rows._replace(
-        force=share,
-        usage=np.abs(share),
-        traction=pad_rows(mean / prepared.covariates.load, size),
-        pull=pad_rows(before[channel], size),
-        twist=pad_rows(before.get("mz", np.zeros_like(before[channel])), size),
-    )
+    fields = {
+        "force": share,
+        "usage": np.abs(share),
+        "traction": mean / prepared.covariates.load,
+        "pull": before[channel],
+        "twist": before.get("mz", np.zeros_like(before[channel])),
+    }
     if prepared.derived is not None:
         # The measured acceleration contains the force itself, so it must not explain it.
-        rows = rows._replace(lean=pad_rows(-mean / fz, size))
-    return design._replace(rows=rows)
+        fields["lean"] = -mean / fz
+    padded = {name: pad_rows(values, len(design.keep)) for name, values in fields.items()}
+    return design._replace(rows=design.rows._replace(**padded))
 
 
 def _pull(prepared: Prepared, tire: Tire, design: Design, z: np.ndarray) -> dict[str, np.ndarray]:
@@ -386,16 +345,12 @@ def _pull(prepared: Prepared, tire: Tire, design: Design, z: np.ndarray) -> dict
         return {c: np.zeros_like(past) for c in prepared.channels}
     alone, size = np.zeros_like(design.weight), len(design.keep)
     alone[:, 0] = 1.0
-    columns = []
+    # The past of a simulator beyond its tire is not known.
+    offset, columns = {c: np.zeros(size) for c in design.offset}, []
     for k in range(past.shape[1]):
         slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
         earlier = (pad_rows(np.asarray(part)[:, k], size) for part in prepared.before)
-        # The past of a simulator beyond its tire is not known.
-        then = design._replace(
-            slip=slip,
-            weight=alone,
-            inputs=type(design.inputs)(*earlier),
-            offset={c: np.zeros(size) for c in design.offset},
-        )
+        inputs = type(design.inputs)(*earlier)
+        then = design._replace(slip=slip, weight=alone, inputs=inputs, offset=offset)
         columns.append(tire.moments(z, then, prepared.n)[0])
     return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}

@@ -8,35 +8,19 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
 from scipy.special import chdtr, chdtrc
 
-from tirefit.diagnosis.engine import NONZERO, ROUNDING, UNSEEN
+from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
 from tirefit.diagnosis.rows.discrepancy import waves_within
-from tirefit.diagnosis.rows.memory import (
-    CORRELATED,
-    FACTS,
-    FORGETFUL,
-    Memory,
-    correlation,
-    in_order,
-    memory_of,
-)
-from tirefit.fitting.problem.noise import MAD
+from tirefit.fitting.problem.noise import MAD, autocorrelation_time
 from tirefit.params import Values
-
-_FINEST = 1e-5
-"""Smallest noise over the load: a twentieth of the error of the best force transducers
-(class 0.02). Computed forces have none, and would make any gap certain."""
 
 _CLIP = 2.5
 """Residual, in standard deviations, at which squares are clipped."""
-
-
-_CLIPPED = float(chdtr(3, _CLIP**2) + _CLIP**2 * chdtrc(1, _CLIP**2))
-"""Mean square of a normal number whose square is clipped there."""
 
 _OUTLIER = 4.5
 """Standard deviations from which a row is excluded: one normal row in 1.5e5."""
@@ -48,22 +32,113 @@ the force may give as many."""
 _ROUNDS = 4
 """Largest number of rounds of exclusion, and of weighting by a variance law."""
 
-_MISSTATED, _OVERSTATED = 0.15, 0.6
-"""Tolerated excess over the stated noise; share of the stated noise below which it is
-kept but flagged, as it may include errors without scatter."""
+_MISSTATED = 0.15
+"""Tolerated excess over the stated noise."""
 
-_CLEAR = 4.0
-"""Standard errors of a significant excess or of a variance that follows the force: one
-normal noise in 15,000."""
+_CLEAR, _SIGNIFICANT = 4.0, 2.5
+"""Standard errors of an excess or of a variance that follows the force: one normal noise in
+15,000; and of a correlation of neighbours or a noise of the slip: one white record in 160."""
 
 _NEIGHBOURED = 0.3
 """Smallest share of the rows with neighbours that represents all."""
 
-_LEAST_VARIANCE = 1e-3
-"""Smallest variance of a row over the mean one."""
-
 _TOGETHER = 1.94
-"""1 + 2 (4/9 + 1/36): squares of second differences per independent one."""
+"""1 + 2 (4/9 + 1/36): squares of second differences per independent one, as they share rows."""
+
+_FADES = np.arange(20) / 20
+"""Correlations of neighbours that are compared."""
+
+
+class Memory(NamedTuple):
+    """A first-order autoregressive noise: the correlation of neighbours, and the probability of
+    this one."""
+
+    fade: float = 0.0
+    chance: float = 1.0
+
+    @property
+    def rows_each(self) -> float:
+        """Number of rows per independent row."""
+        return 1 + 2 * self.fade / (1 - self.fade)
+
+
+FORGETFUL = Memory()
+"""Independent rows."""
+
+
+def in_order(time: Values | None, run: np.ndarray) -> list[np.ndarray]:
+    """Rows of each run in the order they were measured: index arrays."""
+    order = np.arange(len(run)) if time is None else np.lexsort((time, run))
+    return [order[run[order] == code] for code in np.unique(run)]
+
+
+def correlation(white: np.ndarray, time: Values | None, run: np.ndarray) -> float:
+    """Number of rows per independent row of a remainder (n,), at least 1 and at most that
+    which leaves 20 independent ones; excluded rows are zero."""
+    each = autocorrelation_time([white[rows] for rows in in_order(time, run)])
+    return min(each, len(white) / len(_FADES))
+
+
+def memory_of(
+    white: np.ndarray, unit: np.ndarray, stretches: Sequence[np.ndarray], most: float = np.inf
+) -> tuple[Memory, ...]:
+    """Correlations of a noise of 2 % probability or more, the most probable first;
+    :data:`FORGETFUL` where the correlation of neighbours is not significant.
+
+    Smooth functions absorb slow noise, so the correlation of the remainder is biased
+    downwards; the restricted likelihood corrects that.
+
+    Args:
+        white: (n,) remainder after smooth functions, zero for excluded rows.
+        unit: (n, q) those functions, orthonormal.
+        stretches: rows in the order of time (index arrays), which share no row.
+        most: largest variance of the noise, so that a slow gap with noise of a known
+            level is not treated as correlated noise.
+    """
+    stretches = [rows for rows in stretches if len(rows) > 2]
+    if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
+        return (FORGETFUL,)
+    rows, q = unit.shape
+    variance = float(white @ white) / max(rows - q, 1)
+    together = sum(float(white[s][1:] @ white[s][:-1]) for s in stretches)
+    taken = sum(float(np.sum(unit[s][1:] * unit[s][:-1])) for s in stretches)
+    lag_one = (together + variance * taken) / max(variance * rows, NONZERO)
+    if lag_one < _SIGNIFICANT / np.sqrt(sum(len(rows) for rows in stretches)):
+        return (FORGETFUL,)
+    logs = _log_likelihoods(white, unit, stretches, most)
+    chance = np.exp(logs - logs.max())
+    chance[chance < 0.02 * chance.sum()] = 0.0
+    chance /= chance.sum()
+    ranked = np.argsort(-chance)[: np.count_nonzero(chance)]
+    return tuple(Memory(float(_FADES[k]), float(chance[k])) for k in ranked)
+
+
+def _log_likelihoods(
+    white: np.ndarray, unit: np.ndarray, stretches: Sequence[np.ndarray], most: float
+) -> np.ndarray:
+    """Restricted log likelihood of each of the correlations.
+
+    The innovation of a row is x_t - fade x_(t-1): the products of the innovations of
+    all correlations are sums of the same three.
+    """
+    both = np.concatenate([unit, white[:, None]], axis=1)
+    heads, tails = _pairs_of(stretches)
+    starts, before, after = both[[s[0] for s in stretches]], both[heads], both[tails]
+    across = after.T @ before
+    starts, before, after = (x.T @ x for x in (starts, before, after))
+    freedom, logs = len(heads) + len(stretches) - unit.shape[1], []
+    for fade in _FADES:
+        left = 1 - fade**2
+        new = after - fade * (across + across.T) + fade**2 * before
+        products = starts + new / left
+        smooth, score = products[:-1, :-1], products[:-1, -1]
+        factor = cho_factor(smooth + ROUNDING * np.eye(len(smooth)))
+        rest = float(products[-1, -1] - score @ cho_solve(factor, score))
+        variance = min(max(rest, NONZERO) / freedom, most)
+        log = -0.5 * (freedom * np.log(variance) + rest / variance)
+        log -= 0.5 * len(heads) * np.log(left)
+        logs.append(log - float(np.sum(np.log(np.diag(factor[0])))))
+    return np.array(logs)
 
 
 class NoiseLevel(NamedTuple):
@@ -79,18 +154,10 @@ class NoiseLevel(NamedTuple):
 
 
 def judge_noise(
-    residual: np.ndarray,
-    spread: np.ndarray,
-    fz: np.ndarray,
-    force: np.ndarray,
-    given: Values | None,
-    basis: np.ndarray,
-    waves: Callable[[np.ndarray], np.ndarray],
-    groups: Sequence[np.ndarray],
-    time: Values | None,
-    run: np.ndarray,
-    refine: bool = True,
-) -> NoiseLevel:
+    residual: np.ndarray, spread: np.ndarray, fz: np.ndarray, force: np.ndarray,
+    given: Values | None, basis: np.ndarray, waves: Callable[[np.ndarray], np.ndarray],
+    groups: Sequence[np.ndarray], time: Values | None, run: np.ndarray, refine: bool = True,
+) -> NoiseLevel:  # fmt: skip
     """Noise of one channel.
 
     Args:
@@ -111,13 +178,15 @@ def judge_noise(
     white, in_time = residual / std, in_order(time, run)
     keep = ~_stray(residual, groups)
     smooth = _smooth(white, basis / std[:, None], waves, std, keep, in_time)
-    rest, floor = smooth.remainder(white) * std, _FINEST * np.mean(fz)
+    # A twentieth of the error of the best force transducers (class 0.02), over the load: computed
+    # forces have no noise, and would make any gap certain.
+    rest, floor = smooth.remainder(white) * std, 1e-5 * np.mean(fz)
 
     def level() -> np.ndarray:
         parts = np.stack([base**2 * share for share in shares], axis=1)
         square = rest[keep] ** 2 * (np.sum(keep) / smooth.freedom)
         law = parts @ _law(square, parts[keep], spread[keep]) + spread
-        law = np.sqrt(np.maximum(law, _LEAST_VARIANCE * np.mean(law) + NONZERO))
+        law = np.sqrt(np.maximum(law, 1e-3 * np.mean(law) + NONZERO))
         return law * _scale(rest / law, smooth)
 
     for _ in range(_ROUNDS if refine else 0):
@@ -127,14 +196,12 @@ def judge_noise(
             break
         keep, smooth = good, _Smooth(smooth.basis, good)
         rest = smooth.remainder(white) * std
-    shares, source = _shares(rest / std, fz, force, keep), "given"
-    flags: list[str] = []
-    size, local = _scale(rest / std, smooth), np.inf
+    shares, flags = _shares(rest / std, fz, force, keep), list[str]()
     grows = stated and len(shares) > 2
     if grows:
         std, source = level(), "estimated: grows with the force, unlike the stated"
     elif stated:
-        times, flags, source = _overruled(white, smooth, size, groups, in_time)
+        times, flags, source = _overruled(white, rest / std, smooth, groups, in_time)
         std = std * times
     else:
         std, source = np.maximum(level(), floor), "differences"
@@ -161,32 +228,30 @@ def judge_noise(
     if inflation > 1:
         flags.append("autocorrelated")
         left = correlation(np.where(keep, rest, 0) / std, time, run)
-        inflation = max(min(inflation, len(rest) / FACTS), left)
+        inflation = max(min(inflation, len(rest) / len(_FADES)), left)
     # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source, ratio)
 
 
 def _overruled(
-    white: np.ndarray,
-    smooth: "_Smooth",
-    size: float,
-    groups: Sequence[np.ndarray],
+    white: np.ndarray, rest: np.ndarray, smooth: "_Smooth", groups: Sequence[np.ndarray],
     in_time: Sequence[np.ndarray],
-) -> tuple[float, list[Any], str]:
-    """(factor, flags, source) of a stated noise. It is replaced if the remainder, ``size``
-    times as large, and all neighbours scatter by more."""
+) -> tuple[float, list[str], str]:  # fmt: skip
+    """(factor, flags, source) of a stated noise. It is replaced if the remainder ``rest`` and
+    all neighbours scatter by more; a smaller one is kept, as it may include errors without
+    scatter, but flagged below 60 %."""
     scales = {
-        "about smooth functions": size,
+        "about smooth functions": _scale(rest, smooth),
         "between neighbours in slip": _between(white, groups, smooth.keep),
         "between neighbours in time": _between(white, in_time, smooth.keep),
     }
     name = min(scales, key=lambda name: scales[name])
-    excess = max(_MISSTATED, _CLEAR / np.sqrt(2 * smooth.freedom))
-    if scales[name] > 1 + excess:
+    if scales[name] > 1 + max(_MISSTATED, _CLEAR / np.sqrt(2 * smooth.freedom)):
         source = f"estimated: {scales[name]:.2g} times the stated noise, {name}"
         return scales[name], ["noise_misstated"], source
-    return 1.0, ["noise_misstated"] if size < _OVERSTATED else [], "given"
+    small = scales["about smooth functions"] < 0.6
+    return 1.0, ["noise_misstated"] if small else [], "given"
 
 
 def _stray(residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
@@ -205,10 +270,13 @@ def _stray(residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
     return stray & (stray.sum() > max(_FEW, 2 * _FLAGGED * len(residual)))
 
 
-def _scale(white: np.ndarray, smooth: "_Smooth") -> float:
-    """Huber's scale of a remainder (n,), corrected for the degrees of freedom."""
-    kept = white[smooth.keep]
-    return _huber(kept) * float(np.sqrt(len(kept) / smooth.freedom))
+_CLIPPED = float(chdtr(3, _CLIP**2) + _CLIP**2 * chdtrc(1, _CLIP**2))
+"""Mean square of a normal number whose square is clipped at :data:`_CLIP`."""
+
+
+def _clipped(square: np.ndarray) -> np.ndarray:
+    """Squares over their expectation, clipped, with the mean of normal numbers restored."""
+    return np.minimum(square, _CLIP**2) / _CLIPPED
 
 
 def _huber(values: np.ndarray) -> float:
@@ -220,19 +288,18 @@ def _huber(values: np.ndarray) -> float:
     return float(np.sqrt(scale))
 
 
-def _between(
-    white: np.ndarray,
-    groups: Sequence[np.ndarray],
-    keep: np.ndarray,
-    apart: float = 0.0,
-    in_time: Sequence[np.ndarray] = (),
-) -> float:
-    """Standard deviation by second differences of neighbours, plus two of its standard
-    errors; infinite if few rows have neighbours.
+def _scale(white: np.ndarray, smooth: "_Smooth") -> float:
+    """Huber's scale of a remainder (n,), corrected for the degrees of freedom."""
+    kept = white[smooth.keep]
+    return _huber(kept) * float(np.sqrt(len(kept) / smooth.freedom))
 
-    Args:
-        apart: smallest distance in time of these neighbours, in rows of ``in_time``.
-    """
+
+def _between(
+    white: np.ndarray, groups: Sequence[np.ndarray], keep: np.ndarray, apart: float = 0.0,
+    in_time: Sequence[np.ndarray] = (),
+) -> float:  # fmt: skip
+    """Standard deviation by second differences of neighbours at least ``apart`` rows of ``in_time``
+    from each other, plus two of its standard errors; infinite if few rows have neighbours."""
     kept = [group[keep[group]] for group in groups]
     three = [np.stack([r[:-2], r[1:-1], r[2:]]) for r in kept if len(r) > 2]
     rows = np.concatenate([np.zeros((3, 0), int), *three], axis=1)
@@ -245,41 +312,7 @@ def _between(
         return np.inf
     before, middle, after = white[rows]
     second = (middle - 0.5 * (before + after)) / np.sqrt(1.5)
-    # Second differences share rows: about 1.94 of them are one independent one.
-    error = np.sqrt(_TOGETHER / (2 * len(second)))
-    return _huber(second) * (1 + 2 * float(error))
-
-
-def _smooth(
-    white: np.ndarray,
-    basis: np.ndarray,
-    waves: Callable[[np.ndarray], np.ndarray],
-    std: np.ndarray,
-    keep: np.ndarray,
-    in_time: Sequence[np.ndarray],
-) -> "_Smooth":
-    """Smooth functions and the few significant waves.
-
-    A wave counts beyond what the correlation of the remainder without it explains.
-    """
-    smooth = _Smooth(basis, keep)
-    least = np.log(len(white)) + 6.0  # log odds of 400 to 1: about one wave in each row
-    for _ in range(_FEW):
-        rest = np.where(keep, smooth.remainder(white), 0.0)
-        shapes = waves(rest / std) / std[:, None]
-        chi2 = waves_within(shapes * keep[:, None], smooth.basis * keep[:, None], rest)
-        best = 2 * int(np.argmax(chi2))
-        near = shapes[:, max(best - 2, 0) : best + 4]  # one between two of them is three
-        columns = np.concatenate([smooth.basis, near], axis=1)
-        more = _Smooth(columns, keep)
-        left = np.where(keep, more.remainder(white), 0.0)
-        unit = max(_scale(rest, smooth) ** 2, NONZERO)
-        memory = more.memory(left / np.sqrt(unit), in_time)
-        each = max(one.rows_each for one in memory)
-        if np.max(chi2) / unit < 2 * least * each:
-            break
-        smooth = more
-    return smooth
+    return _huber(second) * (1 + 2 * float(np.sqrt(_TOGETHER / (2 * len(second)))))
 
 
 class _Smooth:
@@ -301,8 +334,33 @@ class _Smooth:
     def memory(self, white: np.ndarray, in_time: Sequence[np.ndarray]) -> tuple[Memory, ...]:
         """Possible correlations of a remainder (n,) of unit variance."""
         unit = (self.basis * self.keep[:, None]) @ self.root
-        kept = np.where(self.keep, white, 0.0)
-        return memory_of(kept, unit, in_time, (1 + _MISSTATED) ** 2)
+        return memory_of(np.where(self.keep, white, 0.0), unit, in_time, (1 + _MISSTATED) ** 2)
+
+
+def _smooth(
+    white: np.ndarray, basis: np.ndarray, waves: Callable[[np.ndarray], np.ndarray],
+    std: np.ndarray, keep: np.ndarray, in_time: Sequence[np.ndarray],
+) -> _Smooth:  # fmt: skip
+    """Smooth functions and the few significant waves.
+
+    A wave counts beyond what the correlation of the remainder without it explains.
+    """
+    smooth = _Smooth(basis, keep)
+    least = np.log(len(white)) + 6.0  # log odds of 400 to 1: about one wave in each row
+    for _ in range(_FEW):
+        rest = np.where(keep, smooth.remainder(white), 0.0)
+        shapes = waves(rest / std) / std[:, None]
+        chi2 = waves_within(shapes * keep[:, None], smooth.basis * keep[:, None], rest)
+        best = 2 * int(np.argmax(chi2))
+        near = shapes[:, max(best - 2, 0) : best + 4]  # one between two of them is three
+        more = _Smooth(np.concatenate([smooth.basis, near], axis=1), keep)
+        left = np.where(keep, more.remainder(white), 0.0)
+        unit = max(_scale(rest, smooth) ** 2, NONZERO)
+        memory = more.memory(left / np.sqrt(unit), in_time)
+        if np.max(chi2) / unit < 2 * least * max(one.rows_each for one in memory):
+            break
+        smooth = more
+    return smooth
 
 
 def _shares(
@@ -325,9 +383,8 @@ def _law(square: np.ndarray, parts: np.ndarray, fixed: np.ndarray | float = 0.0)
     mean = max(float(np.mean(square)), NONZERO)
     law = np.full(len(square), mean)
     for _ in range(_ROUNDS):
-        clipped = np.minimum(square / law, _CLIP**2) / _CLIPPED
-        sizes, _ = nnls(parts / law[:, None], clipped - fixed / law)
-        law = np.maximum(parts @ sizes + fixed, _LEAST_VARIANCE * mean)
+        sizes, _ = nnls(parts / law[:, None], _clipped(square / law) - fixed / law)
+        law = np.maximum(parts @ sizes + fixed, 1e-3 * mean)  # the smallest variance of a row
     return sizes
 
 
@@ -336,18 +393,14 @@ def _growth(white: np.ndarray, values: np.ndarray, keep: np.ndarray) -> float:
     x = values[keep]
     if np.ptp(x) < ROUNDING * np.max(np.abs(x)):
         return 0.0
-    square = np.square(white[keep] / max(_huber(white[keep]), NONZERO))
-    square = np.minimum(square, _CLIP**2) / _CLIPPED - 1
+    square = _clipped(np.square(white[keep] / max(_huber(white[keep]), NONZERO))) - 1
     return float(square @ (x - x.mean())) / float(np.std(x) * np.sqrt(2 * len(x)))
 
 
 def slip_scatter(
-    residual: np.ndarray,
-    steepness: np.ndarray,
-    fz: np.ndarray,
-    alike: Sequence[Any],
+    residual: np.ndarray, steepness: np.ndarray, fz: np.ndarray, alike: Sequence[Any],
     in_time: Sequence[Any],
-) -> float:
+) -> float:  # fmt: skip
     """Standard deviation of the slip noise from the forces, zero if not significant.
 
     An error of the slip moves the force in proportion to its slope, so neighbours scatter more
@@ -370,20 +423,17 @@ def slip_scatter(
     # Score of the share of the slip, orthogonal to the other parts of the variance.
     own = parts[:, :-1]
     without = np.maximum(own @ _law(square, own), NONZERO)
-    over = np.minimum(square / without, _CLIP**2) / _CLIPPED - 1
+    over = _clipped(square / without) - 1
     own, along = own / without[:, None], parts[:, -1] / without
     along = along - own @ np.linalg.lstsq(own, along, rcond=None)[0]
     chance = max(2.0, float(np.var(over))) * _TOGETHER * float(along @ along)
-    if over @ along < CORRELATED * np.sqrt(max(chance, NONZERO)):
+    if over @ along < _SIGNIFICANT * np.sqrt(max(chance, NONZERO)):
         return 0.0
     local, slope = np.zeros((2, len(residual)))
     middle = np.concatenate([rows[1:-1] for rows in alike])
     local[middle], slope[middle] = second, np.sqrt(parts[:, -1])
     # Covariance of the errors of neighbours in time.
-    first, next_to = (
-        np.concatenate([rows[part] for rows in in_time])
-        for part in (slice(None, -1), slice(1, None))
-    )
+    first, next_to = _pairs_of(in_time)
     both = slope[first] * slope[next_to]
     columns = np.stack([both > 0, both], axis=1)
     sizes, *_ = np.linalg.lstsq(columns, local[first] * local[next_to], rcond=None)
@@ -391,10 +441,12 @@ def slip_scatter(
     return float(np.sqrt(max(variance, 0.0)))
 
 
-_MOST = 0.5
-"""Largest share of noise in the variance of a scatter at which the noise is estimated from the
-forces. In two measured logs the share is .55 and .58 (standard errors .05 and .09): there, the
-noise by the scatter gives effects that hold on other logs, and the estimate does not."""
+def _pairs_of(stretches: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The rows before and after each step of some stretches."""
+    return (
+        np.concatenate([rows[:-1] for rows in stretches]),
+        np.concatenate([rows[1:] for rows in stretches]),
+    )
 
 
 def noise_in_motion(
@@ -418,9 +470,12 @@ def noise_in_motion(
     weight = max(float(slope[kept] @ slope[kept]), NONZERO)
     parts = -slope[kept] * residual[kept] * off[kept]
     variance, error = float(np.sum(parts)) / weight, float(np.sqrt(np.sum(parts**2))) / weight
-    if variance + _CLEAR * error >= _MOST * scatter**2:
+    # Above half of the scatter the estimate is not used: in two measured logs the share is .55 and
+    # .58 (standard errors .05 and .09), and there the noise by the scatter gives effects that hold
+    # on other logs, and the estimate does not.
+    if variance + _CLEAR * error >= 0.5 * scatter**2:
         return None
-    return float(np.sqrt(variance)) if variance > CORRELATED * error else 0.0
+    return float(np.sqrt(variance)) if variance > _SIGNIFICANT * error else 0.0
 
 
 def between(values: np.ndarray, in_time: Sequence[np.ndarray]) -> np.ndarray:

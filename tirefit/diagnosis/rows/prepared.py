@@ -12,7 +12,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.rows import covariates as table
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck, check_data, check_slip, unfit
-from tirefit.diagnosis.rows.slips import AHEAD, slip_law, slip_rate
+from tirefit.diagnosis.rows.slips import slip_law, slip_rate
 from tirefit.fitting.problem.build import check_slip_noise
 from tirefit.fitting.problem.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
@@ -22,15 +22,10 @@ MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that cause the forces -> forces that may be diagnosed."""
 
 SCATTER = "scatter about smooth sweeps"
-_SHOWN = "scatter where the force is steep"
 NOT_STATED = "none assumed"
 
-_MOVE = ("fz", "v", "yaw", "lean", "ahead", "swing", "steering", "across")
-"""Covariates that may move with the true slip."""
-
-_SAME, _NEAR = 0.8, 0.02
-"""Overlap over union from which two stretches coincide; distance within which a step
-coincides with a change of run, as a share of the record."""
+_NEAR = 0.02
+"""Distance within which a step coincides with a change of run, as a share of the record."""
 
 
 @dataclass(frozen=True)
@@ -81,11 +76,6 @@ class Prepared:
         return self.slip_law.moments(self.slip, self.slip_std)[2]
 
     @property
-    def path(self) -> np.ndarray | None:
-        """Slips (n,) estimated from their neighbours in time; None without sweeps."""
-        return None if self.past is None else self.past[:, AHEAD]
-
-    @property
     def past(self) -> np.ndarray | None:
         """Estimated slips before, at and after each row (n, k)."""
         return np.asarray(self.covariates.past) if "sweeps" in self.has else None
@@ -93,29 +83,29 @@ class Prepared:
     @property
     def moving(self) -> list[np.ndarray]:
         """Load, speed and motion of the vehicle (n,), without those with settings."""
-        each = [np.asarray(getattr(self.covariates, name)) for name in _MOVE]
+        names = ("fz", "v", "yaw", "lean", "ahead", "swing", "steering", "across")
+        each = [np.asarray(getattr(self.covariates, name)) for name in names]
         return [values for values in each if not levels(values).few()]
 
     def column(self, name: str) -> np.ndarray:
-        """A table.column of the data, (n,)."""
+        """A column of the data, (n,)."""
         return self.data.usable(name)[self.kept]
 
 
 def _mode(data: TireData) -> str:
-    def drives(slip: str, force: str) -> bool:
-        return slip in data and force in data and np.std(data.usable(slip)) > 1e-6
-
-    along, across = drives("sigma_x", "fx"), drives("alpha", "fy")
+    """The slips that cause the forces, a key of :data:`MODES`."""
+    along, across = (
+        slip in data and force in data and np.std(data.usable(slip)) > 1e-6
+        for slip, force in (("sigma_x", "fx"), ("alpha", "fy"))
+    )
     if along and across:
         slips = data.usable("sigma_x"), np.tan(data.usable("alpha"))
         x, y = (np.std(np.clip(slip, -10, 10)) for slip in slips)  # beyond, all slides
         # A tenth of the other slip is a disturbance.
         return "x" if x > 10 * y else "y" if y > 10 * x else "xy"
     if not along and not across:
-        reason = (
-            "no force with a slip that varies: a diagnosis needs fx with sigma_x"
-            " (or kappa, s), or fy with alpha"
-        )
+        reason = "no force with a slip that varies: a diagnosis needs fx with sigma_x"
+        reason += " (or kappa, s), or fy with alpha"
         raise unfit(data, reason, "see `tirefit inspect`")
     return "x" if along else "y"
 
@@ -127,9 +117,8 @@ def prepare(
     forces, used if it is not stated; None for the scatter about sweeps. Raises DataError."""
     check_data(data, (), rig)
     mode = _mode(data)
-    slip, second = slip_of(data, mode), np.zeros(data.n)
-    if mode == "xy":
-        second = np.tan(table.column(data, "alpha"))
+    slip, zero = slip_of(data, mode), np.zeros(data.n)
+    second = np.tan(table.column(data, "alpha")) if mode == "xy" else zero
     channels = tuple(c for c in MODES[mode] if c in data and c in model)
     if not channels:
         reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
@@ -137,9 +126,8 @@ def prepare(
         raise unfit(data, reason, remedy)
     time, run = order_of(data)
     stated, _ = _slip_std(data, mode, rig, 0.0, None)
-    rate = None
-    if mode == "y" and "alpha_rate" in data:
-        rate = data.usable("alpha_rate") * (1 + slip**2)
+    measured = mode == "y" and "alpha_rate" in data
+    rate = data.usable("alpha_rate") * (1 + slip**2) if measured else None
     sweeps = slip_rate(slip, time, run, float(np.median(stated)), rate, shown)
     std, source = _slip_std(data, mode, rig, sweeps.noise, shown)
     if source != SCATTER:
@@ -151,27 +139,16 @@ def prepare(
     if derived is not None and derived.steered:
         turned = data.usable("fy") * np.tan(data.usable("steering"))
         covariates = covariates._replace(pivot=covariates.across - turned)
-    sizes = table.sizes_of(covariates, slip, float(np.mean(fz)), radius)
-    inputs = TireInputs(
-        np.zeros(data.n),
-        np.zeros(data.n),
-        fz,
-        covariates.v,
-        covariates.gamma,
-        table.column(data, "pressure"),
-        table.column(data, "time"),
-    )
+    pressure, at = table.column(data, "pressure"), table.column(data, "time")
+    inputs = TireInputs(zero, zero, fz, covariates.v, covariates.gamma, pressure, at)
     return Prepared(
         data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        table.needs_met(data, mode, covariates, sweeps.present, radius, derived),
-        time, run,
+        table.needs_met(data, mode, covariates, sweeps.present, radius, derived), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
-        rig.run_order == "random", np.arange(data.n),
-        check_slip(data, rig.rolling_radius),
-        sizes, derived, shown,
-        sweeps.noise,
+        rig.run_order == "random", np.arange(data.n), check_slip(data, rig.rolling_radius),
+        table.sizes_of(covariates, slip, float(np.mean(fz)), radius), derived, shown, sweeps.noise,
     )  # fmt: skip
 
 
@@ -229,11 +206,9 @@ def _slip_std(
     given, of_speed = rig.slip_noise(name), rig.slip_noise(name, "_speed")
     if of_speed is not None:
         return std_with_speed(given or 0.0, of_speed, speed_of(data)), "given"
-    found = (scatter, SCATTER) if shown is None else (shown, _SHOWN)
-    for size, source in ((given, "given"), found):
-        if size:
-            return np.full(data.n, size), source
-    return np.zeros(data.n), NOT_STATED
+    found = (scatter, SCATTER) if shown is None else (shown, "scatter where the force is steep")
+    found = (given, "given") if given else found
+    return (np.full(data.n, found[0]), found[1]) if found[0] else (np.zeros(data.n), NOT_STATED)
 
 
 def neighbours(prepared: Prepared) -> list[np.ndarray]:
@@ -287,4 +262,4 @@ def coincides(
     both = np.minimum(last, blocks[:, 1]) - np.maximum(first, blocks[:, 0])
     either = np.maximum(last, blocks[:, 1]) - np.minimum(first, blocks[:, 0])
     of_runs = np.isinf(blocks[:, 1]) & (np.abs(first - blocks[:, 0]) <= _NEAR)
-    return np.any((both > _SAME * either) | (of_runs & (end > 0.5)), axis=-1)
+    return np.any((both > 0.8 * either) | (of_runs & (end > 0.5)), axis=-1)

@@ -17,21 +17,18 @@ from tirefit.results import DataError, UsageError
 from tirefit.settings import Section, parse_settings
 
 # Optional numbers with the range of plausible values.
-_Force = Annotated[float | None, Field(ge=1e-9, le=1e7)]  # N, or N m
 _Share = Annotated[float | None, Field(ge=1e-9, le=1e2)]
-_Slip = Annotated[float | None, Field(ge=1e-12, le=10)]
-_Speed = Annotated[float | None, Field(ge=1e-9, le=1e3)]  # m/s
 _Length = Annotated[float | None, Field(ge=1e-9, le=1e2)]  # m
 _Time = Annotated[float | None, Field(ge=1e-9, le=1e2)]  # s
-_Inertia = Annotated[float | None, Field(ge=1e-9, le=1e6)]  # kg m2
 
-
-_NOISE = {
-    _Force: ("fx", "fy", "mz", "force"),
+_NOISE: dict[Any, tuple[str, ...]] = {
+    Annotated[float | None, Field(ge=1e-9, le=1e7)]: ("fx", "fy", "mz", "force"),  # N, or N m
     _Share: ("fx_relative", "fy_relative", "mz_relative", "force_relative"),
-    _Slip: ("sigma_x", "kappa", "slip", "alpha"),
-    _Speed: ("sigma_x_speed", "kappa_speed", "slip_speed", "alpha_speed"),
-}
+    Annotated[float | None, Field(ge=1e-12, le=10)]: ("sigma_x", "kappa", "slip", "alpha"),
+    Annotated[float | None, Field(ge=1e-9, le=1e3)]: (  # m/s
+        "sigma_x_speed", "kappa_speed", "slip_speed", "alpha_speed",
+    ),
+}  # fmt: skip
 _KEYS: dict[str, Any] = {key: (kind, None) for kind, keys in _NOISE.items() for key in keys}
 _Noise = create_model("_Noise", __base__=Section, **_KEYS)
 
@@ -47,18 +44,11 @@ _TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
 
 class _RigFile(Section):
     rolling_radius: _Length = None
-    wheel_inertia: _Inertia = None
+    wheel_inertia: Annotated[float | None, Field(ge=1e-9, le=1e6)] = None  # kg m2
     noise: _Noise = _Noise()  # type: ignore[valid-type]
     vehicle: _Vehicle = _Vehicle()
     run_order: Literal["random", "sequential"] | None = None
 
-
-_OWN_COLUMNS = {
-    "force": ("fx_std", "fy_std"),
-    "slip": ("sigma_x_std", "alpha_std"),
-    "kappa": ("sigma_x_std",),
-}
-"""Key of ``[noise]`` -> column with the same content, if it is not named KEY_std."""
 
 STANDS = 0.03  # share of the median speed below which a wheel counts as standing
 
@@ -142,10 +132,13 @@ class Rig:
             data: rows that may have columns such as ``fx_std``.
         """
         names = {k: k.removesuffix("_relative").removesuffix("_speed") for k in self.noise}
+        # Keys whose column is not named KEY_std.
+        others = {"force": ["fx_std", "fy_std"], "slip": ["sigma_x_std", "alpha_std"]}
+        others["kappa"] = ["sigma_x_std"]
         return tuple(
             f"[noise] {key} of the rig is not used: the file has a column {column}"
             for key, name in names.items()
-            for column in _OWN_COLUMNS.get(name, (f"{name}_std",))
+            for column in others.get(name, [f"{name}_std"])
             if column in data
         )
 
@@ -234,13 +227,13 @@ def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
             raise unfit(data, reason, remedy, force)
     for channel in channels:
         column = f"{channel}_std"
-        stated = data.usable(column) if column in data else rig.force_noise(channel, fz)
+        measured = column in data
+        stated = data.usable(column) if measured else rig.force_noise(channel, fz)
         if stated is not None and np.median(stated) > largest:
-            source, at = f"[noise] of the rig for {channel}", channel
-            if column in data:
-                source = at = column
+            source = column if measured else f"[noise] of the rig for {channel}"
             reason = f"noise of {np.median(stated):.3g}, beyond the largest load"
-            raise unfit(data, reason, f"check the unit of the noise, {source}", at)
+            remedy = f"check the unit of the noise, {source}"
+            raise unfit(data, reason, remedy, column if measured else channel)
 
 
 FOR, BESIDE, AGAINST = 3.0, 1.5, -1.5
@@ -282,14 +275,9 @@ def _line(computed: np.ndarray, logged: np.ndarray) -> dict[str, float]:
     columns = np.stack([np.ones_like(computed), computed], axis=1)
     (offset, gain), *_ = np.linalg.lstsq(columns, logged, rcond=None)
     left = logged - columns @ (offset, gain)
-    scatter = np.sqrt(np.sum(left**2) / (len(left) - 2))
-    error = scatter * np.sqrt(np.linalg.inv(columns.T @ columns)[0, 0])
-    return {
-        "scatter": float(scatter),
-        "offset": float(offset),
-        "gain": float(gain),
-        "offset_std": max(float(error), UNSEEN),
-    }
+    scatter = float(np.sqrt(np.sum(left**2) / (len(left) - 2)))
+    error = max(float(scatter * np.sqrt(np.linalg.inv(columns.T @ columns)[0, 0])), UNSEEN)
+    return dict(scatter=scatter, offset=float(offset), gain=float(gain), offset_std=error)
 
 
 def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:

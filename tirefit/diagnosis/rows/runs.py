@@ -18,23 +18,10 @@ from tirefit.diagnosis.rows.slips import shown_runs
 from tirefit.padding import pad_rows
 
 
-class Shrunk(NamedTuple):
-    """Normal law of the runs: its ``common`` value with ``std``, the ``spread`` between
-    runs with its 90 % interval, ``p_value`` of no spread, and each run's value and
-    standard error, shrunk towards the common one, (R,) each."""
-
-    common: float
-    std: float
-    spread: float
-    spread_ci: tuple[float, float]
-    p_value: float
-    values: np.ndarray
-    errors: np.ndarray
-
-
 class RunOffsets(NamedTuple):
-    """:class:`Shrunk` of one kind of offset, in its unit; ``values`` are (value,
-    standard error) by the name of the run."""
+    """Normal law of one kind of offset of the runs, in its unit: the ``common`` value with
+    ``std``, the ``spread`` between runs with its 90 % interval, ``p_value`` of no spread, and
+    (value, standard error) by the name of the run, shrunk towards the common value."""
 
     unit: str
     common: float
@@ -45,8 +32,9 @@ class RunOffsets(NamedTuple):
     values: Mapping[str, tuple[float, float]]
 
 
-def shrunk(values: np.ndarray, covariance: np.ndarray) -> Shrunk:
-    """A normal law of the runs' true values, by restricted maximum likelihood.
+def shrunk(values: np.ndarray, covariance: np.ndarray) -> tuple[RunOffsets, np.ndarray, np.ndarray]:
+    """A normal law of the runs' true values, by restricted maximum likelihood; and these values
+    with their standard errors, (R,) each.
 
     Values ~ N(common, covariance + spread^2 I); see DerSimonian and Laird 1986 for the
     model, Morris 1983 for the values that shrink to it.
@@ -68,18 +56,13 @@ def shrunk(values: np.ndarray, covariance: np.ndarray) -> Shrunk:
     best = int(np.argmax(logs))
     inside = tried[logs > logs[best] - 1.353]  # half of chi-squared at 90 %
     far = tried[best] ** 2 * sharp[best]
-    own = common[best] + axes @ (far * off[best])
     pull = 1 - axes @ (far * one)
+    law = RunOffsets(
+        "", float(common[best]), float(weight[best] ** -0.5), float(tried[best]),
+        (float(inside[0]), float(inside[-1])), float(chdtrc(len(off[best]) - 1, square[0])), {},
+    )  # fmt: skip
     errors = np.sqrt(axes**2 @ (far * error) + pull**2 / weight[best])
-    return Shrunk(
-        float(common[best]),
-        float(weight[best] ** -0.5),
-        float(tried[best]),
-        (float(inside[0]), float(inside[-1])),
-        float(chdtrc(len(own) - 1, square[0])),
-        own,
-        errors,
-    )
+    return law, common[best] + axes @ (far * off[best]), errors
 
 
 def _estimates(
@@ -127,7 +110,7 @@ def _estimates(
         own = own - own.mean()
         inverse = inverse - one @ inverse - inverse @ one + one @ inverse @ one
         inverse = inverse + one * np.trace(inverse) / max(len(codes) - 1, 1)
-    return codes, own, max(level.inflation for level in base.noise.values()) * inverse
+    return codes, own, base.inflation * inverse
 
 
 def offsets_of_runs(base: Any, hypothesis: Fit) -> dict[str, RunOffsets]:
@@ -135,43 +118,32 @@ def offsets_of_runs(base: Any, hypothesis: Fit) -> dict[str, RunOffsets]:
     offsets = {}
     for kind, offset in RUN_OFFSETS.items():
         if (seen := _estimates(base, kind, hypothesis)) is not None:
-            law = shrunk(*seen[1:])
-            names = [base.rows.data.runs[code] for code in seen[0]]
-            own = zip(law.values.tolist(), law.errors.tolist(), strict=True)
-            by_name = dict(zip(names, own, strict=True))
-            offsets[kind] = RunOffsets(offset.unit, *law[:5], by_name)
+            law, *each = shrunk(*seen[1:])
+            names = (base.rows.data.runs[code] for code in seen[0])
+            own = zip(*(part.tolist() for part in each), strict=True)
+            values = dict(zip(names, own, strict=True))
+            offsets[kind] = law._replace(unit=offset.unit, values=values)
     return offsets
 
 
-def _pattern(base: Any, kind: str) -> np.ndarray:
-    """Offsets of the runs minus their mean, scaled to unit rms over the rows: (n,)."""
-    pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
-    if seen is None or (law := shrunk(*seen[1:])).spread == 0:
-        return pattern
-    for code, value in zip(seen[0], law.values, strict=True):
-        pattern[base.rows.run == code] = value
-    pattern -= pattern.mean()
-    size = np.sqrt(np.mean(pattern**2))
-    return pattern / size if size > 0 else pattern
-
-
 def with_runs(base: Any) -> Any:
-    """The base with the patterns of the offsets of its runs, if there are several."""
+    """The base with the patterns of the offsets of its runs, if there are several: minus their
+    mean, scaled to unit rms over the rows."""
     if "runs" not in base.rows.has:
         return base
-    size, rows = len(base.design.keep), base.design.rows
-    differences = {
-        offset.pattern: pad_rows(_pattern(base, kind), size) for kind, offset in RUN_OFFSETS.items()
-    }
-    return base.on(base.design._replace(rows=rows._replace(**differences)))
-
-
-LEAST_RUNS = 4
-"""Smallest number of runs for leaving out whole runs: three measured circles, two to one
-side, do not show a slip offset that four logs show at 14 standard errors."""
-
-_BLOCKS, _LEAST_ROWS = 8, 12
-"""Largest number of blocks of time or parts of the slip; smallest number of rows of a fold."""
+    patterns, rows = {}, base.design.rows
+    for kind, offset in RUN_OFFSETS.items():
+        pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
+        if seen is None:
+            continue
+        law, values, _ = shrunk(*seen[1:])
+        if law.spread:
+            for code, value in zip(seen[0], values, strict=True):
+                pattern[base.rows.run == code] = value
+            pattern -= pattern.mean()
+            pattern /= np.sqrt(np.mean(pattern**2)) or 1.0
+        patterns[offset.pattern] = pad_rows(pattern, len(base.design.keep))
+    return base.on(base.design._replace(rows=rows._replace(**patterns)))
 
 
 def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> Folds:
@@ -185,13 +157,15 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
             cannot be predicted from the others.
     """
     runs = shown_runs(prepared.run, prepared.data.runs)
-    if across_runs and len(runs) >= LEAST_RUNS:
+    # Three measured circles, two to one side, do not show a slip offset that four logs show at 14
+    # standard errors.
+    if across_runs and len(runs) >= 4:
         code = np.full(prepared.n, -1)
         for number, run in enumerate(runs):
             code[prepared.run == run] = number
         return Folds(code, f"{len(runs)} runs left out in turn")
-    most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
-    count = max(min(_BLOCKS, most), 2)
+    least = 12  # rows of a part; at most eight parts
+    count = max(min(8, int(prepared.n // max(least, 4 * rows_each))), 2)
     if prepared.time is not None and np.ptp(prepared.time) and not prepared.random_order:
         # Order runs by name, as their codes follow the order of the rows.
         place = np.argsort(np.argsort(prepared.data.runs))
@@ -201,14 +175,14 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
     each = [found.code for found in settings if found.few()]
     if each:
         _, code, sizes = np.unique(each, axis=1, return_inverse=True, return_counts=True)
-        if len(sizes) > 2 and sizes.min() >= _LEAST_ROWS:
-            on = f"{len(sizes)} settings of load and speed left out in turn"
-            return Folds(code, on)
+        if len(sizes) > 2 and sizes.min() >= least:
+            return Folds(code, f"{len(sizes)} settings of load and speed left out in turn")
     parts = _in_parts(np.argsort(prepared.slip, kind="stable"), 2 * count) % count
     return Folds(parts, f"{count} parts of the slip range left out in turn")
 
 
 def _in_parts(order: np.ndarray, count: int) -> np.ndarray:
+    """Part (n,) of each row of an order, of equal numbers of rows."""
     code = np.empty(len(order), int)
     code[order] = np.arange(len(order)) * count // len(order)
     return code

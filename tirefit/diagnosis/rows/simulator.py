@@ -8,7 +8,7 @@ from functools import partial
 from itertools import combinations
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -51,12 +51,8 @@ _SCALING = {
 _FACTOR = 50.0
 """Largest scaling factor that is adapted; the smallest is its reciprocal."""
 
-_FELT, _CLEAR, _NEAR, _ALIKE = 0.1, 0.5, 0.2, 1.02
-"""Other signs are reported under two conditions, for each channel whose force they change
-by the first share of its squared misfit or more: at most the second share of the misfit
-remains, and the change fits best at a factor that differs from 1 by at most the third (an
-offset of the slip has the same shape at any factor). The last number is the ratio of
-squared misfits of two equally good fits."""
+_FELT = 0.1
+"""Share of its squared misfit by which signs change a force whose misfit they may explain."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,17 +141,16 @@ class Given:
             values = parameter_values(tire)
             if "LMUX" in values:
                 known, free = specs(tire), []
-                limits: dict[str, Any] = {"lower": 1 / _FACTOR, "upper": _FACTOR}
-                factors = [one for mode in prepared.mode for one in _SCALING[mode]]
-                for name, text in factors:
-                    spec = known[name]._replace(meaning=text, scale="log", **limits)
+                for name, text in (one for mode in prepared.mode for one in _SCALING[mode]):
+                    spec = known[name]._replace(
+                        meaning=text, scale="log", lower=1 / _FACTOR, upper=_FACTOR
+                    )
                     free.append(FreeParameter(name, spec))
                 layout = Layout(tuple(free))
             else:
                 held = {name: {"value": float(value)} for name, value in values.items()}
                 config = parse_config({"parameters": held})
-                own = choose_layout(tire, config, ("run",), prepared.channels)
-                tire, layout = own[:2]
+                tire, layout, *_ = choose_layout(tire, config, ("run",), prepared.channels)
             z = np.asarray(layout.unconstrained(values))
         z = np.asarray(z)
         return Tire(tire, layout, tuple(effects), prepared.mode), z, z
@@ -281,10 +276,18 @@ def simulator_at(
         of_tir: ``side``, ``signs`` and ``combination`` for a ``.tir`` file, see
             :func:`tirefit.fitting.tir.tire_of`.
     """
-    values = dict(values or {})
-    kind = tire_kind(text)
+    values, kind = dict(values or {}), tire_kind(text)
     if kind == "tir":
-        return _at_tir(text, values, of_tir)
+        tir, signs = read_tir(text), of_tir.get("signs")
+        options: dict[str, Any] = of_tir
+        tire = tire_of(tir, values=values, **options)
+        check_values(tire, text, values)
+        tire, sha256 = with_values(tire, values), _digest(text)
+        own = partial(remarks, tir, tire, signs=signs)
+        text += "".join(f", {name} = {value:g}" for name, value in values.items())
+        text += "".join(f", {k} {v}" for k, v in of_tir.items() if v)
+        given = _of_tire(tire, "tir", text, sha256)
+        return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=own)
     if kind == "fit":
         if values:
             reason, remedy = "--set with a fit.json", "use it with the name of a model"
@@ -295,37 +298,13 @@ def simulator_at(
     template = find_model(text)
     check_values(template, text, values)
     whole, known = parameter_values(template) | values, specs(template)
-    shown = (name for name in whole if name in values or known[name].free)
-    for k in shown:
+    for k in (name for name in whole if name in values or known[name].free):
         text += f", {k} = {float(whole[k]):g}{'' if k in values else ' (default)'}"
     return _of_tire(with_values(template, whole), "model", text)
 
 
-def _at_tir(text: str, values: dict[str, float], of_tir: dict[str, Any]) -> Given:
-    tir, signs = read_tir(text), of_tir.get("signs")
-    tire = tire_of(tir, values=values, **of_tir)
-    check_values(tire, text, values)
-    tire = with_values(tire, values)
-    message = "".join(f", {name} = {value:g}" for name, value in values.items())
-    message += "".join(f", {k} {v}" for k, v in of_tir.items() if v)
-    given = _of_tire(tire, "tir", f"{text}{message}", _digest(text))
-    own = partial(remarks, tir, tire, signs=signs)
-    return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=own)
-
-
 def _digest(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-class _Misfit(NamedTuple):
-    """For each channel (C,), with some signs reversed: the rms misfit, its mean square
-    with adapted parameters, the mean square change of the force by the signs, and the
-    factor of this change that fits best."""
-
-    rms: np.ndarray
-    square: np.ndarray
-    change: np.ndarray
-    factor: np.ndarray
 
 
 def check_signs(prepared: Prepared, tire: Tire, z: np.ndarray, given: Given) -> str:
@@ -333,27 +312,37 @@ def check_signs(prepared: Prepared, tire: Tire, z: np.ndarray, given: Given) -> 
     in other axes or for the other side of the vehicle does; else an empty text. Raises
     DataError for a file or columns without declared signs, as the diagnosis would name
     an effect instead of the wrong signs. ``tire`` may be the stand-in."""
-    inputs = _inputs(prepared)._asdict()
+    size = padded_size(prepared.n)
+    inputs = {name: np.zeros(size) for name in TireInputs._fields}
+    for name in (name for name in inputs if name in prepared.data):
+        inputs[name] = pad_rows(np.nan_to_num(prepared.column(name)), size)
+    misfits = partial(_misfits, prepared, tire, np.asarray(z, float), TireInputs(**inputs))
     columns = {"slip": "sigma_x", "alpha": "alpha", "gamma": "gamma"}
     moved = [field for field, name in columns.items() if np.any(inputs[name])]
     there, left = frozenset((*moved, *prepared.channels)), {}
-    before = _misfits(prepared, tire, z, frozenset())
-    for turned in _hypotheses(there):
-        after = _misfits(prepared, tire, z, turned)
-        share, felt = after.square / before.square, after.change > _FELT * before.square
-        near = (np.abs(after.factor - 1) < _NEAR) & (share < 1)
-        if felt.any() and near[felt].all() and np.mean(share[felt]) < _CLEAR:
+    # Differences of conventions, the other side of the vehicle, and single fields.
+    sets = [one.turned(other) for one, other in combinations(CONVENTIONS.values(), 2)]
+    sets += [OTHER_SIDE, *(frozenset((name,)) for name in ("gamma", "fx", "fy", "mz"))]
+    rms, square, *_ = misfits(frozenset())
+    for turned in dict.fromkeys(turned & there for turned in sets):
+        if not turned:
+            continue
+        _, after, change, factor = misfits(turned)
+        share, felt = after / square, change > _FELT * square
+        # For each force that is changed, the change fits best at a factor within 0.2 of 1, as an
+        # offset of the slip has the same shape at any factor; half of the misfit may remain.
+        near = (np.abs(factor - 1) < 0.2) & (share < 1)
+        if felt.any() and near[felt].all() and np.mean(share[felt]) < 0.5:
             left[turned] = float(np.sum(share))
     if not left:
         return ""
-    alike = [h for h in left if left[h] <= _ALIKE * min(left.values())]
-    after = _misfits(prepared, tire, z, alike[0])
+    alike = [h for h in left if left[h] <= 1.02 * min(left.values())]  # equally good fits
+    left_rms, after, change, _ = misfits(alike[0])
     better = ", ".join(
-        f"{c} {before.rms[k]:.3g} -> {after.rms[k]:.3g} {CANONICAL[c][0]} rms"
-        f" ({before.square[k] ** 0.5:.3g} -> {after.square[k] ** 0.5:.3g} if adapted"
-        " too)"
+        f"{c} {rms[k]:.3g} -> {left_rms[k]:.3g} {CANONICAL[c][0]} rms"
+        f" ({square[k] ** 0.5:.3g} -> {after[k] ** 0.5:.3g} if adapted too)"
         for k, c in enumerate(prepared.channels)
-        if after.change[k] > _FELT * before.square[k]
+        if change[k] > _FELT * square[k]
     )
     fields = CONVENTIONS[TIR_SIGNS]._fields
     names = {f: "sigma_x" if f == "slip" else f for f in fields}
@@ -366,27 +355,14 @@ def check_signs(prepared: Prepared, tire: Tire, z: np.ndarray, given: Given) -> 
     raise unfit(prepared.data, reason, remedy)
 
 
-def _inputs(prepared: Prepared) -> TireInputs:
-    """All inputs as measured, padded."""
-    size, names = padded_size(prepared.n), TireInputs._fields
-    there = {n: prepared.column(n) for n in names if n in prepared.data}
-    padded = {n: pad_rows(np.nan_to_num(v), size) for n, v in there.items()}
-    return TireInputs(*(padded.get(n, np.zeros(size)) for n in names))
-
-
-def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
-    """Sets of fields to reverse: differences of conventions, the other side of the
-    vehicle, and single fields."""
-    pairs = combinations(CONVENTIONS.values(), 2)
-    sets = [*(one.turned(other) for one, other in pairs), OTHER_SIDE]
-    sets += [frozenset((name,)) for name in ("gamma", "fx", "fy", "mz")]
-    return [h for h in dict.fromkeys(h & there for h in sets) if h]
-
-
-def _misfits(prepared: Prepared, tire: Tire, z: np.ndarray, turned: frozenset[str]) -> _Misfit:
-    """The misfit with the signs of ``turned`` reversed."""
-    n, inputs, channels = prepared.n, _inputs(prepared), prepared.channels
-    run = pad_rows(prepared.run, padded_size(n))
+def _misfits(
+    prepared: Prepared, tire: Tire, z: np.ndarray, inputs: TireInputs, turned: frozenset[str]
+) -> tuple[np.ndarray, ...]:
+    """For each channel (C,), with the signs of ``turned`` reversed: the rms misfit, its mean
+    square with adapted parameters, the mean square change of the force by the signs, and the
+    factor of this change that fits best."""
+    n, channels = prepared.n, prepared.channels
+    run, values = pad_rows(prepared.run, padded_size(n)), tire.layout.vector(z)
 
     def of(z: np.ndarray, turned: frozenset[str] = turned) -> np.ndarray:
         model = with_values(tire.model, tire.layout.natural(z))
@@ -394,8 +370,14 @@ def _misfits(prepared: Prepared, tire: Tire, z: np.ndarray, turned: frozenset[st
         every = turned_forces(found, turned)._asdict()
         return np.array([every[c][:n] for c in channels])
 
-    here, z = of(z), np.asarray(z, float)
-    change, values = here - of(z, frozenset()), tire.layout.vector(z)
+    def adapted(gap: np.ndarray, columns: np.ndarray) -> float:
+        """Mean square of a gap (n,) after fitting bounded changes of the parameters."""
+        best = np.linalg.lstsq(columns, gap, rcond=None)[0]
+        best /= max(1.0, np.max(abs(best), initial=0.0))
+        return float(np.mean((gap - columns @ best) ** 2))
+
+    here = of(z)
+    change = here - of(z, frozenset())
     # A misfit that 30 % of the parameters explain does not come from signs.
     slopes = np.zeros((len(z), *here.shape))
     for i, step in enumerate(1e-4 * np.eye(len(z))):
@@ -404,21 +386,13 @@ def _misfits(prepared: Prepared, tire: Tire, z: np.ndarray, turned: frozenset[st
         slopes[i] = unit * (of(z + step) - here)
     gap = [prepared.observed[c] - prepared.column(f"{c}_sim") for c in channels]
     none, once, twice = (
-        np.array([*map(_adapted, gap - k * change, np.moveaxis(slopes, 0, -1))]) for k in (0, 1, 2)
+        np.array([*map(adapted, gap - k * change, np.moveaxis(slopes, 0, -1))]) for k in (0, 1, 2)
     )
     # Minimum of the parabola through the three mean squares.
     bend, top = 2 * (none - 2 * once + twice), 3 * none - 4 * once + twice
     factor = np.where(bend > 0, top / np.where(bend > 0, bend, 1.0), 0.0)
     rms = np.sqrt(np.mean((gap - change) ** 2, axis=1))
-    square = np.maximum(once, NONZERO)
-    return _Misfit(rms, square, np.mean(change**2, axis=1), factor)
-
-
-def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
-    """Mean square of a gap (n,) after fitting bounded changes of the parameters."""
-    best = np.linalg.lstsq(columns, gap, rcond=None)[0]
-    best /= max(1.0, np.max(abs(best), initial=0.0))
-    return float(np.mean((gap - columns @ best) ** 2))
+    return rms, np.maximum(once, NONZERO), np.mean(change**2, axis=1), factor
 
 
 def _remedies(

@@ -26,11 +26,8 @@ _SPAN = 0.0375
 """Smallest interval, over the time in which the slip changes by its standard deviation;
 linear interpolation over it is accurate to 2e-4 of that deviation."""
 
-_WORTH, _MORE = 0.7, 1.25
-"""Log probability of each row that a parabola explains, calibrated on saw-tooth and
-sine sweeps; ratio of two estimates of the noise above which they disagree."""
-
-_NOISY = 17  # number of rows over which a well sampled slip is a parabola
+_MORE = 1.25
+"""Ratio of two estimates of the noise above which they disagree."""
 
 
 def segments(time: Values, run: np.ndarray) -> list[np.ndarray]:
@@ -73,10 +70,13 @@ def _scatter(slip: np.ndarray, parts: Sequence[np.ndarray], order: int) -> float
 
 
 class _Path(NamedTuple):
-    value: np.ndarray  # (n,)
-    slope: np.ndarray  # (n,)
-    slope_error: np.ndarray  # (n,) standard deviation
-    reach: np.ndarray  # (n, 2 _REACH + 1) weights of the surrounding values
+    """Slip and its rate (n,), error of the rate (n,), and weights (n, 2 _REACH + 1) of the
+    surrounding values."""
+
+    value: np.ndarray
+    slope: np.ndarray
+    slope_error: np.ndarray
+    reach: np.ndarray
 
 
 def _averaged(values: np.ndarray, time: np.ndarray, noise: float) -> _Path:
@@ -86,7 +86,8 @@ def _averaged(values: np.ndarray, time: np.ndarray, noise: float) -> _Path:
     # A parabola through 3 rows is exact: keep the measured values.
     for window in (w for w in (3, *_WINDOWS) if w <= size):
         rows, fit, misfit, unit = _parabolas(values, time, window)
-        log = _WORTH * (window - 3) - 0.5 * misfit / noise**2
+        # Each row explained is worth .7 of log probability, by saw-tooth and sine sweeps.
+        log = 0.7 * (window - 3) - 0.5 * misfit / noise**2
         for first in (row - window // 2, row, row - window + 1):
             start = np.clip(first, 0, size - window)
             at = rows[start, row - start]
@@ -149,26 +150,23 @@ class Past(NamedTuple):
         when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
         low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(part) - 2)
         share = (when - time[low]) / (time[low + 1] - time[low])
-        self.rows[part], self.others[part] = part[low], part[low + 1]
-        self.share[part] = share
+        self.rows[part], self.others[part], self.share[part] = part[low], part[low + 1], share
         return low, share
 
+    def fill(self, part: np.ndarray, values: np.ndarray, time: Values, path: _Path) -> None:
+        """Write the past of the rows ``part`` of one unbroken stretch."""
+        low, share = self.place(part, time)
+        row = np.arange(len(part))[:, None]
 
-def _fill_past(past: Past, part: np.ndarray, values: np.ndarray, time: Values, path: _Path) -> None:
-    """Write the past of the rows ``part`` of one unbroken stretch."""
-    low, share = past.place(part, time)
-    row = np.arange(len(part))[:, None]
+        def own(at: np.ndarray) -> np.ndarray:
+            """Weight of the value of each row in the path at that row."""
+            weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
+            return np.where(np.abs(row - at) > _REACH, 0.0, weight)
 
-    def own(at: np.ndarray) -> np.ndarray:
-        """Weight of the value of each row in the path at that row."""
-        far = np.abs(row - at) > _REACH
-        weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
-        return np.where(far, 0.0, weight)
-
-    alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
-    noise = ((values - path.value) / alone)[:, None]
-    mean = (1 - share) * path.value[low] + share * path.value[low + 1]
-    past.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
+        alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
+        noise = ((values - path.value) / alone)[:, None]
+        mean = (1 - share) * path.value[low] + share * path.value[low + 1]
+        self.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
 
 
 class Sweeps(NamedTuple):
@@ -182,13 +180,9 @@ class Sweeps(NamedTuple):
 
 
 def slip_rate(
-    slip: np.ndarray,
-    time: Values | None,
-    run: np.ndarray,
-    noise: float = 0.0,
-    rate: np.ndarray | None = None,
-    shown: float | None = None,
-) -> Sweeps:
+    slip: np.ndarray, time: Values | None, run: np.ndarray, noise: float = 0.0,
+    rate: np.ndarray | None = None, shown: float | None = None,
+) -> Sweeps:  # fmt: skip
     """Rate of change of slips (n,) at times (n,) [s], or None, of runs (n,).
 
     Args:
@@ -205,15 +199,24 @@ def slip_rate(
     parts = [part for part in segments(time, run) if len(part) >= _WINDOWS[0] + 2]
     if sum(len(part) for part in parts) < 0.5 * count:
         return still
-    if rate is not None and np.any(rate):
-        return _by_its_rate(slip, time, rate, parts, still)
+    if rate is not None and np.any(rate):  # cubics through values and measured rates
+        size = float(np.sqrt(np.mean(rate**2)))
+        past = past._replace(interval=_SPAN * float(np.std(slip)) / size)
+        for part in parts:
+            past.place(part, time[part])
+        past.path[:] = past.of(slip, rate, time)
+        # The error of a measured rate is a twentieth of it.
+        turning = np.clip(np.sign(slip) * rate / (2 * (0.05 * size)), -1, 1)
+        return Sweeps(rate, turning, past, True, 0.0)
     curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
     if curved > 0.4 * np.std(slip):  # neighbours in time scatter: no sweep
         return still
-    # For noise all estimates agree; a curve raises those of low order or wide parabolas.
-    long = [part for part in parts if len(part) >= _NOISY]
-    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long] or [np.array([np.inf])]
-    about = np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3))
+    # For noise all estimates agree; a curve raises those of low order or wide parabolas. A well
+    # sampled slip is a parabola over 17 rows.
+    wide = 17
+    long = [part for part in parts if len(part) >= wide]
+    left = [_parabolas(slip[p], time[p], wide)[2] for p in long] or [np.array([np.inf])]
+    about = np.sqrt(np.median(np.concatenate(left)) / (wide - 3))
     most = max(curved, float(about))
     scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
@@ -227,7 +230,7 @@ def slip_rate(
     past = past._replace(interval=max(usual, _SPAN * period))
     past.path[:] = past.of(slip)
     for part, path in zip(parts, paths, strict=True):
-        _fill_past(past, part, slip[part], time[part], path)
+        past.fill(part, slip[part], time[part], path)
         still.rate[part] = path.slope
         # Slips from a formula have no error.
         finest = FLAT * float(np.max(np.abs(path.slope)))
@@ -235,20 +238,6 @@ def slip_rate(
         certain = np.sign(slip[part]) * path.slope / (2 * error)
         still.turning[part] = np.clip(certain, -1, 1)
     return still._replace(present=True, noise=scatter, past=past)
-
-
-def _by_its_rate(
-    slip: np.ndarray, time: Values, rate: np.ndarray, parts: Sequence[np.ndarray], still: Sweeps
-) -> Sweeps:
-    """Sweeps of cubics through values and measured rates."""
-    usual = float(np.sqrt(np.mean(rate**2)))
-    past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
-    for part in parts:
-        past.place(part, time[part])
-    past.path[:] = past.of(slip, rate, time)
-    error = 0.05 * usual  # error of a measured rate
-    turning = np.clip(np.sign(slip) * rate / (2 * error), -1, 1)
-    return still._replace(present=True, rate=rate, past=past, turning=turning)
 
 
 _FEW, _MANY = (np.polynomial.hermite_e.hermegauss(count) for count in (3, 5))
@@ -281,10 +270,9 @@ def slip_nodes(
 def slip_doubt(
     law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray, path: np.ndarray | None = None
 ) -> np.ndarray:
-    """Common error of the estimated slips: columns (n, k) times independent unit normal
-    numbers. The density of the true slips is estimated from the same noisy slips, so
-    rows with equal slips share its error. ``path`` (n,) holds slips estimated from
-    their neighbours in time, or is None.
+    """Common error of the estimated slips: columns (n, k) times independent unit normal numbers.
+    The density of the true slips is estimated from the same noisy slips, so rows with equal slips
+    share its error. ``path`` (n,) holds slips estimated from their neighbours in time, or is None.
     """
     columns, std = [np.zeros((len(slip), 0))], np.maximum(std, FLAT)
     if law is not None and _steep(slip, std):
@@ -297,13 +285,9 @@ def slip_doubt(
 
 
 def slip_proxies(
-    law: SlipDistribution | None,
-    slip: np.ndarray,
-    std: np.ndarray,
-    measured: Sequence[np.ndarray],
-    path: np.ndarray | None = None,
-    past: np.ndarray | None = None,
-) -> np.ndarray:
+    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray,
+    measured: Sequence[np.ndarray], path: np.ndarray | None = None, past: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Error of the estimated slips as predicted from other measurements: columns (n, k).
 
     A quantity that follows the true slip, such as a load that cornering shifts, does not

@@ -1,16 +1,17 @@
 """What a simulator lacks, from its forces alone: they have no noise, so a structure that
 explains them does so to their last digits."""
 
-from collections.abc import Callable, Iterator
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.rows.noise import in_order
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.params import Values
 
 _EXPLAINED = 0.005
 """Largest rms error of a structure over the simulated force (rms)."""
@@ -19,30 +20,8 @@ _RATHER = 0.1
 """Scatter of a simulated force about a curve, over that without the own delay, lag or load of
 a structure, below which the simulator has that structure."""
 
-_PARTLY = 0.8
-"""The same, below which it may have a delay or lag that the rows are too far apart to show."""
-
-_AT_TOP, _BELOW_TOP = 0.999, 0.9
-"""Force over its largest above which it is clipped, and below which it is surely not."""
-
-_FEWEST = 3  # rows on either side of a corner
-
-_STEPS = 0.2  # distinct forces per distinct slip, below which a simulator has steps
-
-_NEAR_LIMIT, _NEARLY_ALL = 0.95, 0.8
-"""Force over its largest that counts as sliding, and share of rows that slide, above which a
-simulator always slides."""
-
-_FAR_BELOW = 0.6  # its limit over the measured force, below which its friction is too low
-
-_LOADS = 0.05  # standard deviation over mean of a load that varies
-
-_ROWS_PER_DELAY = 4.0
-"""Rows in an own delay or time constant that always show it."""
-
-_LOG_DELAYS = np.linspace(np.log(0.005), np.log(0.5), 25)
-"""Logarithms of the own delays and time constants that are tried [s]."""
-
+_AT_TOP = 0.999
+"""Force over its largest above which it is clipped."""
 
 UNLIKE = ("no_saturation", "clipped", "steps")
 """Structures that no tire model of the library has: its parameters would mislead."""
@@ -61,190 +40,137 @@ class Structure(NamedTuple):
 
 def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
     """The structures of the simulated forces over their own slip, most important first."""
-    found: list[Structure] = []
-    for channel in prepared.channels:
-        if channel in ("fx", "fy"):
-            name = "alpha" if channel == "fy" else "sigma_x"
-            slip, force = prepared.column(name), prepared.column(f"{channel}_sim")
-            found += _structures(prepared, channel, name, slip, force)
-    return tuple(found)
-
-
-def _structures(
-    prepared: Prepared, channel: str, name: str, slip: np.ndarray, force: np.ndarray
-) -> Iterator[Structure]:
-    load, (unit, *_) = prepared.column("fz"), CANONICAL[name]
-    per = "" if unit == "-" else f"/{unit}"
-    size = max(_rms(force), NONZERO)
-    used = np.max(np.abs(force) / np.maximum(load, NONZERO))
-    what = "slip angle" if name == "alpha" else "slip"
-    varies = np.std(load) > _LOADS * np.mean(load)
-    for scale, of_load in ((np.ones_like(load), ""), (load, " and the load")):
-        slope, offset = np.polynomial.polynomial.polyfit(slip, force / scale, 1)[::-1]
-        if _rms(force - scale * (slope * slip + offset)) < _EXPLAINED * size:
-            steep = slope * np.mean(scale)
-            yield Structure(
-                "no_saturation",
-                channel,
-                f"it is proportional to the {what}{of_load} ({steep:.4g} N{per}), so it has no"
-                f" friction limit: here it uses up to {used:.2f} F_z",
-                "give the tire a friction limit: fit a brush to the measured rows"
-                " (tirefit fit), and export it to the simulator",
-                float(steep),
-            )
-            return
-        if (clipped := _clipped(slip, force, scale)) is not None:
-            limit, slope = clipped
-            of_what = f"{limit:.4g} of the load" if of_load else f"{limit:.4g} N"
-            yield Structure(
-                "clipped",
-                channel,
-                f"it is proportional to the {what} up to a limit of {of_what}, with a sharp corner",
-                "give the tire a smooth transition to sliding: fit a brush to the measured rows",
-                float(slope * np.mean(scale)),
-            )
-            return
-    measured = prepared.column(channel)
-    if (slides := _always_sliding(channel, what, force / load, measured / load)) is not None:
-        yield slides
-        return
-    values = len(np.unique(np.round(force, 9)))
-    if values < _STEPS * len(np.unique(slip)):
-        yield Structure(
-            "steps",
-            channel,
-            f"it has only {values} different values",
-            "interpolate the simulator's table instead of taking the nearest entry",
-        )
-        return
-    per_load, plain = _scatter(slip, force / load), _scatter(slip, force)
-    if varies and plain < _RATHER * per_load * np.mean(load):
-        yield Structure(
-            "no_load",
-            channel,
-            "it does not depend on the load",
-            "give the simulator the load of each row, and a tire that depends on it",
-        )
-    yield from _own_time(prepared, channel, slip, force / load)
-
-
-def _always_sliding(
-    channel: str, what: str, share: np.ndarray, measured: np.ndarray
-) -> Structure | None:
-    """A force over the load that is at its limit in nearly all rows; None for another."""
-    limit, reached = (np.quantile(np.abs(x), _AT_TOP) for x in (share, measured))
-    if np.mean(np.abs(share) > _NEAR_LIMIT * limit) < _NEARLY_ALL:
-        return None
-    remedy = f"check the unit of its {what}: degrees where radians are expected, or per cent;"
-    remedy += " if it is right, lower the stiffness"
-    return Structure(
-        "always_sliding",
-        channel,
-        f"it is at its limit of {limit:.2f} F_z in nearly all rows; the measured force"
-        f" reaches {reached:.2f} F_z",
-        "raise its friction" if limit < _FAR_BELOW * reached else remedy,
+    return tuple(
+        one
+        for channel in prepared.channels
+        if channel in ("fx", "fy")
+        for one in _structures(prepared, channel, "alpha" if channel == "fy" else "sigma_x")
     )
 
 
-def _clipped(slip: np.ndarray, force: np.ndarray, scale: np.ndarray) -> tuple[float, float] | None:
-    """Limit and slope, over ``scale``, of a force that is proportional to the slip up to the
-    limit; None for another."""
-    share = force / scale
+def _structures(prepared: Prepared, channel: str, name: str) -> Iterator[Structure]:
+    """Those of one force over the slip of this column."""
+    slip, force = prepared.column(name), prepared.column(f"{channel}_sim")
+    load, measured = prepared.column("fz"), prepared.column(channel)
+    per = "" if CANONICAL[name][0] == "-" else f"/{CANONICAL[name][0]}"
+    what = "slip angle" if name == "alpha" else "slip"
+    for scale, of_load in ((np.ones_like(load), ""), (load, " and the load")):
+        slope, offset = np.polynomial.polynomial.polyfit(slip, force / scale, 1)[::-1]
+        missed = rms(force - scale * (slope * slip + offset))
+        if missed < _EXPLAINED * max(rms(force), NONZERO):
+            steep = float(slope * np.mean(scale))
+            used = np.max(np.abs(force) / np.maximum(load, NONZERO))
+            means = f"it is proportional to the {what}{of_load} ({steep:.4g} N{per}), so it has no"
+            means += f" friction limit: here it uses up to {used:.2f} F_z"
+            remedy = "give the tire a friction limit: fit a brush to the measured rows"
+            remedy += " (tirefit fit), and export it to the simulator"
+            yield Structure("no_saturation", channel, means, remedy, steep)
+            return
+        if (clipped := _clipped(slip, force / scale)) is not None:
+            unit = "of the load" if of_load else "N"
+            means = f"it is proportional to the {what} up to a limit of {clipped[0]:.4g} {unit}"
+            remedy = (
+                "give the tire a smooth transition to sliding: fit a brush to the measured rows"
+            )
+            steep = float(clipped[1] * np.mean(scale))
+            yield Structure(
+                "clipped", channel, f"{means}, with a sharp corner", f"{remedy} rows", steep
+            )
+            return
+    limit, reached = (float(np.quantile(np.abs(x) / load, _AT_TOP)) for x in (force, measured))
+    # At 95 % of its limit a force slides; a simulator of which 80 % of the rows do always slides.
+    if np.mean(np.abs(force / load) > 0.95 * limit) >= 0.8:
+        means = f"it is at its limit of {limit:.2f} F_z in nearly all rows; the measured force"
+        means += f" reaches {reached:.2f} F_z"
+        remedy = f"check the unit of its {what}: degrees where radians are expected, or per cent;"
+        remedy += " if it is right, lower the stiffness"
+        # A limit far below the measured force is too low; another one is reached too early.
+        remedy = "raise its friction" if limit < 0.6 * reached else remedy
+        yield Structure("always_sliding", channel, means, remedy)
+        return
+    values = len(np.unique(np.round(force, 9)))
+    if values < 0.2 * len(np.unique(slip)):  # each force stands at five slips and more
+        remedy = "interpolate the simulator's table instead of taking the nearest entry"
+        yield Structure("steps", channel, f"it has only {values} different values", remedy)
+        return
+    per_load, plain = _scatter(slip, force / load), _scatter(slip, force)
+    varies = np.std(load) > 0.05 * np.mean(load)
+    if varies and plain < _RATHER * per_load * np.mean(load):
+        remedy = "give the simulator the load of each row, and a tire that depends on it"
+        yield Structure("no_load", channel, "it does not depend on the load", remedy)
+    if "time" in prepared.data:
+        yield from _own_time(prepared, channel, slip, force / load)
+
+
+def _clipped(slip: np.ndarray, share: np.ndarray) -> tuple[float, float] | None:
+    """Limit and slope of a force that is proportional to the slip up to the limit; None for
+    another."""
     top = float(np.max(np.abs(share)))
-    if np.sum(np.abs(share) > _AT_TOP * top) < _FEWEST:
+    inner = np.abs(share) < 0.9 * top  # surely not clipped
+    if min(np.sum(np.abs(share) > _AT_TOP * top), inner.sum()) < 3:  # rows beside the corner
         return None
 
     def missed(values: np.ndarray) -> np.ndarray:
-        slope, offset = values
-        return np.clip(slope * slip + offset, -top, top) - share
+        return np.clip(values[0] * slip + values[1], -top, top) - share
 
-    inner = np.abs(share) < _BELOW_TOP * top
-    if inner.sum() < _FEWEST:
-        return None
     start = np.polynomial.polynomial.polyfit(slip[inner], share[inner], 1)[::-1]
-    found = least_squares(missed, start)
-    if _rms(missed(found.x)) > _EXPLAINED * _rms(share):
-        return None
-    return top, float(found.x[0])
+    found = least_squares(missed, start).x
+    return None if rms(missed(found)) > _EXPLAINED * rms(share) else (top, float(found[0]))
 
 
 def _own_time(
     prepared: Prepared, channel: str, slip: np.ndarray, share: np.ndarray
 ) -> Iterator[Structure]:
     """A delay or a time constant by which the force follows the slip."""
-    if "time" not in prepared.data:
-        return
-    time, run = prepared.column("time"), prepared.run
-    tried = []
-    for kind, moved in (("own_delay", _delayed), ("own_lag", _lagged), ("own_lag", _ramped)):
-
-        def left(log: float, moved: Callable[..., Any] = moved) -> float:
-            return _scatter(moved(slip, time, run, np.exp(log)), share)
-
-        near = min(_LOG_DELAYS, key=left)
-        step = _LOG_DELAYS[1] - _LOG_DELAYS[0]
-        found = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
-        tried.append((found.fun, kind, float(np.exp(found.x))))
-    least, kind, constant = min(tried)
-    plain = _scatter(slip, share)
-    steps = np.concatenate([np.diff(time[rows]) for rows in _runs(run, time)])
+    time, tried = prepared.column("time"), []
+    runs = in_order(time, prepared.run)
+    steps = np.concatenate([np.diff(time[rows]) for rows in runs])
     if not len(steps):
         return
-    apart = float(np.median(steps))
+    logs = np.linspace(np.log(0.005), np.log(0.5), 25)  # of the constants that are tried [s]
+    for kind in ("delay", "lag", "ramp"):
+
+        def left(log: float, kind: str = kind) -> float:
+            return _scatter(_late(slip, time, runs, np.exp(log), kind), share)
+
+        near, step = min(logs, key=left), logs[1] - logs[0]
+        found = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
+        id = "own_delay" if kind == "delay" else "own_lag"
+        tried.append((found.fun, id, float(np.exp(found.x))))
+    least, id, constant = min(tried)
+    plain, apart = _scatter(slip, share), float(np.median(steps))
     if least < _RATHER * plain:
         late = f"{1000 * constant:.0f} ms"
-        how = f"{late} late" if kind == "own_delay" else f"with a time constant of about {late}"
-        yield Structure(
-            kind,
-            channel,
-            f"it follows the slip {how}",
-            "take this delay out of the simulator, unless the car has it too"
-            " (see channel delay and relaxation length among the effects)",
-        )
-    elif (
-        least < _PARTLY * plain
-        and plain > _EXPLAINED * _rms(share)
-        and constant < _ROWS_PER_DELAY * apart
-    ):
-        yield Structure(
-            "own_time",
-            channel,
-            "it may follow the slip with a delay or a lag, which rows"
-            f" {1000 * apart:.0f} ms apart are too far apart to show",
-            "give more rows per second: all of the log and of the simulator",
-        )
+        how = f"{late} late" if id == "own_delay" else f"with a time constant of about {late}"
+        remedy = "take this delay out of the simulator, unless the car has it too"
+        remedy += " (see channel delay and relaxation length among the effects)"
+        yield Structure(id, channel, f"it follows the slip {how}", remedy)
+    # Four rows in a delay always show it; with fewer, a part of the scatter may be due to it.
+    elif least < 0.8 * plain and plain > _EXPLAINED * rms(share) and constant < 4.0 * apart:
+        means = "it may follow the slip with a delay or a lag, which rows"
+        means += f" {1000 * apart:.0f} ms apart are too far apart to show"
+        remedy = "give more rows per second: all of the log and of the simulator"
+        yield Structure("own_time", channel, means, remedy)
 
 
-def _runs(run: np.ndarray, time: np.ndarray) -> Iterator[np.ndarray]:
-    for number in np.unique(run):
-        rows = np.flatnonzero(run == number)
-        yield rows[np.argsort(time[rows], kind="stable")]
-
-
-def _delayed(slip: np.ndarray, time: np.ndarray, run: np.ndarray, delay: float) -> np.ndarray:
-    moved = np.array(slip, float)
-    for rows in _runs(run, time):
-        moved[rows] = np.interp(time[rows] - delay, time[rows], slip[rows])
-    return moved
-
-
-def _lagged(
-    slip: np.ndarray, time: np.ndarray, run: np.ndarray, constant: float, ramp: bool = False
+def _late(
+    slip: np.ndarray, time: np.ndarray, runs: list[np.ndarray], constant: float, kind: str
 ) -> np.ndarray:
-    """The slip after a first-order lag: from row to row constant, or on a ``ramp``."""
+    """The slip after a "delay" or a first-order lag by this time constant [s]: a "lag" of a slip
+    that is constant from row to row, or that is a "ramp"."""
     moved = np.array(slip, float)
-    for rows in _runs(run, time):
+    for rows in runs:
+        if kind == "delay":
+            moved[rows] = np.interp(time[rows] - constant, time[rows], slip[rows])
+            continue
         step, rise = np.diff(time[rows]), np.diff(slip[rows])
         decay = np.exp(-step / constant)
         added = (1 - decay) * slip[rows[1:]]
-        if ramp:
+        if kind == "ramp":
             added += rise * (decay - (1 - decay) * constant / np.maximum(step, NONZERO))
         for before, row, keep, more in zip(rows[:-1], rows[1:], decay, added, strict=True):
             moved[row] = keep * moved[before] + more
     return moved
-
-
-_ramped = partial(_lagged, ramp=True)
 
 
 def _scatter(slip: np.ndarray, force: np.ndarray) -> float:
@@ -254,8 +180,9 @@ def _scatter(slip: np.ndarray, force: np.ndarray) -> float:
     x, y = slip[order], force[order]
     wide = np.maximum(x[2:] - x[:-2], NONZERO)
     share = np.where(x[2:] > x[:-2], (x[1:-1] - x[:-2]) / wide, 0.5)
-    return _rms(y[1:-1] - (1 - share) * y[:-2] - share * y[2:])
+    return rms(y[1:-1] - (1 - share) * y[:-2] - share * y[2:])
 
 
-def _rms(values: np.ndarray) -> float:
+def rms(values: Values) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

@@ -13,30 +13,16 @@ from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
-from tirefit.diagnosis.rows import fits
+from tirefit.diagnosis.rows import fits, noise
+from tirefit.diagnosis.rows import prepared as table
 from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
-from tirefit.diagnosis.rows.memory import in_order
-from tirefit.diagnosis.rows.noise import (
-    NoiseLevel,
-    between,
-    judge_noise,
-    noise_in_motion,
-    slip_scatter,
-)
-from tirefit.diagnosis.rows.prepared import (
-    NOT_STATED,
-    SCATTER,
-    Prepared,
-    neighbours,
-    on_scale_of,
-    order_of,
-    slip_of,
-)
+from tirefit.diagnosis.rows.noise import NoiseLevel
+from tirefit.diagnosis.rows.prepared import Prepared, neighbours
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
-from tirefit.diagnosis.rows.slips import slip_doubt, slip_proxies
+from tirefit.diagnosis.rows.slips import AHEAD, slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
@@ -68,23 +54,35 @@ class Base:
         """Parameters z that define the gap: those of the simulator, else of the fit."""
         return self.z if self.simulator is None else self.simulator.z
 
-    def off_bounds(self, z: np.ndarray) -> np.ndarray:
-        """Parameters z, with the first guess for those at a bound, where the slope is
-        zero and a refit could not leave the bound."""
-        on_bound = np.abs(z) > 6.0  # 0.25 % of the interval
-        return np.where(on_bound, self.guess, z)
-
     @cached_property
     def atoms(self) -> tuple[Atom, ...]:
         return atoms_of(self.tire.effects)
 
     @cached_property
     def doubt(self) -> np.ndarray:
-        """Error of the residual that rows share through the unknown true slips: columns
-        (m, k), each times an independent unit normal number."""
-        rows = self.rows
-        off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, rows.path)
-        return np.concatenate([self._forces_of(off), self._proxies], axis=1)
+        """Error of the residual that rows share through the unknown true slips, and what no
+        effect explains of it (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k),
+        each times an independent unit normal number."""
+        rows, past = self.rows, self.rows.past
+        slip, path = (rows.slip_law, rows.slip, rows.slip_std), None
+        if past is not None:  # the slips estimated from their neighbours in time
+            path = past[:, AHEAD]
+        off = [slip_doubt(*slip, path), slip_proxies(*slip, rows.moving, path, past)]
+        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
+        forces = steep[:, None] * np.tile(np.hstack(off), (len(rows.channels), 1))
+        if self.simulator is None or self.simulator.given.tire is not None:
+            return forces
+        given = self.tire.layout.vector(self.simulator.z)
+        changed = np.abs(self.tire.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
+        around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
+        blocks = []
+        for c in rows.channels:
+            missed = np.asarray(self.design.offset[c])[: rows.n]
+            weight = (np.asarray(self.design.keep) / self.design.scale[c])[: rows.n, None]
+            blocks.append(fits.not_followed(missed, rows.slip, around, most) * weight)
+        beyond = block_diag(*blocks)
+        # A tenth of a standard error is not worth a column.
+        return np.hstack([forces, beyond[:, np.linalg.norm(beyond, axis=0) > 0.1]])
 
     @cached_property
     def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
@@ -97,37 +95,6 @@ class Base:
         """Whitened values (m, ...), also whitened for the slip uncertainty."""
         along, unknown = self._doubtful
         return values - (along * unknown) @ (along.T @ values)
-
-    @cached_property
-    def _proxies(self) -> np.ndarray:
-        """Columns (m, k) of the residual that no effect explains: :func:`slip_proxies`
-        and :func:`fits.not_followed`."""
-        rows = self.rows
-        given = rows.slip_law, rows.slip, rows.slip_std, rows.moving
-        off = slip_proxies(*given, rows.path, rows.past)
-        return np.concatenate([self._forces_of(off), self._not_followed], axis=1)
-
-    @cached_property
-    def _not_followed(self) -> np.ndarray:
-        """Columns (m, k) of :func:`fits.not_followed`, whitened, of each channel."""
-        rows, n, blocks = self.rows, self.rows.n, []
-        if self.simulator is None or self.simulator.given.tire is not None:
-            return np.zeros((len(rows.channels) * n, 0))
-        given = self.tire.layout.vector(self.simulator.z)
-        changed = np.abs(self.tire.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
-        around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
-        for channel in rows.channels:
-            missed = np.asarray(self.design.offset[channel])[:n]
-            weight = np.asarray(self.design.keep) / self.design.scale[channel]
-            off = fits.not_followed(missed, rows.slip, around, most)
-            blocks.append(off * weight[:n, None])
-        found = block_diag(*blocks)
-        return found[:, np.linalg.norm(found, axis=0) > 0.1]  # standard errors
-
-    def _forces_of(self, slips: np.ndarray) -> np.ndarray:
-        """Whitened forces (m, k) of small changes of the slips (n, k)."""
-        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
 
     @cached_property
     def at_null(self) -> Linear:
@@ -231,8 +198,11 @@ class Base:
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
-        begin = [(self.off_bounds(s.z) if a else s.z, s.amplitude)
-                 for s, a in zip(starts, sets, strict=True)]  # fmt: skip
+        # At a bound of the parameters, within .25 % of their interval, the slope is zero and a
+        # refit could not leave it: begin at the first guess.
+        free = [np.where(np.abs(s.z) > 6.0, self.guess, s.z) if atoms else s.z
+                for s, atoms in zip(starts, sets, strict=True)]  # fmt: skip
+        begin = [(z, s.amplitude) for z, s in zip(free, starts, strict=True)]
         found = fits.refit(self.tire, begin, sets, self.design)
         points = np.concatenate([found.z, found.amplitude], axis=1)
         n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
@@ -243,18 +213,12 @@ class Base:
             residual = ((observed - mean) * weight)[:, :n].reshape(-1)
             columns = (by * weight)[..., :n].reshape(len(by), -1).T
             amplitude = found.amplitude[k, : len(atoms)]
-            made.append(
-                fitted(
-                    atoms,
-                    [self.atoms[a].effect.id for a in atoms],
-                    Start(found.z[k], amplitude),
-                    (self.sure(residual), self.sure(columns)),
-                    np.append(np.zeros(p), np.ones(len(atoms))),
-                    np.append(np.zeros(p), amplitude - priors.center[index]),
-                    priors.sign[index],
-                    (priors.low[index], priors.high[index]),
-                )
-            )
+            pull, off = np.ones(len(atoms)), amplitude - priors.center[index]
+            pull, off = (np.append(np.zeros(p), part) for part in (pull, off))
+            ids = [self.atoms[a].effect.id for a in atoms]
+            start, linear = Start(found.z[k], amplitude), (self.sure(residual), self.sure(columns))
+            within = priors.low[index], priors.high[index]
+            made.append(fitted(atoms, ids, start, linear, pull, off, priors.sign[index], within))
         return made
 
     def tangents(self, fit: Fit) -> np.ndarray:
@@ -301,30 +265,32 @@ def fit_base(
     Raises:
         DataError: the model does not follow the simulator, or that has other signs.
     """
-    simulator, stand_in = None, name or STAND_INS[0]
-    if given is None:
-        fitted = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
-        begun = fits.begin(prepared, *fitted, rig, False)
-    elif given.tire is None:
-        begun, stand_in = fits.standing_in(prepared, name, effects, rig, given)
+    simulator, stand_in, missed = None, name or STAND_INS[0], dict[str, np.ndarray]()
+    if given is not None and given.tire is None:
+        stand_in, fitted, (design, missed) = fits.standing_in(prepared, name, effects, rig, given)
     else:
-        begun = fits.begin(prepared, *given.tire_for(prepared, effects), rig, True)
-    tire, design, z, guess, missed = begun
+        design = fits.design_of(prepared, effects, rig)
+        if given is None:
+            fitted = fits.first_fit(prepared, stand_in, prepared.data, effects, rig)
+        else:
+            fitted = given.tire_for(prepared, effects)
+            design, missed = fits.with_offset(prepared, fitted[0], design, fitted[1])
+    tire, z, guess = fitted
     if given is not None:
         fits.check_followed(prepared, missed, stand_in)
         doubt = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
         z = fits.refit(tire, [(z, ())], [()], design).z[0]
-    fit = Base(
-        rows=prepared,
-        tire=tire,
-        design=design,
-        z=z,
-        guess=guess,
-        simulator=simulator,
-        slip_fraction=_slip_fraction(prepared, tire, z, design),
-    )
-    base = _under(_noise(fit, rig), fit)
+    # The slip of full sliding is 3 mu F_z / (2 c) for the brush with slope and peak of the base.
+    slope, mu = tire.brush(z, design)
+    slope = np.maximum(np.asarray(slope)[: prepared.n], FLAT)
+    side = np.where(prepared.slip < 0, -1.0, 1.0)
+    size = side * np.hypot(prepared.slip, prepared.second)
+    base = Base(
+        rows=prepared, tire=tire, design=design, z=z, guess=guess, simulator=simulator,
+        slip_fraction=size / (1.5 * float(mu) * prepared.inputs.fz / slope),
+    )  # fmt: skip
+    base = with_noise(base, rig, z)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
@@ -337,8 +303,8 @@ def shown_slip_noise(
     the slip about its path may be noise, or if the force was derived from the motion and so
     has the errors of the slip.
     """
-    sweeps = prepared.slip_source == SCATTER
-    known = prepared.slip_source != NOT_STATED and not sweeps
+    sweeps = prepared.slip_source == table.SCATTER
+    known = prepared.slip_source != table.NOT_STATED and not sweeps
     if known or prepared.derived is not None or (prepared.mode == "xy" and not sweeps):
         return None
     tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
@@ -352,75 +318,53 @@ def shown_slip_noise(
     residual = prepared.observed[channel] - force(0.0)
     moving: float | None = 0.0
     if sweeps:
-        stretches = in_order(*order_of(prepared.data))
-        off = between(slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
-        moving = noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
+        stretches = noise.in_order(*table.order_of(prepared.data))
+        off = noise.between(table.slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
+        moving = noise.noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
     if moving is None or prepared.mode == "xy":
         return moving
     # Where the slip changes its sign the curve bends, and a shift of it is a gap.
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
-    in_time = in_order(prepared.time, prepared.run)
-    found = slip_scatter(residual, slope**2, np.asarray(prepared.inputs.fz), one_sided, in_time)
+    in_time, fz = noise.in_order(prepared.time, prepared.run), np.asarray(prepared.inputs.fz)
+    found = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
     return max(found, moving) if sweeps else found or None
 
 
-def _under(noise: Mapping[str, NoiseLevel], fit: Base) -> Base:
-    """The base refitted with this noise."""
-    size, n, levels = len(fit.design.keep), fit.rows.n, noise.values()
-    wide = np.sqrt(max(level.inflation for level in levels))
-    scale = {c: pad_rows(level.std * wide, size) for c, level in noise.items()}
-    keep = (np.arange(size) < n).astype(float)
-    keep[:n] = ~np.any([level.outlier for level in levels], axis=0)
-    design = fit.design._replace(scale=scale, keep=keep)
-    z = fits.refit(fit.tire, [(fit.z, ())], [()], design).z[0]
-    return replace(fit, design=design, z=z, noise=noise, testable=())
-
-
-def with_noise_judged(base: Base, rig: Rig, z: np.ndarray, amplitudes: np.ndarray) -> Base:
-    """The base refitted with the noise of the remainder of a fit (z, amplitudes).
-    Outliers are excluded, which requires a fit without a gross gap."""
-    return _under(_noise(replace(base, z=z), rig, amplitudes, outliers=True), base)
-
-
-def on_rows(base: Base, prepared: Prepared, rig: Rig) -> Base:
-    """The same fit on other rows, for its forces; the noise is that of its own rows."""
-    tire, prepared = base.tire, on_scale_of(prepared, base.rows)
-    design = fits.design_of(prepared, tire.effects, rig)
-    if base.simulator is not None:
-        design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
-    return base.on(with_force(prepared, tire, design, base.z), prepared)
-
-
-def _slip_fraction(prepared: Prepared, tire: Tire, z: np.ndarray, design: Design) -> np.ndarray:
-    """Slip (n,) over that of full sliding, 3 mu F_z / (2 c) for the brush with slope and
-    peak of the base."""
-    stiffness, mu = tire.brush(z, design)
-    stiffness = np.maximum(np.asarray(stiffness)[: prepared.n], FLAT)
-    size = np.hypot(prepared.slip, prepared.second)
-    side = np.where(prepared.slip < 0, -1.0, 1.0)
-    return side * size / (1.5 * float(mu) * prepared.inputs.fz / stiffness)
-
-
-def _noise(
-    fit: Base, rig: Rig, amplitudes: np.ndarray | tuple[Any, ...] = (), outliers: bool = False
-) -> dict[str, NoiseLevel]:
-    """Noise of each channel, estimated from the remainder of a fit."""
-    rows, fz = fit.rows, np.asarray(fit.rows.inputs.fz)
-    mean, spread = fit.tire.moments(fit.z, fit.design, rows.n, amplitudes)
-    typical, most = fz / np.mean(fz), rows.n // 6
-    basis = smooth_basis(rows, fit.slip_fraction, typical, most, runs=True)
-    groups, levels = neighbours(rows), {}
-    of_friction = np.minimum(np.abs(fit.slip_fraction), 1.0)  # of a brush, within 0.2
+def with_noise(
+    base: Base, rig: Rig, z: np.ndarray, amplitudes: np.ndarray | tuple[Any, ...] = (),
+    outliers: bool = False,
+) -> Base:  # fmt: skip
+    """The base refitted with the noise of the remainder of a fit (z, amplitudes), by channel.
+    ``outliers`` are excluded from a fit without a gross gap."""
+    rows, fz = base.rows, np.asarray(base.rows.inputs.fz)
+    mean, spread = base.tire.moments(z, base.design, rows.n, amplitudes)
+    typical, levels, groups = fz / np.mean(fz), dict[str, NoiseLevel](), neighbours(rows)
+    basis = smooth_basis(rows, base.slip_fraction, typical, rows.n // 6)
+    of_friction = np.minimum(np.abs(base.slip_fraction), 1.0)  # of a brush, within 0.2
     for c in rows.channels:
-        given = rig.force_noise(c, fz)
-        if f"{c}_std" in rows.data:
-            given = rows.column(f"{c}_std")
+        column = f"{c}_std"
+        given = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
         common = spread[c] * rows.common
         waves = partial(wave_basis, rows, typical, of_friction * mean[c])
-        level = judge_noise(
+        level = noise.judge_noise(
             rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
             waves, groups, rows.time, rows.run, outliers,
         )  # fmt: skip
         levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
-    return levels
+    size, wide = len(base.design.keep), np.sqrt(max(x.inflation for x in levels.values()))
+    scale = {c: pad_rows(level.std * wide, size) for c, level in levels.items()}
+    keep = (np.arange(size) < rows.n).astype(float)
+    keep[: rows.n] = ~np.any([level.outlier for level in levels.values()], axis=0)
+    design = base.design._replace(scale=scale, keep=keep)
+    z = fits.refit(base.tire, [(base.z, ())], [()], design).z[0]
+    return replace(base, design=design, z=z, noise=levels)
+
+
+def on_rows(base: Base, prepared: Prepared, rig: Rig) -> Base:
+    """The same fit on other rows, for its forces; the noise is that of its own rows."""
+    tire, prepared = base.tire, table.on_scale_of(prepared, base.rows)
+    design = fits.design_of(prepared, tire.effects, rig)
+    if base.simulator is not None:
+        design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
+    return base.on(with_force(prepared, tire, design, base.z), prepared)

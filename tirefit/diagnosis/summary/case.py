@@ -25,7 +25,7 @@ from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Search, Weighed
-from tirefit.diagnosis.rows.memory import correlation
+from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base, on_rows
