@@ -48,7 +48,6 @@ from tirefit.diagnosis.summary.views import (
 from tirefit.models import MODELS
 from tirefit.report.canvas import alone
 from tirefit.report.diagnosis_answer import answer, change_texts
-from tirefit.report.diagnosis_details import confused_lines
 from tirefit.report.diagnosis_figures import (
     after_label,
     budget_bars,
@@ -56,15 +55,14 @@ from tirefit.report.diagnosis_figures import (
     draw_look,
     draw_where,
     ladder_bars,
-    level_labels,
-    look_title,
     panels_of,
 )
-from tirefit.report.diagnosis_report import diagnosis_page, diagnosis_text
+from tirefit.report.diagnosis_report import confused_lines, diagnosis_page, diagnosis_text
 from tirefit.report.diagnosis_sections import (
-    budget_table,
+    budget_section,
     first_screen,
     gap_line,
+    missing_lines,
     stand_in_line,
     step_label,
     step_lines,
@@ -73,13 +71,12 @@ from tirefit.report.diagnosis_words import (
     _NEEDS,
     amount_text,
     listing,
-    name_with_id,
+    name_of,
     p_text,
     range_text,
     said_unit,
     set_name,
     share_text,
-    untestable_lines,
     words_on,
 )
 from tirefit.report.numbers import format_number
@@ -321,13 +318,14 @@ def test_the_map_is_drawn_over_the_covariate_of_the_gap(name):
     assert panel.covariate == name
     rows = {"fz": 3, "v": 2, "time": 5, "direction": 2}
     assert panel.mean.shape == (rows[name], len(panel.edges) - 1)
-    assert len(level_labels(panel)) == rows[name]
     assert panel.energy.sum() == pytest.approx(1.0)
 
 
 def test_the_map_contains_the_truth():
     panel = diagnosis("fz").residual_map
-    assert level_labels(panel) == ("2000", "4000", "6000")
+    figure = Figure()
+    draw_where(figure, panel)
+    assert [x.get_text() for x in figure.axes[0].get_yticklabels()] == ["2000", "4000", "6000"]
     center = (panel.edges[:-1] + panel.edges[1:]) / 2
     far = (np.abs(center) > 1.2) & np.isfinite(panel.mean[2])
     assert far.sum() >= 4
@@ -574,7 +572,7 @@ def simulated(status="named", effects=("slip_offset",), changes=CHANGES, **other
 
 def test_the_error_of_a_simulator_is_reported_by_part():
     found = simulated()
-    assert budget_table(found, "fx")[1:] == [
+    assert budget_section(found, "fx").table[1:] == [
         ("whole error of the simulator", "454", "100 %"),
         ("its parameters", "400", "78 % [70 %, 80 %]"),
         ("slip offset", "160", "12 % [10 %, 20 %]"),
@@ -687,7 +685,7 @@ def texts_of(figure):
 
 def test_every_channel_has_a_budget_in_its_unit():
     found = simulated(budgets={"fy": BUDGET, "mz": MOMENT})
-    force, moment = budget_table(found, "fy"), budget_table(found, "mz")
+    force, moment = (budget_section(found, channel).table for channel in ("fy", "mz"))
     assert force[0][:2] == ("F_y, part of the error", "rms [N]")
     assert moment[0][:2] == ("M_z, part of the error", "rms [N m]")
     assert moment[1][1] == "26" and moment[2][1] == "24"
@@ -735,12 +733,11 @@ SHAPES = {
 
 @pytest.mark.parametrize(("panel", "said"), SHAPES.values(), ids=SHAPES)
 def test_the_remainder_is_drawn(panel, said):
-    assert look_title(panel) == f"What is left: {said}"
     figure = Figure()
     draw_look(figure, panel, "the base fit")
     (axes,) = figure.axes
     title = axes.get_title(loc="left").replace("\n", " ").replace("\\", "")
-    assert title.replace("\u00a0", " ") == look_title(panel)
+    assert title.replace("\u00a0", " ") == f"What is left: {said}"
     scale = 1 if panel.look.parameter == "slip" else 100
     points = axes.containers[0].lines[0] if panel.at_settings else axes.lines[1]
     np.testing.assert_allclose(points.get_ydata(), scale * panel.change)
@@ -830,7 +827,7 @@ def test_every_verdict_has_its_sentence(verdict, sentence):
     text = flat(found)
     # What can be done, for each effect that is named.
     for effect in verdict[1]:
-        assert name_with_id(effect) in text
+        assert name_of(effect) in text
         assert all(part in text for part in words_on(effect))
     named = verdict[0] != "none" and verdict[1][:1] == ["load_friction"]
     assert ("effect that would be detected: 6.3 N rms" in text) == (not named)
@@ -981,10 +978,10 @@ def test_a_user_defined_effect_is_shown_by_its_id():
         remedy="measure elsewhere",
     )
     verdict = found.verdict
-    known = diagnosis(verdict=verdict, library=(*EFFECTS, mine))
-    assert "the road has waves; to do: measure elsewhere" in str(known)
     own = Untestable("road_ripple", ("road camera", "omega"))
-    assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
+    known = diagnosis(verdict=verdict, library=(*EFFECTS, mine), untestable=(own,))
+    assert "the road has waves; to do: measure elsewhere" in str(known)
+    assert missing_lines(known)[0] == ["road camera, wheel speed omega: road ripple"]
 
 
 def test_what_is_missing_is_listed_once(page_text):
@@ -1012,10 +1009,10 @@ def test_ranges_are_written_with_few_digits():
     assert share_text(None) == "-"
     assert share_text(0.5, [None, None]) == "50 %"
     assert p_text(0.0) == "< 1e-12" and p_text(0.0134) == "0.013"
-    first = untestable_lines(diagnosis(), UNTESTABLE)[0]
+    first = missing_lines(diagnosis(untestable=UNTESTABLE))[0][0]
     assert first.endswith(": friction temperature, stiffness temperature")
     assert listing(["a"]) == "a" and listing(["a", "b", "c"], "or") == "a, b or c"
-    assert set_name(()) == "no effect" and name_with_id("toe") == "toe"
+    assert set_name(()) == "no effect"
     assert set_name(["toe", "slip_offset"]) == "toe + slip offset"
 
 

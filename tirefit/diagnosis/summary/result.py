@@ -332,6 +332,15 @@ class Diagnosis(Record):
         helping = {*self.verdict.helping}
         return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
 
+    def sizes_of(self, effect: str) -> list[Amplitude]:
+        """Its amplitudes in that fit; empty for an effect that does not help."""
+        return [one for name, one in self.amplitudes.items() if name.startswith(f"{effect}: ")]
+
+    @property
+    def readings(self) -> Readings | None:
+        """Both readings of a simulator; None without."""
+        return self.simulator.readings if self.simulator else None
+
     def to_frame(self) -> "pandas.DataFrame":
         """The base parameters, the gap and the sizes of the effects that help as a pandas data
         frame: columns kind, name, value, std, unit."""
