@@ -8,8 +8,8 @@ import numpy as np
 
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.closure import PARAMETERS
-from tirefit.diagnosis.summary.readings import SLOPE, Estimate, Readings
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.readings import SLOPE
+from tirefit.diagnosis.summary.result import Diagnosis, Estimate, Readings
 from tirefit.report.diagnosis_words import (
     amount_text,
     channel_name,
@@ -270,10 +270,11 @@ def _simulated(both: Readings, name: str) -> Estimate | None:
 def readings_section(both: Readings, unit: str) -> Section:
     """Both described by one model: parameters, effects that help, error on data left out."""
     table: list[tuple[str, ...]] = [(f"{both.model} with effects", "simulator", "measured")]
-    each = {k: (_simulated(both, k), one) for k, one in both.measured.parameters.items()}
-    sides = [side.effects if side else {} for side in (both.simulator, both.measured)]
-    each |= {name_of(k): (sides[0].get(k), sides[1].get(k)) for k in sides[0] | sides[1]}
-    for name, pair in each.items():
+    sides = [dict(side.effects) if side else {} for side in (both.simulator, both.measured)]
+    each: list[tuple[str, tuple[Estimate | None, ...]]] = []
+    each += [(k, (_simulated(both, k), one)) for k, one in both.measured.parameters.items()]
+    each += [(name_of(k), tuple(side.get(k) for side in sides)) for k in sides[0] | sides[1]]
+    for name, pair in each:
         said = said_unit(next(filter(None, pair[::-1])).unit)[1]
         table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
     left = (format_number(s.rms_left_out, 3) if s else "-" for s in (both.simulator, both.measured))

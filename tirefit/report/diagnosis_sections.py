@@ -8,8 +8,14 @@ from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import Each, Status
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, Step
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.readings import Readings
-from tirefit.diagnosis.summary.result import UNITS, Diagnosis, NextMeasurement, Part, Shrinkage
+from tirefit.diagnosis.summary.result import (
+    UNITS,
+    Diagnosis,
+    NextMeasurement,
+    Part,
+    Readings,
+    Shrinkage,
+)
 from tirefit.report.diagnosis_answer import readings_section, worse_steps
 from tirefit.report.diagnosis_words import (
     amplitude_text,

@@ -17,7 +17,7 @@ from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.extended import AnyDocument, read_checked
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.vehicle.car import Changes, State
-from tirefit.vehicle.document import CarExtension
+from tirefit.vehicle.diagnose import CarExtension
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.model import PARAMETERS, Model, steered
 from tirefit.vehicle.windows import samples_of

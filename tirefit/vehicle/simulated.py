@@ -68,24 +68,18 @@ _RELATED, _NEAR = 0.95, 0.15
 from that of a unit or a sign, that show the wrong unit or sign."""
 
 
-def _l_f(vehicle: Vehicle, size: float) -> tuple[float, float]:
-    wheelbase = vehicle.l_f + vehicle.l_r
-    return vehicle.l_f - size * wheelbase, wheelbase
-
-
-def _inertia(vehicle: Vehicle, size: float) -> tuple[float, float]:
-    value = vehicle.yaw_inertia * math.exp(size)
-    return value, value
-
-
-def _delay(vehicle: Vehicle, size: float) -> tuple[float, float]:
-    return (vehicle.steering.delay if vehicle.steering else 0.0) + size, 1.0
-
-
 _STATED: dict[str, tuple[str, str, Callable[[Vehicle, float], tuple[float, float]]]] = {
-    "centre_of_gravity": ("l_f", "m", _l_f),
-    "yaw_inertia": ("yaw_inertia", "kg m2", _inertia),
-    "steering_delay": ("steering.delay", "s", _delay),
+    "centre_of_gravity": (
+        "l_f",
+        "m",
+        lambda car, x: (car.l_f - x * (car.l_f + car.l_r), car.l_f + car.l_r),
+    ),
+    "yaw_inertia": ("yaw_inertia", "kg m2", lambda car, x: (car.yaw_inertia * math.exp(x),) * 2),
+    "steering_delay": (
+        "steering.delay",
+        "s",
+        lambda car, x: ((car.steering.delay if car.steering else 0.0) + x, 1.0),
+    ),
 }
 """Effect -> the quantity of ``vehicle.toml`` that it changes, its unit, and the function of the
 amplitude that gives its value and its slope."""
@@ -161,7 +155,11 @@ def compare_with_simulator(
     ]
     car = studied(found, stated, tires, library, window, tell)
     simulator = studied(_noisy(simulated, car.base.noise), own, tires, library, window, tell)
-    atoms = _atoms_of(car, simulator)
+    # The effects that help either, in the form of the car if it has them.
+    fits = [case.chosen for case in (simulator, car)]
+    forms = {e: atom for one in fits for e, atom in zip(one.effects, one.atoms, strict=True)}
+    ranked = dict.fromkeys(e for one in fits[::-1] for e in one.effects)
+    atoms = tuple(sorted([forms[effect] for effect in ranked][:MOST_EFFECTS]))
     sources = [
         _described(name, case, atoms, stated, ", ".join(map(str, files)))
         for name, case, files in (("simulator", simulator, sim_logs), ("car", car, logs))
@@ -169,10 +167,10 @@ def compare_with_simulator(
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
-    result = replace(result, numbers=_without_bends(result.numbers))
-    meant = _meanings({one.name: one for one in (*result.numbers, *result.effects)})
+    numbers = _without_bends(result.numbers)
+    meant = _meanings({one.name: one for one in (*numbers, *result.effects)})
     meanings = (*_spins(found.values(), simulated.values()), *meant)
-    return replace(result, notes=(*result.notes, note), meanings=meanings)
+    return replace(result, numbers=numbers, notes=(*result.notes, note), meanings=meanings)
 
 
 def _unlimited(found: Mapping[str, Apart]) -> dict[str, str]:
@@ -227,7 +225,7 @@ def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Ite
     """A sentence if the simulated car spins where the car does not."""
     car, own = (
         max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
-        for motions in ([one.motion for one in logs], [one.motion for one in simulated])
+        for motions in ([one.motion for one in each] for each in (logs, simulated))
     )
     if own > max(_SPUN, _MORE * car):
         yield (
@@ -294,8 +292,8 @@ def _unlike(
 
 def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Path) -> Path:
     """The simulated log, with the columns that it lacks from the log."""
-    flat = [x for name in vehicle.columns.model_dump() for x in _headers(vehicle.columns, name)]
-    wanted = [*flat, *([vehicle.keep.active] if vehicle.keep.active else [])]
+    wanted = [x for name in vehicle.columns.model_dump() for x in _headers(vehicle.columns, name)]
+    wanted += [vehicle.keep.active] if vehicle.keep.active else []
     own = read_table(file_at(sim), [])
     lacking = [name for name in wanted if name not in own.headers]
     if not lacking:
@@ -325,15 +323,6 @@ def _noisy(found: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
     return noisy
 
 
-def _atoms_of(*cases: Concluded) -> tuple[int, ...]:
-    """The effects that help in any case, each in the form of the first that has it."""
-    found: dict[str, int] = {}
-    for case in cases:
-        for atom, effect in zip(case.chosen.atoms, case.chosen.effects, strict=True):
-            found.setdefault(effect, atom)
-    return tuple(sorted([*found.values()][:MOST_EFFECTS]))
-
-
 def _described(
     name: str, case: Concluded, atoms: tuple[int, ...], vehicle: Vehicle, file: str
 ) -> Source:
@@ -342,15 +331,13 @@ def _described(
     first = dict(zip(chosen.atoms, chosen.amplitude, strict=True))
     start = Start(chosen.z, np.array([first.get(k, 0.0) for k in atoms]), chosen.state)
     (fit,) = base.refit([start], [atoms])
-    factor, error = np.exp(fit.z), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    numbers = {
-        parameter: Number(float(factor[k]), float(factor[k] * error[k]), "-")
-        for k, parameter in enumerate(PARAMETERS)
-    }
+    factors, errors = np.exp(fit.z), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    each = zip(PARAMETERS, factors.tolist(), errors.tolist(), strict=False)
+    numbers = {name: Number(factor, factor * error, "-") for name, factor, error in each}
     sizes = {}
     for k, atom in enumerate(fit.atoms):
         effect, scale = base.atoms[atom].effect, float(base.priors.scale[atom])
-        size, std = float(fit.amplitude[k]) * scale, float(error[TIRES + k]) * scale
+        size, std = float(fit.amplitude[k]) * scale, float(errors[TIRES + k]) * scale
         key, unit, slope = f"{effect.id}: {effect.parameter}", effect.unit, 1.0
         if effect.id in _STATED:
             quantity, unit, of = _STATED[effect.id]

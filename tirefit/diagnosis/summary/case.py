@@ -175,6 +175,12 @@ class Case(Concluded):
         return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)
 
     @cached_property
+    def natural(self) -> tuple[np.ndarray, np.ndarray]:
+        """The ``parameters`` in their own units, and their standard errors."""
+        values, (z, spread) = self.base.tire.layout.vector, self.parameters
+        return values(z), np.abs(values(z + spread) - values(z - spread)) / 2
+
+    @cached_property
     def widening(self) -> float:
         """Factor on the variance of amplitudes: mean square of the remainder, times its
         rows per independent row; one if the remainder is noise."""

@@ -21,8 +21,8 @@ from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
 from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
+from tirefit.diagnosis.rows.structure import Structure
 from tirefit.diagnosis.summary.case import Untestable
-from tirefit.diagnosis.summary.readings import Readings
 from tirefit.diagnosis.summary.views import (
     Comparison,
     DataSummary,
@@ -177,6 +177,51 @@ class Surrogate(NamedTuple):
     rms: float
     of_force: float
     of_gap: float
+
+
+class Estimate(NamedTuple):
+    """A value with its standard error, and of an effect the probability to be the cause."""
+
+    value: float
+    std: float
+    unit: str
+    probability: float | None = None
+
+
+class Described(NamedTuple):
+    """Forces described by a model with effects.
+
+    ``parameters`` include the slope at zero slip, ``effects`` are those that help,
+    ``rms_left_out`` is the error on data left out [N].
+    """
+
+    parameters: Mapping[str, Estimate]
+    effects: Mapping[str, Estimate]
+    rms_left_out: float
+
+
+class Readings(NamedTuple):
+    """Both readings of a simulator.
+
+    Attributes:
+        first: "changed" if the simulator, with its parameters and effects changed, predicts
+            measured rows left out as well as the ``model`` with effects does, else "described".
+        gain: mean square by which the model predicts them better; ``gain_std`` its standard error.
+        rms_changed: rms on data left out of the changed simulator.
+        model: that describes both.
+        measured: description of the measured forces.
+        simulator: that of the simulator's; None if it has a structure that the model lacks.
+        structure: what the simulator's forces show of it.
+    """
+
+    first: str
+    gain: float
+    gain_std: float
+    rms_changed: float
+    model: str
+    measured: Described
+    simulator: Described | None
+    structure: tuple[Structure, ...]
 
 
 class SimulatorSummary(NamedTuple):

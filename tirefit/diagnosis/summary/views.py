@@ -176,6 +176,17 @@ class ShownRows(NamedTuple):
     extended: np.ndarray  # [N]
     gap: np.ndarray  # [N], located
 
+    @property
+    def within(self) -> np.ndarray:
+        """The slip fraction, at most that of full sliding."""
+        return np.clip(self.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+
+    def bins(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
+        columns = min(len(self.slip) // (FEWEST_ROWS * count), _BINS)
+        # With an odd number, zero slip, where noise changes the sign, is within one cell.
+        return binned(self.within, columns | 1)
+
 
 class ResidualMap(NamedTuple):
     """Mean residual of the base fit in cells of slip fraction x another covariate."""
@@ -249,14 +260,6 @@ def _levels(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return codes, np.stack([edges[:-1], edges[1:]], axis=1)
 
 
-def _in_columns(rows: ShownRows, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
-    inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    columns = min(len(inside) // (FEWEST_ROWS * count), _BINS)
-    # With an odd number, zero slip, where noise changes the sign, is within one cell.
-    return binned(inside, columns | 1)
-
-
 def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> ResidualMap:
     """The map over slip fraction and the covariate that shows most of the gap; the load,
     unless another covariate shows 5 % more.
@@ -269,7 +272,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     most, found = -np.inf, list[Any]()
     for covariate, values in (rows.covariates or {"fz": rows.load}).items():
         level, ends = _levels(values)
-        column, edges = _in_columns(rows, len(ends))
+        column, edges = rows.bins(len(ends))
         cell = level * (len(edges) - 1) + column
         each = cells(cell, len(ends) * (len(edges) - 1), residual)
         count, mean, std = each
@@ -290,40 +293,30 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     return ResidualMap(rows.channel, covariate, ends, edges, *(x.reshape(shape) for x in shown))
 
 
-def _load_curve(
-    load: tuple[float, float],
-    slip: np.ndarray,
-    force: np.ndarray,
-    base: np.ndarray,
-    extended: np.ndarray,
-) -> LoadCurve:
-    codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
-    bins = [codes == k for k in np.unique(codes)]
-    # The force rises with slip within a bin: spread only the part of the extension.
-    spread = [np.quantile((extended - base)[rows], _TENTHS) for rows in bins]
-    # The slip of a nearly locked wheel is unbounded, so do not average it.
-    center = np.array([np.median(slip[rows]) for rows in bins])
-    before, after = _means(codes, base, extended)
-    points = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
-    return LoadCurve(
-        load, slip[points], force[points], center, before, after, *(before + np.array(spread).T)
-    )
-
-
 def compared(rows: ShownRows, named: bool) -> Comparison:
     """Both fits and the data at up to three loads, and their residuals over slip. If no
     effect is named, the base with the located gap replaces the extension."""
     after = rows.extended if named else rows.base + rows.gap
-    codes, ends = _levels(rows.load)
-    there, each = np.unique(codes), (rows.slip, rows.observed, rows.base, after)
-    chosen = np.unique(there[np.linspace(0, len(there) - 1, _CURVES).astype(int)])
-    curves = tuple(
-        _load_curve(tuple(ends[k].tolist()), *(x[codes == k] for x in each)) for k in chosen
-    )
+    level, ends = _levels(rows.load)
+    there, curves = np.unique(level), []
+    for k in np.unique(there[np.linspace(0, len(there) - 1, _CURVES).astype(int)]):
+        each = (x[level == k] for x in (rows.slip, rows.observed, rows.base, after))
+        slip, force, base, extended = each
+        codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
+        bins = [codes == code for code in np.unique(codes)]
+        # The slip of a nearly locked wheel is unbounded, so do not average it.
+        center = np.array([np.median(slip[own]) for own in bins])
+        means = _means(codes, base, extended)
+        # The force rises with slip within a bin: spread only the part of the extension.
+        spread = np.array([np.quantile((extended - base)[own], _TENTHS) for own in bins])
+        some = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
+        shown = slip[some], force[some], center, *means, *(means[0] + spread.T)
+        curves.append(LoadCurve(tuple(ends[k].tolist()), *shown))
     missed = [(rows.observed - x) ** 2 for x in (rows.base, after)]
-    inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    center, *squares = _means(_in_columns(rows, 1)[0], inside, *missed)
-    return Comparison(rows.channel, rows.slip_name, named, curves, center, *map(np.sqrt, squares))
+    center, *squares = _means(rows.bins(1)[0], rows.within, *missed)
+    return Comparison(
+        rows.channel, rows.slip_name, named, tuple(curves), center, *map(np.sqrt, squares)
+    )
 
 
 class LookCurve(NamedTuple):
