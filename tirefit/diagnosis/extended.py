@@ -46,8 +46,7 @@ _NO_LOAD = 1e-6
 """Share of the mean load below which laws of the load are constant, as powers of the load
 have no value at zero."""
 
-_OF_RUN = ("brisk", "cruise", "rise", "peak")
-"""Covariates with one value for all rows."""
+_OF_RUN = ("brisk", "cruise", "rise", "peak")  # covariates with one value for all rows
 
 
 class Extension(NamedTuple):

@@ -14,14 +14,9 @@ from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.page import Rows, Section, fragment, image_of, page, report_text, verdict_of
 from tirefit.results import UsageError
 
-_NAMED = 6
-"""Largest number of parameters that do not differ and are named."""
-
-_JUDGING = "diagnosis", "description"
-"""Kinds of sources that name effects."""
-
-_ROUNDING = 1e-16
-"""Smallest probability that is printed as a number."""
+_NAMED = 6  # largest number of parameters that do not differ and are named
+_JUDGING = "diagnosis", "description"  # kinds of sources that name effects
+_ROUNDING = 1e-16  # smallest probability that is printed as a number
 
 
 def answer(found: Comparison) -> list[str]:

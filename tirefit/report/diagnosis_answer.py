@@ -25,8 +25,7 @@ from tirefit.report.page import Section
 _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Short names of parameters for sentences."""
 
-_FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")
-"""Parameters that limit the force."""
+_FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")  # parameters that limit the force
 
 _LIKELY = 0.5  # probability of an effect that the simulator's own forces show
 _DIFFERS = 2.0  # standard errors beyond which parameters of two descriptions differ

@@ -47,8 +47,7 @@ _SHOWN = (
 """Texts that mark the notes to show: on signs, on a simulator, on findings of derive, and on
 the windows and tires of a car."""
 
-_BEYOND = 1.5
-"""Ratio of the noise to the stated noise above which it is reported."""
+_BEYOND = 1.5  # ratio of the noise to the stated noise above which it is reported
 
 _HALF = 0.5  # smallest explained share of a mean square without a warning
 _MOST_STEPS = 3  # largest number of measurements that the short report proposes

@@ -45,30 +45,17 @@ _MODELS = {
     "with the effects": ("with effects", RED),
 }
 """Compared car -> its label and colour."""
-_SHOWN = 40
-"""Largest number of windows that are drawn: about ten seconds of driving."""
-_FAN = 1.0
-"""Duration [s] of a drawn prediction."""
+_SHOWN = 40  # largest number of windows that are drawn: about ten seconds of driving
+_FAN = 1.0  # duration [s] of a drawn prediction
 _PREDICTED = f"predicted, {_FAN:g} s"
 
 
-_AHEAD = 0.5
-"""Horizon [s] at which models are compared; the nearest one is used."""
-
-_AS_WELL = 1.05
-"""Ratio of two rms errors up to which one model predicts as well as the other."""
-
-_ABOVE = 2.0
-"""Rms error over that of the noise from which models can be compared."""
-
-_OFF, _SURE = 0.05, 3.0
-"""Smallest error of the turning that is told, and its standard errors."""
-
-_BLOCKS = 8
-"""Number of parts of the starts; their spread gives the error of a ratio."""
-
-_FEWEST = 16
-"""Smallest number of starts for that, and for a horizon at which models are compared."""
+_AHEAD = 0.5  # horizon [s] at which models are compared; the nearest one is used
+_AS_WELL = 1.05  # ratio of two rms errors up to which one model predicts as well as the other
+_ABOVE = 2.0  # rms error over that of the noise from which models can be compared
+_OFF, _SURE = 0.05, 3.0  # smallest error of the turning that is told, and its standard errors
+_BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
+_FEWEST = 16  # smallest number of starts for that, and for a horizon at which models are compared
 
 
 def _place_of(result: Replay) -> int:

@@ -226,8 +226,7 @@ def predicted(
     return followed(car, start, v_x, steering, step, parts, changes)[0]
 
 
-_Moving = tuple[State, jax.Array]
-"""The motion of a car, and the lags of its slip angles [rad]."""
+_Moving = tuple[State, jax.Array]  # the motion of a car, and the lags of its slip angles [rad]
 
 
 def followed(

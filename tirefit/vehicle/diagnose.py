@@ -75,14 +75,9 @@ WINDOW = 1.0
 EFFORT = Effort(singles=8, variants=1, beam=2, width=3, pairs=2, near=5.0)
 """Sets that are refitted: fewer than for rows, as a refit integrates the car."""
 
-_ROUNDS = 2
-"""Number of times that the noise is estimated for the car without effects."""
-
-_STEPS = 40
-"""Usual number of refits of a search."""
-
-_OTHER_NOISE = 0.25
-"""Change of the log noise above which the search is repeated."""
+_ROUNDS = 2  # number of times that the noise is estimated for the car without effects
+_STEPS = 40  # usual number of refits of a search
+_OTHER_NOISE = 0.25  # change of the log noise above which the search is repeated
 
 ALL = "all"
 """The first channel: all channels, in the unit of their noise."""

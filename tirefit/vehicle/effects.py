@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects.record import LEAST_FACTOR, code, library
+from tirefit.diagnosis.effects.record import LEAST_FACTOR, Code, library
 from tirefit.vehicle.car import Changes
 
 
@@ -57,8 +57,7 @@ class Samples(NamedTuple):
     sliding: Any  # (2,) slip above which the front and the rear tire slide
 
 
-_EACH = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
-"""Both axles, the front axle, the rear axle."""
+_EACH = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))  # both axles, the front axle, the rear axle
 _WORDS = ("of both axles", "of the front axle", "of the rear axle")
 
 
@@ -99,7 +98,7 @@ def _scales(name: str, term: Callable[..., Any]) -> dict[str, Any]:
         factors = [1 + c * added for c in constants]
         return scaled_axles(setting, name, factors)
 
-    return code(change, which=_which)
+    return dict(change=change, which=_which)
 
 
 def _falls(
@@ -129,31 +128,31 @@ def _tilt(slope: jax.Array, constants: tuple[float, ...], rows: Samples) -> jax.
     return slope * rows.weight * towards
 
 
-CODE = {
-    "steering_ratio": code(_adds("steering", "ratio", lambda a, c, rows: a)),
-    "steering_offset": code(_adds("steering", "offset", lambda a, c, rows: a)),
-    "steering_delay": code(_adds("steering", "delay", lambda a, c, rows: a)),
-    "steering_lag": code(_adds("steering", "lag", lambda a, c, rows: a)),
-    "steering_play": code(_adds("steering", "play", lambda a, c, rows: a)),
-    "compliance_steer": code(_adds("steering", "yields", lambda a, c, rows: a)),
-    "yaw_inertia": code(_adds("car", "inertia", lambda a, c, rows: jnp.expm1(a))),
-    "centre_of_gravity": code(_adds("car", "ahead", lambda a, c, rows: a * rows.wheelbase)),
+CODE: Code = {
+    "steering_ratio": _adds("steering", "ratio", lambda a, c, rows: a),
+    "steering_offset": _adds("steering", "offset", lambda a, c, rows: a),
+    "steering_delay": _adds("steering", "delay", lambda a, c, rows: a),
+    "steering_lag": _adds("steering", "lag", lambda a, c, rows: a),
+    "steering_play": _adds("steering", "play", lambda a, c, rows: a),
+    "compliance_steer": _adds("steering", "yields", lambda a, c, rows: a),
+    "yaw_inertia": _adds("car", "inertia", lambda a, c, rows: jnp.expm1(a)),
+    "centre_of_gravity": _adds("car", "ahead", lambda a, c, rows: a * rows.wheelbase),
     "lateral_load_transfer": _scales("friction", lambda a, rows: -a * rows.across**2),
-    "longitudinal_load_transfer": code(_transfer),
+    "longitudinal_load_transfer": _transfer,
     "aerodynamic_load": _scales("load", lambda a, rows: a * (rows.speed**2 - 1)),
     "friction_speed": _scales("friction", lambda a, rows: -a * (rows.speed - 1)),
-    "sliding_friction": code(_falls, which=_which),
+    "sliding_friction": dict(change=_falls, which=_which),
     "friction_drift": _scales("friction", lambda a, rows: a * rows.time),
-    "relaxation_length": code(_adds("car", "relaxation", lambda a, c, rows: a * rows.wheelbase)),
+    "relaxation_length": _adds("car", "relaxation", lambda a, c, rows: a * rows.wheelbase),
     "drive_force": _scales("friction", lambda a, rows: -a * rows.along**2),
-    "yaw_resistance": code(
-        _adds("car", "moment", lambda a, c, rows: -a * rows.turn * rows.weight * rows.wheelbase**2)
+    "yaw_resistance": _adds(
+        "car", "moment", lambda a, c, rows: -a * rows.turn * rows.weight * rows.wheelbase**2
     ),
-    "bank": code(_adds("car", "force", lambda a, c, rows: a * rows.weight)),
-    "floor_slope": code(_adds("car", "force", _tilt)),
-    "sideslip_zero": code(_adds("reading", "sideslip", lambda a, c, rows: a)),
-    "yaw_rate_zero": code(_adds("reading", "yaw_rate", lambda a, c, rows: a)),
-    "tracked_point": code(_adds("reading", "ahead", lambda a, c, rows: a * rows.wheelbase)),
+    "bank": _adds("car", "force", lambda a, c, rows: a * rows.weight),
+    "floor_slope": _adds("car", "force", _tilt),
+    "sideslip_zero": _adds("reading", "sideslip", lambda a, c, rows: a),
+    "yaw_rate_zero": _adds("reading", "yaw_rate", lambda a, c, rows: a),
+    "tracked_point": _adds("reading", "ahead", lambda a, c, rows: a * rows.wheelbase),
 }
 
 CAR_EFFECTS = library("tirefit.vehicle", CODE)

@@ -60,8 +60,7 @@ _BEND = 0.1
 """Change [log] of the stiffness that may make up for the bend of a brush with the largest factor
 on its friction, which loses a tenth of the force of a linear tire at 0.28 of its limit."""
 
-_ALIKE = 9.21
-"""Chi-square of three factors about their mean that one of 100 equal ones exceeds."""
+_ALIKE = 9.21  # chi-square of three factors about their mean that one of 100 equal ones exceeds
 
 _RELATED, _NEAR = 0.95, 0.15
 """Least correlation of a state with that of the log, and largest distance [log] of its factor

@@ -39,8 +39,7 @@ _STARTS, _SHORTER = 5, 4.0
 """Number of trials of the best start states of a car without a refit; a step that makes a
 window worse is divided by the second number."""
 
-_MOST_OFF = 1.5
-"""Largest logarithm of a factor on a tire."""
+_MOST_OFF = 1.5  # largest logarithm of a factor on a tire
 
 _FAR = 0.7
 """Logarithm of a factor on the tires from which a refit also begins at the tires as given:
@@ -49,21 +48,16 @@ without an effect, the tires are distorted to replace it."""
 _COLUMNS = TIRES + MOST_EFFECTS
 """Number of columns of the compiled program that differentiates the inputs."""
 
-_LEAST_WINDOWS = 48
-"""Smallest number of windows for which programs are compiled."""
+_LEAST_WINDOWS = 48  # smallest number of windows for which programs are compiled
 
 LEAST_LOGS = 4
 """Smallest number of logs of which each is left out in turn."""
 
-_BLOCKS = 8
-"""Number of parts of the time that are left out in turn if there are fewer logs."""
+_BLOCKS = 8  # number of parts of the time that are left out in turn if there are fewer logs
 
 _PLACES = {"share of the time": 12}
-_USUAL_PLACES = 8
-"""Numbers of places of the covariates at which an unlisted force has its values."""
-
-_USUAL = 0.03
-"""Usual change of a force over the load of its axle."""
+_USUAL_PLACES = 8  # numbers of places of the covariates at which an unlisted force has its values
+_USUAL = 0.03  # usual change of a force over the load of its axle
 
 
 def _filled(windows: Values | tuple[Data, Samples]) -> np.ndarray | tuple[Data, Samples]:

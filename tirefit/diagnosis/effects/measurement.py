@@ -12,7 +12,6 @@ from tirefit.diagnosis.effects.record import (
     Prior,
     adds,
     blend,
-    code,
     multiplies,
     seldom,
     xp,
@@ -25,8 +24,7 @@ from tirefit.params import Values
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.prepared import Prepared
 
-_FINE = 5e-4
-"""Standard error of a slip offset below which an offset of zero is evidence against it."""
+_FINE = 5e-4  # standard error of a slip offset below which an offset of zero is evidence against it
 
 _INERTIA_STATED = 0.3
 """Relative standard deviation of a stated inertia, as hub, disc and shaft turn too."""
@@ -34,8 +32,7 @@ _INERTIA_STATED = 0.3
 _CORNERING = 10.0
 """Usual cornering stiffness over load [1/rad], so that both camber forms share a scale."""
 
-_WARMING = 0.2
-"""Time constant of a zero that settles while its amplifier warms up, over the record."""
+_WARMING = 0.2  # time constant of a zero that settles while its amplifier warms up, over the record
 
 
 def _as_it_was_read(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
@@ -140,39 +137,42 @@ def _parameter_of_runs(name: str) -> dict[str, Any]:
     def factor(a: float, _: tuple[Any, ...], rows: Covariates) -> np.ndarray:
         return xp.exp(a * getattr(rows, RUN_OFFSETS[name].pattern))
 
-    return code(multiplies(name, factor), odds=_one_each)
+    return dict(change=multiplies(name, factor), odds=_one_each)
 
 
-_IN_PROPORTION = code(adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz))
+_IN_PROPORTION = adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz)
 
 CODE: Code = {
-    "slip_offset": code(
-        adds("shift", lambda a, _, rows: a), odds=_offset_odds, prior=_seen_between_slips
+    "slip_offset": dict(
+        change=adds("shift", lambda a, _, rows: a), odds=_offset_odds, prior=_seen_between_slips
     ),
-    "force_offset": code(adds("force", lambda a, _, rows: PER_MILLE * a * rows.load)),
-    "slip_definition": code(
-        adds("curvature", lambda a, constants, _: constants[0] * a),
+    "force_offset": adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
+    "slip_definition": dict(
+        change=adds("curvature", lambda a, constants, _: constants[0] * a),
         odds=_definition_odds,
         prior=_as_it_was_read,
     ),
-    "wheel_inertia": code(adds("force", lambda a, _, rows: -a * rows.spin), prior=_of_this_wheel),
-    "camber_thrust": code(_camber),
+    "wheel_inertia": dict(
+        change=adds("force", lambda a, _, rows: -a * rows.spin), prior=_of_this_wheel
+    ),
+    "camber_thrust": _camber,
     "conicity": _IN_PROPORTION,
-    "slip_zero_drift": code(adds("shift", lambda a, which, rows: a * _settled(rows, which))),
-    "force_zero_drift": code(adds("force", _force_drift)),
+    "slip_zero_drift": adds("shift", lambda a, which, rows: a * _settled(rows, which)),
+    "force_zero_drift": adds("force", _force_drift),
     "load_crosstalk": _IN_PROPORTION,
     # A brush with another load equals one with another friction; this is exact if the
     # stiffness does not depend on the load.
-    "load_offset": code(
-        multiplies(
-            "friction", lambda a, _, rows: (1 + PER_MILLE * a / rows.fz) / (1 + PER_MILLE * a)
-        )
+    "load_offset": multiplies(
+        "friction", lambda a, _, rows: (1 + PER_MILLE * a / rows.fz) / (1 + PER_MILLE * a)
     ),
-    "force_crosstalk": code(adds("force", lambda a, _, rows: a * rows.across)),
-    "force_hysteresis": code(adds("force", _force_hysteresis)),
-    "slip_offset_run": code(adds("shift", lambda a, _, rows: a * rows.run_slip), odds=_one_each),
-    "force_offset_run": code(
-        adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force), odds=_one_each
+    "force_crosstalk": adds("force", lambda a, _, rows: a * rows.across),
+    "force_hysteresis": adds("force", _force_hysteresis),
+    "slip_offset_run": dict(
+        change=adds("shift", lambda a, _, rows: a * rows.run_slip), odds=_one_each
+    ),
+    "force_offset_run": dict(
+        change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
+        odds=_one_each,
     ),
     "friction_run": _parameter_of_runs("friction"),
     "stiffness_run": _parameter_of_runs("stiffness"),

@@ -218,13 +218,8 @@ def effects_by_id(effects: Sequence[Effect | NoiseEffect]) -> dict[str, Any]:
     return {effect.id: effect for effect in effects}
 
 
-def choices(count: int) -> tuple[tuple[float, ...], ...]:
-    """Constants of ``count`` variants that :func:`blend` one formula each."""
-    return tuple(tuple(float(i == k) for i in range(count)) for k in range(count))
-
-
 def blend(constants: tuple[float, ...], *values: Values) -> Values | float:
-    """Sum of the values weighted by the constants: one of them for :func:`choices`."""
+    """Sum of the values weighted by the constants: one of them where ``variants`` is a number."""
     return sum(c * value for c, value in zip(constants, values, strict=True))
 
 
@@ -257,8 +252,7 @@ def multiplies(name: str, factor: Term) -> Change:
     )
 
 
-_SELDOM = -1.0
-"""Log odds of an effect that is a third as frequent as usual ones."""
+_SELDOM = -1.0  # log odds of an effect that is a third as frequent as usual ones
 
 
 def seldom(prepared: "Prepared") -> float:
@@ -266,30 +260,27 @@ def seldom(prepared: "Prepared") -> float:
     return _SELDOM
 
 
-Code = dict[str, dict[str, Any]]
-"""Id of an effect -> the fields of its record that are code."""
-
-
-def code(change: Callable[..., Any], **others: Any) -> dict[str, Any]:
-    """The fields of a record that are code: its change, and others. A car has ``Setting`` and
-    ``Samples`` in the place of ``State`` and ``Covariates``."""
-    return {"change": change, **others}
+Code = dict[str, Callable[..., Any] | dict[str, Any]]
+"""Id of an effect -> its change, or the fields of its record that are code. A car has ``Setting``
+and ``Samples`` in the place of ``State`` and ``Covariates``."""
 
 
 def library(package: str, codes: Code) -> tuple[Effect, ...]:
     """The effects of ``effects.toml`` in a package, each with its code."""
-    tables = tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8"))
-    return tuple(Effect(id=id, **_fields(table), **codes[id]) for id, table in tables.items())
-
-
-def _fields(table: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a record from a table: of its kinds of shorthand, see ``effects.toml``."""
-    found = {key: _tuples(value) for key, value in table.items()}
-    if found.pop("seldom", False):
-        found["odds"] = seldom
-    if isinstance(found.get("variants"), int):
-        found["variants"] = choices(found["variants"])
-    return found
+    tables, found = (
+        tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8")),
+        [],
+    )
+    for id, table in tables.items():
+        own = codes[id]
+        fields = {key: _tuples(value) for key, value in table.items()}
+        fields |= own if isinstance(own, dict) else {"change": own}
+        if fields.pop("seldom", False):
+            fields["odds"] = seldom
+        if isinstance(count := fields.get("variants"), int):  # blended one formula each
+            fields["variants"] = tuple(tuple(np.eye(count)[k].tolist()) for k in range(count))
+        found.append(Effect(id=id, **fields))
+    return tuple(found)
 
 
 def _tuples(value: Any) -> Any:
@@ -391,22 +382,19 @@ class States:
 
     @np.errstate(all="ignore")
     def _after(self, state: State, present: Present) -> State:
-        """The state with further atoms, applied in their order."""
+        """The state with further atoms, applied in their order; fields that they do not change
+        stay the same arrays."""
         for number, amplitude in present:
-            state = _changed(state, self._atoms[number], amplitude, self._rows)
+            atom = self._atoms[number]
+            try:
+                pairs = zip(state, atom.change(state, amplitude, self._rows), strict=True)
+                state = State(*(a if b is a else _constant(b, np.shape(a)) for a, b in pairs))
+            except Exception as error:  # the function of a user may raise any error
+                reason = f"effect {atom.effect.id!r}: {type(error).__name__}: {error}"
+                remedy = "its change takes (state, amplitude, constants, rows) and gives"
+                remedy += " a state, each field a number or one for each row"
+                raise UsageError(InputProblem(reason, remedy)) from error
         return state
-
-
-def _changed(state: State, atom: Atom, amplitude: float, rows: Covariates) -> State:
-    """The state with an atom; fields that it does not change stay the same arrays."""
-    try:
-        pairs = zip(state, atom.change(state, amplitude, rows), strict=True)
-        return State(*(a if b is a else _constant(b, np.shape(a)) for a, b in pairs))
-    except Exception as error:  # the function of a user may raise any error
-        reason = f"effect {atom.effect.id!r}: {type(error).__name__}: {error}"
-        remedy = "its change takes (state, amplitude, constants, rows) and gives"
-        remedy += " a state, each field a number or one for each row"
-        raise UsageError(InputProblem(reason, remedy)) from error
 
 
 def _size(values: Values | float) -> float:

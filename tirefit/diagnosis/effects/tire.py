@@ -5,16 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from tirefit.diagnosis.effects.record import (
-    LEAST_FACTOR,
-    Code,
-    adds,
-    blend,
-    code,
-    multiplies,
-    scaled,
-    xp,
-)
+from tirefit.diagnosis.effects.record import LEAST_FACTOR, Code, adds, blend, multiplies, scaled, xp
 from tirefit.diagnosis.effects.state import Covariates, State
 from tirefit.diagnosis.engine import FLAT
 from tirefit.params import Values
@@ -162,52 +153,44 @@ def _with_load(
 def _by_condition(name: str) -> Code:
     """Friction or stiffness with load, temperature, time, pressure, work."""
     return {
-        f"load_{name}": code(partial(_with_load, name), which=_which_power),
-        f"{name}_temperature": code(multiplies(name, lambda a, _, rows: 1 + a * rows.temperature)),
-        f"{name}_drift": code(multiplies(name, _drift), which=_which_drift),
-        f"{name}_pressure": code(multiplies(name, lambda a, _, rows: 1 + a * rows.inflation)),
-        f"{name}_warming": code(
-            multiplies(name, lambda a, c, rows: 1 + (a * rows.work) @ xp.asarray(c))
-        ),
+        f"load_{name}": dict(change=partial(_with_load, name), which=_which_power),
+        f"{name}_temperature": multiplies(name, lambda a, _, rows: 1 + a * rows.temperature),
+        f"{name}_drift": dict(change=multiplies(name, _drift), which=_which_drift),
+        f"{name}_pressure": multiplies(name, lambda a, _, rows: 1 + a * rows.inflation),
+        f"{name}_warming": multiplies(name, lambda a, c, rows: 1 + (a * rows.work) @ xp.asarray(c)),
     }
 
 
 CODE: Code = {
-    "pressure_asymmetry": code(
-        lambda state, d, constants, rows: _skewed(state, d), bounds=(_SKEWS,)
+    "pressure_asymmetry": dict(
+        change=lambda state, d, constants, rows: _skewed(state, d), bounds=(_SKEWS,)
     ),
-    "pressure_flatness": code(
-        lambda state, share, constants, rows: state._replace(
+    "pressure_flatness": dict(
+        change=lambda state, share, constants, rows: state._replace(
             flat=xp.clip(state.flat + share, *_FLATNESSES)
         ),
         bounds=(_FLATNESSES,),
     ),
-    "kinetic_friction": code(adds("static", lambda a, constants, rows: a)),
-    "pressure_shift_load": code(_skew_with),
+    "kinetic_friction": adds("static", lambda a, constants, rows: a),
+    "pressure_shift_load": _skew_with,
     # With the force of the base model, as the slip that the carcass takes is small.
-    "carcass_flexibility": code(adds("shift", lambda a, _, rows: -a * rows.traction)),
-    "friction_speed_linear": code(_linear_loss, which=_which_speed),
-    "friction_speed_exponential": code(
-        _fall,
+    "carcass_flexibility": adds("shift", lambda a, _, rows: -a * rows.traction),
+    "friction_speed_linear": dict(change=_linear_loss, which=_which_speed),
+    "friction_speed_exponential": dict(
+        change=_fall,
         which=_which_fall,
         variants=tuple((*fall, both) for both in (0.0, 1.0) for fall in _FALLS),
     ),
     **_by_condition("friction"),
     **_by_condition("stiffness"),
-    "friction_step": code(
-        multiplies("friction", _step),
+    "friction_step": dict(
+        change=multiplies("friction", _step),
         which=_which_step,
         variants=(*((at, _NO_END) for at in STEPS), *_STRETCHES),
         during=lambda constants: (constants[0], constants[1]),
     ),
-    "friction_hysteresis": code(
-        multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning)
-    ),
-    "drive_brake_asymmetry": code(
-        multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side)
-    ),
-    "combined_slip": code(_other),
-    "stiffness_speed": code(
-        multiplies("stiffness", lambda a, _, rows: (rows.pace / rows.cruise) ** a)
-    ),
+    "friction_hysteresis": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
+    "drive_brake_asymmetry": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
+    "combined_slip": _other,
+    "stiffness_speed": multiplies("stiffness", lambda a, _, rows: (rows.pace / rows.cruise) ** a),
 }

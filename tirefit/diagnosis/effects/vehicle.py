@@ -7,7 +7,7 @@ therefore the error of a measured quantity if the file states it (``tirefit deri
 from vehicle.toml), else the error of a guess."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from tirefit.diagnosis.effects.record import (
     Prior,
     adds,
     blend,
-    code,
     multiplies,
     scaled,
     seldom,
@@ -35,8 +34,7 @@ from tirefit.slip import GRAVITY
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.prepared import Prepared
 
-_CERTAIN = 30.0
-"""Largest log odds: an error of one in 10^13, beyond which nothing changes."""
+_CERTAIN = 30.0  # largest log odds: an error of one in 10^13, beyond which nothing changes
 
 _HEIGHT, _FAR = 0.4, 6.0
 """Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
@@ -45,41 +43,32 @@ bounds in standard deviations."""
 _NO_LENGTH = 1e-12
 """A length below this share of a step counts as zero; the slope there is one-sided."""
 
-_FEW_WAYS = 1e-4
-"""Steps over the length below which the response is the first term of its series."""
-
-
-class _Quantity(NamedTuple):
-    """A quantity of the vehicle."""
-
-    key: str  # in vehicle.toml
-    stated: float  # standard error if that file states it
-    guessed: float  # standard error if it does not
+_FEW_WAYS = 1e-4  # steps over the length below which the response is the first term of its series
 
 
 _QUANTITIES = {
     # Errors over the arm of an axle (1 mm on a 1:10 car, 4 cm on a car) and over the
     # wheelbase. The yaw inertia of most vehicle files is an estimate.
-    "position": _Quantity("tracked_point", 0.03, 0.1),
-    "clock": _Quantity("clock", 0.005, 0.1),
-    "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1),
+    "position": ("tracked_point", 0.03, 0.1),
+    "clock": ("clock", 0.005, 0.1),
+    "yaw_inertia": ("yaw_inertia", 0.3, 1.0),
 }
-"""Key of ``[vehicle]`` in rig.toml -> the quantity whose standard error it states."""
+"""Key of ``[vehicle]`` in rig.toml -> key of the quantity in vehicle.toml, and its standard error
+if that file states it, and if it does not."""
 
 
 def _error(key: str, prepared: "Prepared", rig: Rig) -> tuple[float | None, bool]:
     """Standard error [m, s, share], and whether it or the quantity is stated; None if the
     force was measured and neither is stated."""
-    of, derived = _QUANTITIES[key], prepared.derived
+    (name, *errors), derived = _QUANTITIES[key], prepared.derived
     if key in rig.vehicle:
         return rig.vehicle[key], True
     if derived is None:
         return None, False
     constants = prepared.data.source.constants
-    stated = of.key in constants
-    error = of.stated if stated else of.guessed
+    error = errors[0 if (stated := name in constants) else 1]
     if key == "clock" and stated:
-        error = constants[of.key]
+        error = constants[name]
     if key == "position":
         # The wheelbase, if not stated, is about twice the arm of an axle.
         error *= derived.arm if stated else constants.get("wheelbase", 2 * derived.arm)
@@ -104,19 +93,15 @@ def _of_quantity(key: str, prior: Prior, prepared: "Prepared", rig: Rig) -> Prio
 
 
 def of_a_known_position(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
-    """Prior of an error of the tracked point along the vehicle.
-
-    It is the error that ``tirefit derive`` estimated from the same logs; without an
-    estimate, that of a ruler for a stated point.
-    """
+    """Prior of an error of the tracked point along the vehicle: as ``tirefit derive`` estimated
+    it from the same logs; without an estimate, that of a ruler for a stated point."""
     known = error_of_point(prepared.data.source.constants)
     if known is None or "position" in rig.vehicle:
         return _of_quantity("position", prior, prepared, rig)
     error, std = known
-    reach = _FAR * std  # no error remains within the bounds
-    return prior._replace(
-        scale=std, center=error, low=min(error, 0.0) - reach, high=max(error, 0.0) + reach
-    )
+    # No error remains within the bounds.
+    low, high = min(error, 0.0) - _FAR * std, max(error, 0.0) + _FAR * std
+    return Prior(std, error, low, high)
 
 
 def odds_of_derive(prepared: "Prepared") -> float:
@@ -166,19 +151,16 @@ def said_of_motion(rows: "Prepared", rig: Rig, force: Mapping[str, np.ndarray]) 
     if derived is None:
         return ()
     observed = rows.observed["fy"]
-    missed = observed - force["fy"]
-    message = (
-        f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
-        " it shares its channels with the slip, and so does held-out data"
-    )
+    message = f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
+    message += " it shares its channels with the slip, and so does held-out data"
     if "yaw_rate" in rows.has and derived.mass is not None:
         on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
         message += (
             "; without any tire model, mass x v x yaw_rate differs from it by"
             f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
-            f" {_rms(missed):.3g} N"
+            f" {_rms(observed - force['fy']):.3g} N"
         )
-    if unstated := [of.key for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
+    if unstated := [of[0] for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
         message += f"; vehicle.toml does not state {', '.join(unstated)}: measure them"
     return (message,)
 
@@ -249,8 +231,7 @@ def _delay(state: State, delay: float, constants: tuple[float, ...], rows: Covar
 
 
 def _relax(state: State, length: float, constants: tuple[float, ...], rows: Covariates) -> State:
-    _, force = constants
-    if force:
+    if constants[1]:
         return _with_lag(state, length, rows.step, rows)
     return state._replace(shift=state.shift + lag(length, rows.step)(rows.past))
 
@@ -271,17 +252,17 @@ def _steer(late: Callable[..., Any]) -> Callable[..., Any]:
     return change
 
 
-def _of_a_known_clock(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
-    """Prior of a delay between channels of one log."""
-    known = _of_quantity("clock", prior, prepared, rig)
-    return _within_the_past(known, prepared, rig)
-
-
-_PAST = {
-    "channel_delay": code(_delay, prior=_of_a_known_clock),
-    "relaxation_length": code(_relax),
-    "steering_delay": code(_steer(_late), prior=_within_the_past),
-    "steering_lag": code(_steer(lambda past, a, rows: lag(a, rows.interval)(past))),
+_PAST: Code = {
+    # A delay between channels of one log.
+    "channel_delay": dict(
+        change=_delay,
+        prior=lambda prior, rows, rig: _within_the_past(
+            _of_quantity("clock", prior, rows, rig), rows, rig
+        ),
+    ),
+    "relaxation_length": _relax,
+    "steering_delay": dict(change=_steer(_late), prior=_within_the_past),
+    "steering_lag": _steer(lambda past, a, rows: lag(a, rows.interval)(past)),
 }
 
 
@@ -338,7 +319,7 @@ def _slope(slope: float, constants: tuple[float, ...], rows: Covariates) -> np.n
     return slope * rows.load * rows.fz * towards
 
 
-def _of_the_axle(factor: Callable[..., Any]) -> dict[str, Any]:
+def _of_the_axle(factor: Callable[..., Any]) -> Callable[..., Any]:
     """A factor that depends on the lateral acceleration, on friction, stiffness or both."""
 
     def change(
@@ -350,36 +331,38 @@ def _of_the_axle(factor: Callable[..., Any]) -> dict[str, Any]:
             friction=state.friction * times**friction, stiffness=state.stiffness * times**stiffness
         )
 
-    return code(change)
+    return change
 
 
 CODE: Code = {
     **_PAST,
-    "slip_offset_load": code(
-        adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), odds=_one_load
+    "slip_offset_load": dict(
+        change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), odds=_one_load
     ),
-    "slip_offset_speed": code(adds("shift", _slip_speed), odds=_one_speed_of_the_slip),
-    "speed_zero": code(
-        adds("shift", lambda a, _, rows: a / rows.pace), odds=_one_speed_of_the_slip
+    "slip_offset_speed": dict(change=adds("shift", _slip_speed), odds=_one_speed_of_the_slip),
+    "speed_zero": dict(
+        change=adds("shift", lambda a, _, rows: a / rows.pace), odds=_one_speed_of_the_slip
     ),
-    "speed_drag": code(adds("force", _drag), odds=_one_speed_of_the_slip),
-    "friction_ellipse": code(_ellipse, prior=of_a_known_force),
-    "tracked_point": code(
-        adds("shift", lambda a, _, rows: a * rows.yaw),
+    "speed_drag": dict(change=adds("force", _drag), odds=_one_speed_of_the_slip),
+    "friction_ellipse": dict(change=_ellipse, prior=of_a_known_force),
+    "tracked_point": dict(
+        change=adds("shift", lambda a, _, rows: a * rows.yaw),
         odds=odds_of_derive,
         prior=of_a_known_position,
     ),
-    "load_transfer": code(
-        multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
+    "load_transfer": dict(
+        change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
         prior=of_a_known_height,
     ),
-    "yaw_inertia": code(adds("force", lambda a, _, rows: a * rows.swing), prior=of_a_known_inertia),
-    "floor_slope": code(
-        adds("force", _slope),
+    "yaw_inertia": dict(
+        change=adds("force", lambda a, _, rows: a * rows.swing), prior=of_a_known_inertia
+    ),
+    "floor_slope": dict(
+        change=adds("force", _slope),
         variants=tuple((float(np.cos(d)), float(np.sin(d))) for d in _DIRECTIONS),
     ),
-    "toe": code(adds("shift", lambda a, _, rows: a * rows.lean)),
+    "toe": adds("shift", lambda a, _, rows: a * rows.lean),
     "lateral_load_transfer": _of_the_axle(lambda a, lean: 1 - a * lean**2),
     "unlike_tires": _of_the_axle(lambda a, lean: 1 + a * lean),
-    "steering_gain": code(adds("shift", lambda a, _, rows: a * rows.steering)),
+    "steering_gain": adds("shift", lambda a, _, rows: a * rows.steering),
 }

@@ -24,8 +24,7 @@ from tirefit.diagnosis.summary.result import Change, HeldOut, Part, Shrinkage
 
 DRAWS = 400  # number of draws and bootstrap samples; 20 are beyond each end of 90 %
 INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
-_RESOLVED = 3.0
-"""A gap is resolved if its energy exceeds noise by this many standard deviations."""
+_RESOLVED = 3.0  # a gap is resolved if its energy exceeds noise by this many standard deviations
 WORST = -1.0  # lower limit of the closure: the gap has doubled
 _BLOCKS = 60  # largest number of blocks of a record
 _SETS = 3  # number of the most probable sets of effects in the draws
@@ -295,11 +294,8 @@ def on_files(
 
 PARAMETERS = "parameters"
 
-_DIFFERS = 2.0
-"""Standard errors from which a parameter of a simulator counts as different."""
-
-_HELD = 1e4
-"""Stiffness that holds parameters z: they move by 1e-8 of the gradient."""
+_DIFFERS = 2.0  # standard errors from which a parameter of a simulator counts as different
+_HELD = 1e4  # stiffness that holds parameters z: they move by 1e-8 of the gradient
 
 
 def subsets(players: tuple[Any, ...]) -> list[tuple[Any, ...]]:

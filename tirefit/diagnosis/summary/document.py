@@ -60,8 +60,7 @@ _SEEN_ENERGY = 2.5
 """Energy of a generic remainder that is detected four times in five, in standard deviations of
 that of noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
 
-_DIRECTIONS = 40
-"""Largest number of smooth directions with noise; a force over slip has fewer."""
+_DIRECTIONS = 40  # largest number of smooth directions with noise; a force over slip has fewer
 
 
 def document_of(

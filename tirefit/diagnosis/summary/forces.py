@@ -14,14 +14,12 @@ from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.relaxation import Relaxed
 from tirefit.slip import CONVENTIONS, sigma_from_kappa
 
-_SLIPS, _DRAWS = 61, 100
-"""Number of slips of a curve, and of draws of its parameters."""
+_SLIPS, _DRAWS = 61, 100  # number of slips of a curve, and of draws of its parameters
 
 _Place = tuple[np.ndarray, tuple[float, ...], float]
 """Slips, loads [N] and speed [m/s] at which forces are compared."""
 
-_USUAL_SPEED = 10.0
-"""Speed [m/s] where no source states one."""
+_USUAL_SPEED = 10.0  # speed [m/s] where no source states one
 
 _ONE_LOAD = 1.2
 """Ratio of the ends of the common loads up to which the middle stands for all; two ranges that

@@ -26,8 +26,7 @@ _FACTORS, _SMALL = (0.5, 2.0), 0.1
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
 _WORTHWHILE = 0.02
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
-_OPEN = (0.2, 0.8)
-"""Probabilities of a cause between which a further measurement is to decide."""
+_OPEN = (0.2, 0.8)  # probabilities of a cause between which a further measurement is to decide
 _STANDS_OFF = 0.5
 """Change of the size of a stand-in under other conditions, over its size: on measured logs a
 quarter to once its size, that of a cause hardly any."""

@@ -154,8 +154,7 @@ _BANDS, _BINS, _STEPS = 5, 13, 60
 
 _FEWEST = 4  # smallest number of rows of a cell for its scatter to be known
 _TENTHS = (0.1, 0.9)  # quantiles that hold 80 % of the rows of a bin
-_BETTER = 0.05
-"""Another map replaces that over the load if it shows more energy by this share."""
+_BETTER = 0.05  # another map replaces that over the load if it shows more energy by this share
 _SHOWN = 0.05  # smallest probability of a function of the remainder that is reported
 _POINTS, _CURVES = 300, 3  # largest numbers of points and curves in a figure
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
