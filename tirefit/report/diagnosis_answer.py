@@ -10,15 +10,7 @@ from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.closure import PARAMETERS
 from tirefit.diagnosis.summary.readings import SLOPE
 from tirefit.diagnosis.summary.result import Diagnosis, Estimate, Readings
-from tirefit.report.diagnosis_words import (
-    amount_text,
-    channel_name,
-    listing,
-    name_of,
-    said_unit,
-    share_text,
-    words_on,
-)
+from tirefit.report import diagnosis_words as words
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section
 
@@ -43,10 +35,12 @@ def answer(result: Diagnosis) -> str:
     sentences = [_on_effects(result, shares, "its parameters and " * bool(changes))]
     if changes:
         own = shares.get(PARAMETERS, 0.0)
-        of_error = f", {share_text(own)} of its error" * (PARAMETERS in shares)
+        of_error = f", {words.share_text(own)} of its error" * (PARAMETERS in shares)
         largest = max((shares.get(effect, 0.0) for effect in verdict.effects), default=0.0)
         first = not verdict.names_an_effect or own >= largest
-        sentences.insert(0 if first else 1, f"The simulator has {listing(changes)}{of_error}.")
+        sentences.insert(
+            0 if first else 1, f"The simulator has {words.listing(changes)}{of_error}."
+        )
     changed = " ".join([*sentences, *_how_much(result)])
     return _of_readings(result, result.readings, changed) if result.readings else changed
 
@@ -84,23 +78,25 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
             f" cause. Probability {verdict.left.unlisted:.2f} of an unlisted effect.{like}"
         )
     if not verdict.names_an_effect:
-        of_noise = [name_of(e) for e in verdict.effects if e != "unknown"]
-        tail = f" The noise shows {listing(of_noise)}." if of_noise else ""
+        of_noise = [words.name_of(e) for e in verdict.effects if e != "unknown"]
+        tail = f" The noise shows {words.listing(of_noise)}." if of_noise else ""
         return (
             f"There is no gap beyond {beyond}the noise. Probability"
             f" {verdict.probability:.2f} of no effect, listed or unlisted.{tail}"
         )
     parts = []
     for effect in carried(result, verdict.effects, shares):
-        each, text = verdict.each[effect], f"{name_of(effect)}{of_size(result, effect)}"
+        each, text = verdict.each[effect], f"{words.name_of(effect)}{of_size(result, effect)}"
         if each.twins:
-            names = listing([name_of(twin) for twin in each.twins], "or")
+            names = words.listing([words.name_of(twin) for twin in each.twins], "or")
             text += f" or {names}, which this data cannot tell apart"
         text += f" ({each.probability:.2f})"
         if effect in shares:
-            text += f", {share_text(shares[effect])} of the error's mean square"
+            text += f", {words.share_text(shares[effect])} of the error's mean square"
         # The first remedy; all are under the effects.
-        remedy = words_on(effect, result.library, bool(result.data.motion))[1].partition(";")[0]
+        remedy = words.words_on(effect, result.library, bool(result.data.motion))[1].partition(";")[
+            0
+        ]
         parts.append(f"{text}: {remedy}" if remedy and not each.twins else text)
     beside = ""
     if verdict.status == Status.INCOMPLETE:
@@ -111,8 +107,8 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
 
 def of_size(result: Diagnosis, effect: str) -> str:
     """``of 0.27 ± 0.03 m``: the sizes of an effect that helps; empty if it has none."""
-    sizes = [amount_text(one.value, one.std, one.unit) for one in result.sizes_of(effect)]
-    return f" of {listing(sizes)}" if sizes else ""
+    sizes = [words.amount_text(one.value, one.std, one.unit) for one in result.sizes_of(effect)]
+    return f" of {words.listing(sizes)}" if sizes else ""
 
 
 def carried(result: Diagnosis, effects: Sequence[str], shares: Mapping[str, float]) -> list[str]:
@@ -137,12 +133,12 @@ def _acting(result: Diagnosis, shares: Mapping[str, float], what: str) -> str:
     parts = []
     for effect in carried(result, result.verdict.acts_like, shares):
         each = result.verdict.each[effect]
-        text = f"{name_of(effect)}{of_size(result, effect)}"
+        text = f"{words.name_of(effect)}{of_size(result, effect)}"
         text += f" ({each.probability:.2f} that this is the cause"
         if each.closed_left_out is not None:
-            text += f"; it removes {share_text(each.closed_left_out)} on data left out"
+            text += f"; it removes {words.share_text(each.closed_left_out)} on data left out"
         parts.append(f"{text})")
-    return f" In the model, {what} acts like {listing(parts)}." if parts else ""
+    return f" In the model, {what} acts like {words.listing(parts)}." if parts else ""
 
 
 def change_texts(result: Diagnosis) -> list[str]:
@@ -150,12 +146,12 @@ def change_texts(result: Diagnosis) -> list[str]:
     significant first; only those that differ from the measurement."""
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
-    both, words = result.readings, {**result.meanings, **_SHORT}
+    both, meanings = result.readings, {**result.meanings, **_SHORT}
     if both and any(one.id == "no_saturation" for one in both.structure):
         wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
     used, texts = _used_friction(result) if wrong else 0.0, []
     for name, change in wrong:
-        meaning, off = words.get(name, name), change.simulated - change.measured
+        meaning, off = meanings.get(name, name), change.simulated - change.measured
         if min(change.simulated, change.measured) > 0:
             ratio = change.simulated / change.measured
             error = ratio * change.std / change.measured
@@ -208,12 +204,13 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
     unit = result.unit
     own, of_it = (format_number(x, 3) for x in (both.measured.rms_left_out, both.rms_changed))
     parts = [
-        f"The simulator's {channel_name(s.channel)} shows that {s.means}." for s in both.structure
+        f"The simulator's {words.channel_name(s.channel)} shows that {s.means}."
+        for s in both.structure
     ]
     own_effects = both.simulator.effects if both.simulator else {}
     likely = [_amount(e, x) for e, x in own_effects.items() if (x.probability or 0.0) >= _LIKELY]
     if likely:
-        parts.append(f"The simulator's own forces show {listing(likely)}.")
+        parts.append(f"The simulator's own forces show {words.listing(likely)}.")
     fitted = f"A {both.model} with effects, fitted to the measured rows, predicts rows left out to"
     fitted += f" {own} {unit}"
     if both.first == "changed":
@@ -245,18 +242,18 @@ def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
             used = _used_friction(result)
             wrong.append(_ratio_text(name, name, ratio, float(error), own.value, used))
     if wrong:
-        yield f"The simulator has {listing(wrong)}."
+        yield f"The simulator has {words.listing(wrong)}."
     lacks = [
         f"{_amount(effect, one)} ({one.probability:.2f} that this is the cause)"
         for effect, one in here.effects.items()
         if there is None or effect not in there.effects
     ]
     if lacks:
-        yield f"The measured forces act like {listing(lacks)}."
+        yield f"The measured forces act like {words.listing(lacks)}."
 
 
 def _amount(effect: str, one: Estimate) -> str:
-    return f"{name_of(effect)} of {amount_text(one.value, one.std, one.unit)}"
+    return f"{words.name_of(effect)} of {words.amount_text(one.value, one.std, one.unit)}"
 
 
 def _simulated(both: Readings, name: str) -> Estimate | None:
@@ -272,15 +269,15 @@ def readings_section(both: Readings, unit: str) -> Section:
     sides = [dict(side.effects) if side else {} for side in (both.simulator, both.measured)]
     each: list[tuple[str, tuple[Estimate | None, ...]]] = []
     each += [(k, (_simulated(both, k), one)) for k, one in both.measured.parameters.items()]
-    each += [(name_of(k), tuple(side.get(k) for side in sides)) for k in sides[0] | sides[1]]
+    each += [(words.name_of(k), tuple(side.get(k) for side in sides)) for k in sides[0] | sides[1]]
     for name, pair in each:
-        said = said_unit(next(filter(None, pair[::-1])).unit)[1]
+        said = words.said_unit(next(filter(None, pair[::-1])).unit)[1]
         table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
     left = (format_number(s.rms_left_out, 3) if s else "-" for s in (both.simulator, both.measured))
     table.append((f"rms left out [{unit}]", *left))
     lines = ["in brackets: probability of an effect to be the cause"] if any(sides) else []
     for one in both.structure:
-        lines += [f"{channel_name(one.channel)} of the simulator: {one.means}"]
+        lines += [f"{words.channel_name(one.channel)} of the simulator: {one.means}"]
         lines += [f"    to do: {one.remedy}"]
     if both.simulator is None and not both.structure:
         lines.append("the model cannot be fitted to the simulator's forces")
@@ -290,6 +287,6 @@ def readings_section(both: Readings, unit: str) -> Section:
 def _cell(one: Estimate | None) -> str:
     if one is None:
         return "-"
-    factor = said_unit(one.unit)[0]
+    factor = words.said_unit(one.unit)[0]
     text = format_estimate(factor * one.value, factor * one.std or None)
     return text if one.probability is None else f"{text} ({one.probability:.2f})"

@@ -15,6 +15,7 @@ from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis
 from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
 from tirefit.params import check_names
+from tirefit.report import diagnosis_words as words
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -41,14 +42,6 @@ from tirefit.report.diagnosis_sections import (
     step_label,
     subject,
     whole_error,
-)
-from tirefit.report.diagnosis_words import (
-    NAMED_VALUES,
-    channel_name,
-    covariate_text,
-    covariate_unit,
-    look_text,
-    name_of,
 )
 from tirefit.report.numbers import format_number
 
@@ -144,8 +137,8 @@ def _range(low: float, high: float) -> str:
 
 
 def _with_unit(covariate: str, more: str = "") -> str:
-    unit = covariate_unit(covariate)
-    return covariate_text(covariate) + more + f" [{unit}]" * bool(unit)
+    unit = words.covariate_unit(covariate)
+    return words.covariate_text(covariate) + more + f" [{unit}]" * bool(unit)
 
 
 def draw_where(figure: Any, panel: ResidualMap, base: str = "base fit") -> None:
@@ -166,7 +159,7 @@ def draw_where(figure: Any, panel: ResidualMap, base: str = "base fit") -> None:
     row, column = np.nonzero(panel.beyond)
     axes.plot(center[column], row, "o", ms=3.5, mfc=DARK, mec="white", mew=0.6)
     tidy(axes, "slip / slip of full sliding", _with_unit(panel.covariate))
-    named = NAMED_VALUES.get(panel.covariate, {})
+    named = words.NAMED_VALUES.get(panel.covariate, {})
     axes.set_yticks(
         range(rows), [named.get(low) or _range(low, high) for low, high in panel.levels]
     )
@@ -182,7 +175,7 @@ def after_label(result: Diagnosis) -> str:
     """Name of the curves after the diagnosis."""
     if result.comparison and not result.comparison.named:
         return "base + located gap"
-    named = map(name_of, result.verdict.helping)
+    named = map(words.name_of, result.verdict.helping)
     return " + ".join((*(["parameters"] if result.simulator else []), *named))
 
 
@@ -205,7 +198,7 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
         top.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
         load = f"$F_z$ = {_range(*curve.load)} N"
         handles.append(Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load))
-    force = f"${channel_name(panel.channel)}$ [{UNITS[panel.channel]}]"
+    force = f"${words.channel_name(panel.channel)}$ [{UNITS[panel.channel]}]"
     tidy(top, f"{axis.label} [{axis.unit}]", force)
     handles += [
         Line2D([], [], color=GREY, label=base, **dashed),
@@ -257,7 +250,7 @@ def draw_look(figure: Any, panel: LookCurve, beside: str) -> None:
     tidy(
         axes, _with_unit(look.covariate, ", within a period" * look.is_wave), labels[look.parameter]
     )
-    title = f"What is left: {look_text(look)}".replace(" %", "\u00a0%")
+    title = f"What is left: {words.look_text(look)}".replace(" %", "\u00a0%")
     title = textwrap.fill(title, _LETTERS)
     panel_title(axes, title, f"most probable function ± standard error; on top of {beside}")
 
@@ -288,7 +281,7 @@ def panels_of(result: Diagnosis) -> dict[str, Panel]:
         draw = partial(draw_look, panel=result.look, beside=beside)
         panels["what is left"] = Panel(draw, text, _SIZE)
     for channel in result.budgets if result.simulator else ():
-        of = f" of {channel_name(channel)}" * (len(result.budgets) > 1)
+        of = f" of {words.channel_name(channel)}" * (len(result.budgets) > 1)
         titles = {"title": f"Budget{of}: from the simulator's error to noise"}
         titles |= {"note": "parts add in squares; [90 % interval]"}
         titles |= {"x_label": "share of the squared error [%]"}

@@ -11,6 +11,7 @@ from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
+from tirefit.report import diagnosis_words as words
 from tirefit.report.diagnosis_answer import answer
 from tirefit.report.diagnosis_sections import (
     both_described,
@@ -21,18 +22,6 @@ from tirefit.report.diagnosis_sections import (
     missing_lines,
     of_effects,
     subject,
-)
-from tirefit.report.diagnosis_words import (
-    amount_text,
-    amplitude_text,
-    covariate_text,
-    name_of,
-    p_text,
-    range_text,
-    said_unit,
-    set_name,
-    share_text,
-    slip_check_line,
 )
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, fragment, image_of, page, report_text, verdict_of, wrapped
@@ -100,17 +89,24 @@ def _details(result: Diagnosis) -> list[Section]:
     changed = of_effects(result) if of_changed else []
     where = [("quantity", "range", "share of energy", "p of noise")]
     where += [
-        (covariate_text(one.covariate), range_text(one), share_text(one.share), p_text(one.p_value))
+        (
+            words.covariate_text(one.covariate),
+            words.range_text(one),
+            words.share_text(one.share),
+            words.p_text(one.p_value),
+        )
         for one in result.where
     ]
     candidates = []
     for one in result.candidates:
         sizes = (
-            f"; {name_of(name.partition(': ')[0])} {amplitude_text(amplitude)}"
+            f"; {words.name_of(name.partition(': ')[0])} {words.amplitude_text(amplitude)}"
             for name, amplitude in one.parameters.items()
         )
         if one.probability >= _LEAST:
-            candidates.append(f"{one.probability:.3f}  {set_name(one.effects)}{''.join(sizes)}")
+            candidates.append(
+                f"{one.probability:.3f}  {words.set_name(one.effects)}{''.join(sizes)}"
+            )
     title = "Candidates (probability of exactly this set, by the evidence)"
     return [
         *(one._replace(title=f"{of_changed}{one.title}") for one in changed),
@@ -128,20 +124,20 @@ def _details(result: Diagnosis) -> list[Section]:
 def _run_lines(result: Diagnosis) -> Iterator[str]:
     """Differences between the runs of the file, one line for each kind of offset."""
     for kind, runs in result.runs.items():
-        factor, unit = said_unit(runs.unit)
-        common = f"{amount_text(runs.common, runs.std, runs.unit)} for all "
+        factor, unit = words.said_unit(runs.unit)
+        common = f"{words.amount_text(runs.common, runs.std, runs.unit)} for all "
         if runs.unit == RELATIVE:  # what is common is the tire's own parameter
             common = ""
-        spread = amount_text(runs.spread, None, runs.unit, 2)
+        spread = words.amount_text(runs.spread, None, runs.unit, 2)
         low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
         own = (
             f"{name} {format_estimate(factor * value, factor * std)}"
             for name, (value, std) in runs.values.items()
         )
         yield (
-            f"{name_of(kind)}: {common}{len(runs.values)} runs, standard"
+            f"{words.name_of(kind)}: {common}{len(runs.values)} runs, standard"
             f" deviation between runs {spread} [{low}, {high}], p"
-            f" {p_text(runs.p_value)} of none;"
+            f" {words.p_text(runs.p_value)} of none;"
             f" each run{f' [{unit}]' * bool(unit)}: {', '.join(own)}"
         )
 
@@ -167,15 +163,15 @@ def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
     """Sentences on effects that these rows would confuse with others, and on effects
     that they would not detect at their usual amplitude."""
     lines = [
-        f"{name_of(chance.effect)} of"
-        f" {amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
+        f"{words.name_of(chance.effect)} of"
+        f" {words.amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
         f" probability {chance.recognised:.2f}, else taken for"
-        f" {name_of(chance.taken_for)}"
+        f" {words.name_of(chance.taken_for)}"
         for chance in sorted(result.forecast, key=lambda one: one.recognised)
         if chance.taken_for and chance.seen >= max(_SEEN, chance.recognised / 0.75)
     ]
     unseen = [
-        name_of(chance.effect)
+        words.name_of(chance.effect)
         for chance in result.forecast
         if chance.seen < _SEEN and chance.effect not in result.verdict.effects
     ]
@@ -196,7 +192,7 @@ def _settings(result: Diagnosis) -> Iterator[str]:
         f"{'; noise ' * bool(noise.flags)}{', '.join(noise.flags)}"
     )
     if result.slip_check is not None:
-        yield slip_check_line(result.slip_check)
+        yield words.slip_check_line(result.slip_check)
     if settings.rig is not None:
         rig = {k: v for k, v in vars(settings.rig).items() if v}
         rig |= {f"noise.{k}": v for k, v in rig.pop("noise", {}).items()}

@@ -16,23 +16,8 @@ from tirefit.diagnosis.summary.result import (
     Readings,
     Shrinkage,
 )
+from tirefit.report import diagnosis_words as words
 from tirefit.report.diagnosis_answer import readings_section, worse_steps
-from tirefit.report.diagnosis_words import (
-    amplitude_text,
-    channel_name,
-    closed_text,
-    covariate_text,
-    in_the_file,
-    listing,
-    look_text,
-    name_of,
-    needs_text,
-    said_unit,
-    set_name,
-    share_text,
-    slip_check_line,
-    words_on,
-)
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section
 
@@ -71,7 +56,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
     """Number of rows, noise, and warnings that come before the answer."""
     data, noise = result.data, result.noise
     levels = ", ".join(
-        f"{channel_name(name)} {format_number(level, 3)} {UNITS[name]}"
+        f"{words.channel_name(name)} {format_number(level, 3)} {UNITS[name]}"
         for name, level in noise.forces.items()
     )
     yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"
@@ -86,12 +71,12 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
         if explained < _HALF:
             yield (
                 f"warning: {result.model} explains {max(explained, 0.0):.0%} of the"
-                f" mean square of {channel_name(channel)}: check columns, units and"
+                f" mean square of {words.channel_name(channel)}: check columns, units and"
                 " signs before you read on"
             )
     check = result.slip_check
     if check is not None and check.fits != check.read_as:
-        yield slip_check_line(check)
+        yield words.slip_check_line(check)
 
 
 def foot_line(result: Diagnosis) -> str:
@@ -116,8 +101,8 @@ def step_label(result: Diagnosis, number: int) -> str:
     before = set(steps[number - 1].effects)
     if before < set(effects):
         added = [e for e in effects if e not in before]
-        return f"+ {' + '.join(map(name_of, added))}"
-    return f"instead: {' + '.join(map(name_of, effects))}"
+        return f"+ {' + '.join(map(words.name_of, added))}"
+    return f"instead: {' + '.join(map(words.name_of, effects))}"
 
 
 def _percent(share: float, std: float | None) -> str:
@@ -186,7 +171,7 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
     if not gap.resolvable or closed is None:
         return f"{line}, too uncertain to say how much of it closes"
     more = " or more" * (closed <= WORST)
-    share = closed_text(closed, gap.closed_ci, gap.energy_closed)
+    share = words.closed_text(closed, gap.closed_ci, gap.energy_closed)
     return (
         f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 % interval]: {share}"
     )
@@ -194,7 +179,7 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
 
 def part_name(part: Part) -> str:
     """Readable name of a part of a simulator's error."""
-    return "its parameters" if part.part == "parameters" else name_of(part.part)
+    return "its parameters" if part.part == "parameters" else words.name_of(part.part)
 
 
 def whole_error(budget: Sequence[Part]) -> str:
@@ -213,13 +198,13 @@ def in_order(budget: Sequence[Part]) -> list[Part]:
 def budget_section(result: Diagnosis, channel: str) -> Section:
     """The error of a simulator or model and its parts, one per row."""
     budget, what = result.budgets[channel], "simulator" if result.simulator else "model"
-    of_channel = f" of {channel_name(channel)}" if len(result.budgets) > 1 else ""
-    head = f"{channel_name(channel)}, part of the error", f"rms [{UNITS[channel]}]"
+    of_channel = f" of {words.channel_name(channel)}" if len(result.budgets) > 1 else ""
+    head = f"{words.channel_name(channel)}, part of the error", f"rms [{UNITS[channel]}]"
     rows = [
         (*head, "share of the mean square [90 % interval]"),
         (f"whole error of the {what}", whole_error(budget) if budget else "-", "100 %"),
         *(
-            (part_name(x), format_number(x.rms, 3), share_text(x.share, x.closed_ci))
+            (part_name(x), format_number(x.rms, 3), words.share_text(x.share, x.closed_ci))
             for x in in_order(budget)
         ),
     ]
@@ -239,8 +224,9 @@ def stand_in_line(result: Diagnosis) -> str:
         return ""
     followed, resolvable = result.simulator.surrogate, result.gap.resolvable
     line = f"{followed.model} stands in for the simulator and differs from it by"
-    line += f" {format_number(followed.rms, 3)} N rms, {share_text(followed.of_force)} of its force"
-    line += f" and {share_text(followed.of_gap)} of the gap" * resolvable
+    line += f" {format_number(followed.rms, 3)} N rms,"
+    line += f" {words.share_text(followed.of_force)} of its force"
+    line += f" and {words.share_text(followed.of_gap)} of the gap" * resolvable
     if resolvable and followed.of_gap > _ROUGH:
         line += "; the parts are rough: without --model, a tire that follows it more closely is"
         line += " chosen"
@@ -251,23 +237,22 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
     verdict = result.verdict
     helping = verdict.helping or verdict.effects
     for effect in (*helping, *verdict.also_possible):
-        named, means = effect in helping, words_on(effect, result.library)
+        named, means = effect in helping, words.words_on(effect, result.library)
         amounts = result.sizes_of(effect)
-        sizes = [amplitude_text(x) + in_the_file(result, x) for x in amounts]
-        name = name_of(effect) + f" ({effect})" * (name_of(effect) != effect)
+        sizes = [words.amplitude_text(x) + words.in_the_file(result, x) for x in amounts]
+        name = words.name_of(effect) + f" ({effect})" * (words.name_of(effect) != effect)
         tail = "; ".join(sizes) if named else "not named"
         yield f"{name}: {tail}" if tail else name
         if (each := verdict.each.get(effect)) is not None:
             yield f"    {_each_text(each)}"
         if groups := verdict.sizes.get(effect):
             # Those by the covariate over which they are most unequal.
-            by, (factor, unit) = groups[0], said_unit(amounts[0].unit if amounts else "")
+            by, (factor, unit) = groups[0], words.said_unit(amounts[0].unit if amounts else "")
             pairs = zip(by.size, by.std, strict=True)
             each_size = ", ".join(format_estimate(factor * x, factor * std) for x, std in pairs)
-            yield (
-                f"    size by {covariate_text(by.covariate)}: {f'{each_size} {unit}'.rstrip()};"
-                f" beyond their errors they spread by {100 * by.spread:.0f} % of the whole"
-            )
+            text = f"size by {words.covariate_text(by.covariate)}: {each_size} {unit}".rstrip()
+            share = f"{100 * by.spread:.0f} % of the whole"
+            yield f"    {text}; beyond their errors they spread by {share}"
         if means[0]:
             yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
     if verdict.helping and result.simulator:
@@ -276,7 +261,7 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
 
 def _each_text(each: Each) -> str:
     """Probability, twins and closure of a named effect."""
-    what = listing(["it", *map(name_of, each.twins)], "or")
+    what = words.listing(["it", *map(words.name_of, each.twins)], "or")
     text = f"probability {each.probability:.2f} that {what} is the cause"
     text += ": this data cannot tell them apart" * bool(each.twins)
     if each.closed_left_out is not None:
@@ -295,7 +280,7 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
     )
     for look in left.looks_like[:1]:
         yield (
-            f"it resembles this: {look_text(look)} (probability"
+            f"it resembles this: {words.look_text(look)} (probability"
             f" {look.probability:.2f} among such functions; explains"
             f" {100 * look.explains:.0f} % of its mean square)"
         )
@@ -312,7 +297,7 @@ def step_lines(result: Diagnosis) -> list[str]:
         if result.verdict.status != Status.CANNOT_TELL or why is None:
             return []
         for effect in (*result.verdict.helping, *result.verdict.also_possible):
-            why = why.replace(effect, name_of(effect))
+            why = why.replace(effect, words.name_of(effect))
         return [why]
     # Without a forecast (NaN) every measurement is listed.
     worth = [step for step in steps if not step.p_after - step.p_now < _TELLS_MORE]
@@ -326,7 +311,7 @@ def step_lines(result: Diagnosis) -> list[str]:
 
 
 def _tells_apart(step: NextMeasurement) -> str:
-    one, other = (set_name([effect]) for effect in step.separates)
+    one, other = (words.set_name([effect]) for effect in step.separates)
     forecast = f"with probability {step.p_after:.2f}, instead of {step.p_now:.2f} now"
     if np.isnan(step.p_after):
         forecast = f"(these rows: with probability {step.p_now:.2f})"
@@ -338,8 +323,8 @@ def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
     with most effects first: those of the first screen, and those of the details."""
     groups: dict[str, list[str]] = {}
     for item in result.untestable:
-        needs = needs_text(item.needs, bool(result.data.motion))
-        groups.setdefault(needs, []).append(name_of(item.effect))
+        needs = words.needs_text(item.needs, bool(result.data.motion))
+        groups.setdefault(needs, []).append(words.name_of(item.effect))
     ranked = sorted(groups.items(), key=lambda group: -len(group[1]))
     lines = [f"{needs}: {', '.join(effects)}" for needs, effects in ranked]
     return lines[:_MOST_NEEDS], lines[_MOST_NEEDS:]
@@ -360,8 +345,8 @@ def first_screen(result: Diagnosis) -> list[Section]:
     if (both := both_described(result)) is None:
         return [*sections, *of_effects(result)]
     lines = []
-    if helping := [name_of(effect) for effect in result.verdict.helping]:
-        what = f"what the simulator acts like if it is changed ({listing(helping)})"
+    if helping := [words.name_of(effect) for effect in result.verdict.helping]:
+        what = f"what the simulator acts like if it is changed ({words.listing(helping)})"
         lines += [f"{what}: among the details (--full)"]
     lines += ["effects on the measured forces, the remainder, and the next measurement:"]
     lines += [f"    tirefit diagnose FILE --model {both.model}"]

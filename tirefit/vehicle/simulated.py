@@ -176,10 +176,10 @@ def _unlimited(found: Mapping[str, Apart]) -> dict[str, str]:
     """Axle -> the one of simulator and car whose tires have no friction limit."""
     unlimited = {}
     for axle in ("front", "rear"):
-        if (one := found[f"{axle}.friction"]).differs:
-            low, high = sorted(one.values, key=lambda name: one.values[name].value)
-            if one.values[high].value > _UNLIMITED * one.values[low].value:
-                unlimited[axle] = high
+        one = found[f"{axle}.friction"]
+        (low, _), (high, name) = sorted((x.value, name) for name, x in one.values.items())
+        if one.differs and high > _UNLIMITED * low:
+            unlimited[axle] = name
     return unlimited
 
 
@@ -204,12 +204,11 @@ def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
             f"the {axle} tires of the {name} do not saturate in these logs: they have no"
             " friction limit, or a far higher one"
         )
-    three = [
-        found.get(x) for x in ("front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia")
-    ]
-    if not all(one is not None and one.differs for one in three):
+    names = "front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia"
+    three = [found[name].values for name in names if name in found and found[name].differs]
+    if len(three) < len(names):
         return
-    pairs = [(one.values["car"], one.values["simulator"]) for one in three if one]
+    pairs = [(values["car"], values["simulator"]) for values in three]
     logs = np.log([ours.value / theirs.value for ours, theirs in pairs])
     weight = [1 / sum(((x.std or 0) / x.value) ** 2 for x in pair) for pair in pairs]
     mean = np.average(logs, weights=weight)
@@ -237,20 +236,18 @@ def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Ite
 def _own_vehicle(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
     """The vehicle with the columns of simulated logs: their states, inputs, and no measurement
     of the car as a check of them."""
-    columns = vehicle.columns
-    states = POSE if columns.motion == POSE else ("v_y", "yaw_rate")
-    lacking, problems = set(), []
+    columns, lacking, problems = vehicle.columns, set[str](), []
     for path in sim_logs:
         headers = read_table(file_at(path), []).headers
         lacks = {x for x in CHECKS if not {*_headers(columns, x)} <= {*headers}}
+        states = POSE if columns.motion == POSE else ("v_y", "yaw_rate")
         if own := [name for name in states if name in lacks]:
             reason = f"it lacks {', '.join(own)}, which the simulator has to predict"
             problems.append(InputProblem(reason, "name the columns as in the log", str(path)))
         lacking |= lacks
     DataError.raise_for(problems)
-    checks = lacking & {"a_y", "a_x", *columns.beyond}
-    columns = columns.model_copy(update=dict.fromkeys(checks))
-    return vehicle.model_copy(update={"columns": columns})
+    checks = dict.fromkeys(lacking & {"a_y", "a_x", *columns.beyond})
+    return vehicle.model_copy(update={"columns": columns.model_copy(update=checks)})
 
 
 def _headers(columns: Columns, name: str) -> list[str]:
@@ -306,9 +303,7 @@ def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Pat
     cells = [*own.cells, *(other.cells[other.headers.index(name)] for name in taken)]
     path = folder / f"{Path(sim).stem}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow([*own.headers, *taken])
-        table.writerows(zip(*cells, strict=True))
+        csv.writer(file).writerows([[*own.headers, *taken], *zip(*cells, strict=True)])
     return path
 
 

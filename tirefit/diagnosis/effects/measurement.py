@@ -9,6 +9,7 @@ import numpy as np
 from tirefit.diagnosis.effects.record import (
     PER_MILLE,
     Code,
+    Constants,
     Prior,
     adds,
     blend,
@@ -79,7 +80,7 @@ def _offset_odds(prepared: "Prepared") -> float:
     return AGAINST if check.agrees and check.offset_std < _FINE else 0.0
 
 
-def _camber(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _camber(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     shift, force = constants
     thrust = force * _CORNERING * share * rows.gamma * rows.fz * rows.load
     return state._replace(
@@ -87,17 +88,17 @@ def _camber(state: State, share: float, constants: tuple[float, ...], rows: Cova
     )
 
 
-def _settled(rows: Covariates, constants: tuple[float, ...]) -> Values | float:
+def _settled(rows: Covariates, constants: Constants) -> Values | float:
     """A drift that is linear over the record, or faster at first; zero at the middle."""
     late = 0.5 - xp.exp(-(rows.time + 0.5) / _WARMING)
     return blend(constants, rows.time, late)
 
 
-def _force_drift(drift: float, constants: tuple[float, ...], rows: Covariates) -> Values:
+def _force_drift(drift: float, constants: Constants, rows: Covariates) -> Values:
     return PER_MILLE * drift * rows.load * _settled(rows, constants)
 
 
-def _force_hysteresis(size: float, constants: tuple[float, ...], rows: Covariates) -> Values:
+def _force_hysteresis(size: float, constants: Constants, rows: Covariates) -> Values:
     plain, grown = constants
     way = rows.turning * rows.side * (plain + grown * rows.usage)
     return PER_MILLE * size * rows.load * way

@@ -47,7 +47,10 @@ LEAST_FACTOR = 0.05
 """Smallest friction or stiffness over its usual value, as a linear law would become
 negative at amplitudes that a search tries."""
 
-Change = Callable[[State, float, tuple[float, ...], Covariates], State]
+Constants = tuple[float, ...]
+"""The constants of one variant of an effect."""
+
+Change = Callable[[State, float, Constants, Covariates], State]
 
 
 class Prior(NamedTuple):
@@ -123,9 +126,9 @@ class Effect:
     odds: Callable[[object], float] | None = None
     needs: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
-    variants: tuple[tuple[float, ...], ...] = ((),)
-    which: Callable[[tuple[float, ...], Covariates | None, object], str] | None = None
-    during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
+    variants: tuple[Constants, ...] = ((),)
+    which: Callable[[Constants, Covariates | None, object], str] | None = None
+    during: Callable[[Constants], tuple[float, float]] | None = None
     singular: bool = False
     looks_like: tuple[str, ...] = ()
     told_apart_by: str = ""
@@ -186,7 +189,7 @@ class Atom:
     variant: int = 0
 
     @property
-    def constants(self) -> tuple[float, ...]:
+    def constants(self) -> Constants:
         return self.effect.variants[self.variant]
 
     def prior(self, prepared: "Prepared", rig: Rig) -> Prior:
@@ -218,7 +221,7 @@ def effects_by_id(effects: Sequence[Effect | NoiseEffect]) -> dict[str, Any]:
     return {effect.id: effect for effect in effects}
 
 
-def blend(constants: tuple[float, ...], *values: Values) -> Values | float:
+def blend(constants: Constants, *values: Values) -> Values | float:
     """Sum of the values weighted by the constants: one of them where ``variants`` is a number."""
     return sum(c * value for c, value in zip(constants, values, strict=True))
 
@@ -229,18 +232,20 @@ def scaled(state: State, name: str, factor: Values | float) -> State:
     return state._replace(**{name: getattr(state, name) * factor})
 
 
-Term = Callable[[Any, Any, Covariates], Any]
+Term = Callable[[Any, Any, Any], Any]
 """(amplitude, constants, covariates) -> term or factor of one field of the state."""
 
 
-def adds(name: str, term: Term) -> Change:
-    """The change of an effect that adds a term to a field of the state."""
+def adds(path: str, term: Term) -> Callable[..., Any]:
+    """The change of an effect that adds a term to a field of a state, ``force``, or of a part
+    of it, ``steering.delay``."""
+    part, _, name = path.rpartition(".")
 
-    def change(
-        state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
-    ) -> State:
-        added = getattr(state, name) + term(amplitude, constants, rows)
-        return state._replace(**{name: added})
+    def change(state: Any, amplitude: Any, constants: Constants, rows: Any) -> Any:
+        held = getattr(state, part) if part else state
+        added = getattr(held, name) + term(amplitude, constants, rows)
+        held = held._replace(**{name: added})
+        return state._replace(**{part: held}) if part else held
 
     return change
 
@@ -252,12 +257,9 @@ def multiplies(name: str, factor: Term) -> Change:
     )
 
 
-_SELDOM = -1.0  # log odds of an effect that is a third as frequent as usual ones
-
-
 def seldom(prepared: "Prepared") -> float:
-    """Prior log odds of an effect that most files do not have."""
-    return _SELDOM
+    """Prior log odds of an effect that most files do not have: a third as frequent."""
+    return -1.0
 
 
 Code = dict[str, Callable[..., Any] | dict[str, Any]]

@@ -5,7 +5,16 @@ from functools import partial
 
 import numpy as np
 
-from tirefit.diagnosis.effects.record import LEAST_FACTOR, Code, adds, blend, multiplies, scaled, xp
+from tirefit.diagnosis.effects.record import (
+    LEAST_FACTOR,
+    Code,
+    Constants,
+    adds,
+    blend,
+    multiplies,
+    scaled,
+    xp,
+)
 from tirefit.diagnosis.effects.state import Covariates, State
 from tirefit.diagnosis.engine import FLAT
 from tirefit.params import Values
@@ -44,25 +53,18 @@ def _skewed(state: State, change: Values | float) -> State:
     return state._replace(skew=xp.clip(state.skew + change, *_SKEWS))
 
 
-def _skew_with(state: State, d: float, constants: tuple[float, ...], rows: Covariates) -> State:
-    moving = blend(constants, rows.force, rows.usage, xp.log(rows.fz))
-    return _skewed(state, d * moving)
-
-
 def _kinetic_times(state: State, factor: Values | float) -> State:
     return state._replace(kinetic=state.kinetic * xp.maximum(factor, _LEAST_KINETIC))
 
 
-def _linear_loss(
-    state: State, loss: float, constants: tuple[float, ...], rows: Covariates
-) -> State:
+def _linear_loss(state: State, loss: float, constants: Constants, rows: Covariates) -> State:
     kinetic, sliding, rolling = constants
     state = _kinetic_times(state, 1 - kinetic * loss * rows.sliding)
     falls = sliding * rows.sliding + rolling * rows.v
     return scaled(state, "friction", 1 - loss * falls)
 
 
-def _fall(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _fall(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), or with the logarithm,
     on the kinetic friction or on both. A negative share is a rise."""
     v_st, exponent, both = constants
@@ -80,31 +82,31 @@ def _fall(state: State, share: float, constants: tuple[float, ...], rows: Covari
 _ALONE, _ALL = "of the kinetic friction alone", "of static and kinetic friction alike"
 
 
-def _which_speed(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_speed(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     kinetic, sliding, _ = constants
     how = "with the sliding speed" if kinetic or sliding else "with the speed of travel"
     return f"{_ALONE if kinetic else _ALL}, {how}"
 
 
-def _which_fall(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_fall(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     v_st, exponent, both = constants
     law = f"with exponent e = {exponent:g}" if exponent else "by log(1 + v_s / v_st)"
     v_st = v_st * float(np.max(rows.brisk))
     return f"{_ALL if both else _ALONE}, {law}, v_st = {v_st:.3g} m/s"
 
 
-def _which_power(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_power(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     laws = "a power of the load", "in proportion to F_z / F_z0 - 1"
     return (*laws, "in proportion to log(F_z / F_z0)")[int(np.argmax(constants))]
 
 
-def _which_drift(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_drift(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     even, way = constants
     lasts = way * float(np.ptp(time))
     return "evenly" if even else f"quick at first, as exp(-t / {lasts:.3g} s)"
 
 
-def _which_step(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_step(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     begin, end = constants
     share = np.asarray(rows.time)[: len(time)]
     inside = (share > begin) & (share < end)
@@ -116,7 +118,7 @@ def _which_step(constants: tuple[float, ...], rows: Covariates, time: np.ndarray
     return f"from {at[0]} to {at[1]} s" if at else ""
 
 
-def _drift(share: float, constants: tuple[float, ...], rows: Covariates) -> Values | float:
+def _drift(share: float, constants: Constants, rows: Covariates) -> Values | float:
     """A drift that is linear over the record, or fast at first as 1 - exp(-t / tau); zero
     at the middle."""
     even, way = constants
@@ -124,13 +126,13 @@ def _drift(share: float, constants: tuple[float, ...], rows: Covariates) -> Valu
     return 1 + share * blend((even, 1 - even), rows.time, late)
 
 
-def _step(share: float, constants: tuple[float, ...], rows: Covariates) -> np.ndarray:
+def _step(share: float, constants: Constants, rows: Covariates) -> np.ndarray:
     """A change at one time, or between two times."""
     begin, end = constants
     return 1 + share * xp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
 
 
-def _other(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _other(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     """Both slips share the friction in the patch, or the force is multiplied by a weight
     that falls with the other slip, cos(arctan B alpha), Pacejka 4.3.2."""
     shared, weighted = constants
@@ -141,7 +143,7 @@ def _other(state: State, share: float, constants: tuple[float, ...], rows: Covar
 
 
 def _with_load(
-    name: str, state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
+    name: str, state: State, amplitude: float, constants: Constants, rows: Covariates
 ) -> State:
     """A dependence on the load: a power, linear, or linear in its logarithm."""
     linear = xp.maximum(1 + amplitude * (rows.fz - 1), LEAST_FACTOR)
@@ -162,17 +164,15 @@ def _by_condition(name: str) -> Code:
 
 
 CODE: Code = {
-    "pressure_asymmetry": dict(
-        change=lambda state, d, constants, rows: _skewed(state, d), bounds=(_SKEWS,)
-    ),
+    "pressure_asymmetry": dict(change=lambda state, d, *_: _skewed(state, d), bounds=(_SKEWS,)),
     "pressure_flatness": dict(
-        change=lambda state, share, constants, rows: state._replace(
-            flat=xp.clip(state.flat + share, *_FLATNESSES)
-        ),
+        change=lambda state, a, *_: state._replace(flat=xp.clip(state.flat + a, *_FLATNESSES)),
         bounds=(_FLATNESSES,),
     ),
     "kinetic_friction": adds("static", lambda a, constants, rows: a),
-    "pressure_shift_load": _skew_with,
+    "pressure_shift_load": lambda state, d, c, rows: _skewed(
+        state, d * blend(c, rows.force, rows.usage, xp.log(rows.fz))
+    ),
     # With the force of the base model, as the slip that the carcass takes is small.
     "carcass_flexibility": adds("shift", lambda a, _, rows: -a * rows.traction),
     "friction_speed_linear": dict(change=_linear_loss, which=_which_speed),

@@ -16,6 +16,7 @@ from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     PER_MILLE,
     Code,
+    Constants,
     Prior,
     adds,
     blend,
@@ -218,7 +219,7 @@ def _with_lag(state: State, length: float, step: Values, rows: Covariates) -> St
     return state._replace(force=force, moment=moment)
 
 
-def _delay(state: State, delay: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _delay(state: State, delay: float, constants: Constants, rows: Covariates) -> State:
     """Delay the slip, or the forces (at the delayed slip and load), or filter the
     forces by a first-order lag with the delay as time constant [s]."""
     _, force, filtered = constants
@@ -230,7 +231,7 @@ def _delay(state: State, delay: float, constants: tuple[float, ...], rows: Covar
     return state._replace(shift=state.shift + _late(rows.past, delay, rows))
 
 
-def _relax(state: State, length: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _relax(state: State, length: float, constants: Constants, rows: Covariates) -> State:
     if constants[1]:
         return _with_lag(state, length, rows.step, rows)
     return state._replace(shift=state.shift + lag(length, rows.step)(rows.past))
@@ -240,9 +241,7 @@ def _steer(late: Callable[..., Any]) -> Callable[..., Any]:
     """Change by a road wheel angle that differs from the logged one by ``late(past,
     amplitude, rows)`` (n,) [rad]; a force derived across the wheels turns with them."""
 
-    def change(
-        state: State, amplitude: float, constants: tuple[Any, ...], rows: Covariates
-    ) -> State:
+    def change(state: State, amplitude: float, constants: Constants, rows: Covariates) -> State:
         slip, turned = rows.past[:, AHEAD], late(rows.steered, amplitude, rows)
         return state._replace(
             shift=state.shift + xp.tan(xp.arctan(slip) - turned) - slip,
@@ -278,20 +277,20 @@ _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope of the ground; opposite ones have the opposite sign."""
 
 
-def _slip_speed(share: float, constants: tuple[float, ...], rows: Covariates) -> Values:
+def _slip_speed(share: float, constants: Constants, rows: Covariates) -> Values:
     """Slip due to a radius that grows with v or v^2; zero at rest or at usual speed."""
     even, square, about = constants
     grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
     return share * (grown - about * rows.cruise)
 
 
-def _drag(share: float, constants: tuple[float, ...], rows: Covariates) -> Values:
+def _drag(share: float, constants: Constants, rows: Covariates) -> Values:
     ratio = rows.v / rows.cruise
     drag = share * blend(constants, ratio, ratio**2)
     return PER_MILLE * rows.load * drag
 
 
-def _ellipse(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _ellipse(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     """Factor on the friction, or on the whole force."""
     (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
@@ -313,7 +312,7 @@ def _one_load(prepared: "Prepared") -> float:
     return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
 
 
-def _slope(slope: float, constants: tuple[float, ...], rows: Covariates) -> np.ndarray:
+def _slope(slope: float, constants: Constants, rows: Covariates) -> np.ndarray:
     along, across = constants
     towards = along * xp.cos(rows.heading) + across * xp.sin(rows.heading)
     return slope * rows.load * rows.fz * towards
@@ -322,9 +321,7 @@ def _slope(slope: float, constants: tuple[float, ...], rows: Covariates) -> np.n
 def _of_the_axle(factor: Callable[..., Any]) -> Callable[..., Any]:
     """A factor that depends on the lateral acceleration, on friction, stiffness or both."""
 
-    def change(
-        state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
-    ) -> State:
+    def change(state: State, amplitude: float, constants: Constants, rows: Covariates) -> State:
         friction, stiffness = constants
         times = xp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
         return state._replace(

@@ -14,7 +14,7 @@ from scipy.special import softmax, stdtrit
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, Step, jackknife_error
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, jackknife_error
 from tirefit.diagnosis.rows.fits import refit
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
@@ -28,8 +28,7 @@ _RESOLVED = 3.0  # a gap is resolved if its energy exceeds noise by this many st
 WORST = -1.0  # lower limit of the closure: the gap has doubled
 _BLOCKS = 60  # largest number of blocks of a record
 _SETS = 3  # number of the most probable sets of effects in the draws
-_SIZES = np.geomspace(0.03, 30, 16)
-"""Sizes of a smooth remainder, in usual changes, all equally likely."""
+_SIZES = np.geomspace(0.03, 30, 16)  # of a smooth remainder, in usual changes, equally likely
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Remainder of other shapes, over the smooth one: median, and standard deviation of the
 logarithm. Development trials have .2 to .6."""
@@ -71,25 +70,28 @@ def _off(base: Base, fit: Fit, count: int, generator: np.random.Generator) -> np
     return own + discrepancy + rms * generator.standard_normal(discrepancy.shape)
 
 
-def _closed(gap: Any, left: np.ndarray) -> np.ndarray:
+def _closed(gap: Any, left: Any) -> np.ndarray:
     """1 - root of (remaining energy / energy of the gap), at least -1."""
     ratio = np.asarray(left) / np.maximum(gap, NONZERO)
     return np.maximum(1 - np.sqrt(ratio), WORST)
 
 
-def _is_resolvable(gap: float, variance: np.ndarray, inflation: float) -> bool:
-    effective = max(len(variance) / inflation, 1.0)
-    return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
-
-
 def _shrinkage(
-    rms: float, closed: np.ndarray, fewer: Sequence[float], resolvable: bool
+    energy: float,
+    closed: np.ndarray,
+    fewer: Sequence[float],
+    least: float,
+    variance: np.ndarray,
+    inflation: float,
 ) -> Shrinkage:
-    """From the rms [N] of the gap, its closure in draws (d,), and the median closure
-    with each run left out (R,)."""
+    """From the mean square [N^2] of the gap, its closure in draws (d,), the median closure
+    with each run left out (R,), and the ``least`` energy by which the gap is resolved."""
+    effective = max(len(variance) / inflation, 1.0)
+    resolvable = bool(least >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
     middle, (low, high) = float(np.median(closed)), np.quantile(closed, INTERVAL)
     if len(fewer):
         low, high = of_so_few_runs(middle, low, high, np.asarray(fewer))
+    rms = float(np.sqrt(max(energy, 0.0)))
     return Shrinkage(
         rms=rms,
         resolvable=resolvable,
@@ -120,12 +122,9 @@ def closure_on_rows(
     gaps, rests = (truth - before[:, None]) ** 2, (truth - after[:, None]) ** 2
     gap = gaps.mean(axis=0)
     one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
-    return _shrinkage(
-        float(np.sqrt(np.median(gap))),
-        _closed(gap, rests.mean(axis=0)),
-        [np.median(_closed(*means)) for means in one_less],
-        _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation),
-    )
+    fewer = [np.median(_closed(*means)) for means in one_less]
+    least, closed = float(np.quantile(gap, INTERVAL[0])), _closed(gap, rests.mean(axis=0))
+    return _shrinkage(float(np.median(gap)), closed, fewer, least, variance, inflation)
 
 
 def closure_elsewhere(
@@ -159,12 +158,9 @@ def closure_elsewhere(
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
     # The gain varies with the remaining energy as it does between bootstrap samples.
-    return _shrinkage(
-        float(np.sqrt(max(gained + left, 0.0))),
-        closed(means[np.argsort(means[:, 1]), 0], left),
-        [np.median(closed(*means)) for means in without_each(terms, run)],
-        _is_resolvable(gained + left, variance, inflation),
-    )
+    drawn = closed(means[np.argsort(means[:, 1]), 0], left)
+    fewer = [np.median(closed(*means)) for means in without_each(terms, run)]
+    return _shrinkage(gained + left, drawn, fewer, gained + left, variance, inflation)
 
 
 def block_means(
@@ -209,15 +205,15 @@ def of_the_ladder(ladder: Ladder) -> HeldOut | None:
     steps = ladder.steps[:-2]
     if not steps or steps[-1].effects in ((), AS_GIVEN):
         return None
-    base, step, floor = steps[0], steps[-1], ladder.steps[-1]
-    rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
-    reach = _NINETY * step.closed_std
+    base, floor = steps[0].rms_left_out, ladder.steps[-1].rms_left_out
+    rms, closed = float(np.sqrt(max(base**2 - floor**2, 0.0))), steps[-1].closed
+    reach = _NINETY * steps[-1].closed_std
     return HeldOut(
-        rms=float(rms),
+        rms=rms,
         resolvable=True,
-        closed=step.closed,
-        closed_ci=(max(step.closed - reach, WORST), min(step.closed + reach, 1.0)),
-        remaining_rms=float((1 - step.closed) * rms),
+        closed=closed,
+        closed_ci=(max(closed - reach, WORST), min(closed + reach, 1.0)),
+        remaining_rms=(1 - closed) * rms,
         on=ladder.on,
     )
 
@@ -276,24 +272,18 @@ def on_files(
         variance: (n,) or scalar noise variance.
         on: names of the files.
     """
-    gap = np.mean(next(iter(missed.values())) ** 2 - variance)
-
-    def extended(step: Step) -> Step:
+    gap, steps = np.mean(next(iter(missed.values())) ** 2 - variance), []
+    for step in ladder.steps:
         own = missed.get(tuple(sorted(step.effects)))
-        if own is None:
-            return step
-        left = np.array([max(np.mean(own**2 - variance), 0.0)])
-        share = float(_closed(gap, left)[0])
-        closed = share if closure.resolvable else None
-        rms = float(np.sqrt(np.mean(own**2)))
-        return step._replace(rms_held_out=rms, closed_held_out=closed)
-
-    steps = tuple(map(extended, ladder.steps))
-    return HeldOut(**vars(closure), on=on), ladder._replace(steps=steps)
+        if own is not None:
+            share = float(_closed(gap, max(np.mean(own**2 - variance), 0.0)))
+            closed, rms = share if closure.resolvable else None, float(np.sqrt(np.mean(own**2)))
+            step = step._replace(rms_held_out=rms, closed_held_out=closed)
+        steps.append(step)
+    return HeldOut(**vars(closure), on=on), ladder._replace(steps=tuple(steps))
 
 
 PARAMETERS = "parameters"
-
 _DIFFERS = 2.0  # standard errors from which a parameter of a simulator counts as different
 _HELD = 1e4  # stiffness that holds parameters z: they move by 1e-8 of the gradient
 

@@ -58,15 +58,9 @@ class NoiseSummary:
     def as_json(self) -> Mapping[str, Any]:
         """Each level under the name of its column."""
         slip = {self.slip_name: self.slip, f"{self.slip_name}_source": self.slip_source}
-        return {
-            **self.forces,
-            **(slip if self.slip_name else {}),
-            "source": self.source,
-            "flags": self.flags,
-            "inflation": self.inflation,
-            "outliers": self.outliers,
-            "excess": self.excess,
-        }
+        others = ("source", "flags", "inflation", "outliers", "excess")
+        named = {name: getattr(self, name) for name in others}
+        return {**self.forces, **(slip if self.slip_name else {}), **named}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -439,15 +433,13 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
         header = data.source.columns.get(channel, channel)
         # A difference of forces is converted like a force, as their units have no offset.
         own = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
-        for name in ("sim", "tuned", "base", "extended", "gap"):
-            if name in own:  # only a simulator has forces as given and tuned
-                out[f"{name}_{channel}"] = own[name]
+        # Only a simulator has forces as given and tuned.
+        shown = (x for x in ("sim", "tuned", "base", "extended", "gap") if x in own)
+        out |= {f"{name}_{channel}": own[name] for name in shown}
         out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
     out["masked"] = (~data.used).astype(int)
-    if data.source.place is None:
-        return out
-    in_file = np.argsort(data.source.place)
-    return {name: values[in_file] for name, values in out.items()}
+    place = data.source.place
+    return out if place is None else {name: x[np.argsort(place)] for name, x in out.items()}
 
 
 def record_of_document(path: Path) -> FileRecord:
@@ -468,9 +460,8 @@ def record_of(content: Mapping[str, Any], path: str = "") -> FileRecord:
     rows += [Row("gap", "closed", gap["closed"])]
     rows += [Row("gap", "probability", verdict["probability"])]
     best = (one for one in content["candidates"] if set(one["effects"]) == helping - {UNKNOWN})
-    for name, amplitude in next(best, {"parameters": {}})["parameters"].items():
-        value, std, unit = (amplitude[k] for k in ("value", "std", "unit"))
-        rows.append(Row("effect", name, value, std, unit=unit))
+    sizes: Mapping[str, Any] = next(best, {"parameters": {}})["parameters"]
+    rows += [Row("effect", k, x["value"], x["std"], unit=x["unit"]) for k, x in sizes.items()]
     status = ": ".join(filter(None, [verdict["status"], ", ".join(verdict["effects"])]))
     return FileRecord(
         data["path"],

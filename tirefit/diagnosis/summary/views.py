@@ -79,8 +79,8 @@ def adjusted(p_values: np.ndarray, dependent: bool = False) -> np.ndarray:
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
     """The file of a diagnosis: the table as it was read, with the fit to its rows."""
-    messages = base.simulator.doubt if base.simulator else ""
-    doubts = (f"warning: {messages}",) if messages else ()
+    doubt = base.simulator.doubt if base.simulator else ""
+    doubts = (f"warning: {doubt}",) if doubt else ()
     return DataSummary(
         name=data.name,
         path=data.source.path,
@@ -109,14 +109,6 @@ def covariates_of(base: Base) -> dict[str, np.ndarray]:
     return found | {name: rows.column(name) for name in others if name in rows.has}
 
 
-def _chance(base: Base, residual: np.ndarray, rows: np.ndarray) -> float:
-    """p-value of the whitened misfit of ``rows``: chi-squared of the sums over
-    neighbours in slip. The residual has the rows' inflation in it already."""
-    ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
-    groups = np.array_split(ordered, max(len(rows) // FEWEST_ROWS, 1))
-    return float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
-
-
 def binned(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Bin (n,) of each value, edges (k + 1,) of at most ``count`` equally full bins."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, max(count, 1) + 1)))
@@ -139,9 +131,14 @@ def regions(base: Base, residual: np.ndarray, gap: np.ndarray) -> list[Region]:
             lows, highs = edges[:-1], edges[1:]
         for k, (low, high) in enumerate(zip(lows, highs, strict=True)):
             rows = np.flatnonzero(code == k)
-            if len(rows) >= FEWEST_ROWS:
-                p, share = _chance(base, residual, rows), float(energy[rows].sum())
-                found.append(Region(name, float(low), float(high), share, p))
+            if len(rows) < FEWEST_ROWS:
+                continue
+            # Chi-squared of the sums over neighbours in slip.
+            ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
+            groups = np.array_split(ordered, max(len(rows) // FEWEST_ROWS, 1))
+            p = float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
+            share = float(energy[rows].sum())
+            found.append(Region(name, float(low), float(high), share, p))
     if not found:
         return []
     chances = adjusted(np.array([one.p_value for one in found]), dependent=True)
@@ -335,25 +332,16 @@ def look_curves(case: Case) -> tuple[LookCurve, ...]:
     if an unlisted effect is unlikely."""
     if case.verdict.unlisted <= POLICY.likely:
         return ()
-    return tuple(
-        _look_curve(found)
-        for found in case.base.discrepancy.found(case.chosen)
-        if found.probability > _SHOWN
-    )
+    found = case.base.discrepancy.found(case.chosen)
+    return tuple(_look_curve(one) for one in found if one.probability > _SHOWN)
 
 
 def _look_curve(found: Found) -> LookCurve:
     cell, usual = found.cell, PARAMETERS[found.cell.quantity][1]
     change = usual * found.value
     largest = int(np.argmax(np.abs(change)))
-    look = Look(
-        cell.quantity,
-        cell.covariate,
-        found.is_wave,
-        float(cell.places[-1] if found.is_wave else cell.places[largest]),
-        float(change[largest]),
-        found.probability,
-        found.explains,
-    )
+    at = float(cell.places[-1 if found.is_wave else largest])
+    sizes = float(change[largest]), found.probability, found.explains
+    look = Look(cell.quantity, cell.covariate, found.is_wave, at, *sizes)
     mirrored = is_mirrored(cell.quantity, cell.covariate)
     return LookCurve(look, cell.places, change, usual * found.std, mirrored, cell.settings)
