@@ -69,8 +69,7 @@ def _on_force(one: ForceDifference, name: str, at: ForceCurve) -> str:
         size = f"{format_number(at.difference, 3)} {unit}"
         return f"{one.force} of {name} less {first}: up to {size} at {where}; {share}; no errors"
     verb = "differs" if at.differs else "does not differ beyond the errors"
-    errors = abs(at.difference) / at.error if at.error else 0.0
-    size = _by(at.difference, at.error, unit, errors)
+    size = _by(at.difference, at.error, unit, abs(at.difference) / at.error if at.error else 0.0)
     return f"{one.force} {verb}: {name} less {first} up to {size} at {where}; {share}"
 
 
@@ -198,11 +197,9 @@ def comparison_text(found: Comparison) -> str:
 
 
 def _panels(found: Comparison) -> list[Panel]:
-    panels = [_force_panel(one) for one in found.forces]
+    panels, names = [_force_panel(one) for one in found.forces], [x.name for x in found.sources]
     for given, what in ((found.numbers, "Parameters"), (found.effects, "Sizes of effects")):
-        shown = [one for one in given if one.difference is not None]
-        if shown:
-            names = [one.name for one in found.sources]
+        if shown := [one for one in given if one.difference is not None]:
             panels.append(_number_panel(shown, names, what))
     return panels
 

@@ -80,10 +80,8 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
     if not verdict.names_an_effect:
         of_noise = [words.name_of(e) for e in verdict.effects if e != "unknown"]
         tail = f" The noise shows {words.listing(of_noise)}." if of_noise else ""
-        return (
-            f"There is no gap beyond {beyond}the noise. Probability"
-            f" {verdict.probability:.2f} of no effect, listed or unlisted.{tail}"
-        )
+        text = f"There is no gap beyond {beyond}the noise. Probability {verdict.probability:.2f}"
+        return f"{text} of no effect, listed or unlisted.{tail}"
     parts = []
     for effect in carried(result, verdict.effects, shares):
         each, text = verdict.each[effect], f"{words.name_of(effect)}{of_size(result, effect)}"
@@ -164,9 +162,7 @@ def change_texts(result: Diagnosis) -> list[str]:
 
 def _used_friction(result: Diagnosis) -> float:
     """The largest force of the simulator, which is the base of the gap, over the load."""
-    if result.table is None:
-        return 0.0
-    load = np.asarray(result.table["fz"])
+    load = np.asarray(result.table["fz"]) if result.table else np.inf  # a car has no rows
     every = [rows["base"] for channel, rows in result.rows.items() if channel != "mz"]
     return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
 

@@ -76,11 +76,8 @@ def ladder_bars(result: Diagnosis) -> list[Bar]:
     unit, steps, bars = result.unit, result.ladder.steps, []
     if not steps:
         noise = result.noise.forces.get(result.data.channels[0], 1.0)
-        sizes = {"no effect": math.hypot(result.gap.rms, noise), "noise floor": noise}
-        return [
-            Bar(name, 0.0, rms, "base", f"{format_number(rms, 3)} {unit}")
-            for name, rms in sizes.items()
-        ]
+        sizes = ("no effect", math.hypot(result.gap.rms, noise)), ("noise floor", noise)
+        return [Bar(k, 0.0, x, "base", f"{format_number(x, 3)} {unit}") for k, x in sizes]
     kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
     gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
     for k, step in enumerate(steps):
@@ -175,8 +172,8 @@ def after_label(result: Diagnosis) -> str:
     """Name of the curves after the diagnosis."""
     if result.comparison and not result.comparison.named:
         return "base + located gap"
-    named = map(words.name_of, result.verdict.helping)
-    return " + ".join((*(["parameters"] if result.simulator else []), *named))
+    first = ["parameters"] if result.simulator else []
+    return " + ".join([*first, *map(words.name_of, result.verdict.helping)])
 
 
 def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "base") -> None:
@@ -188,8 +185,7 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
     """
     top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
     axis = slip_axis(panel.slip_name, np.concatenate([curve.slip for curve in panel.curves]))
-    dashed: dict[str, Any] = {"lw": 1.2, "ls": (0, (4, 2))}
-    handles: list[Line2D | Patch] = []
+    dashed, handles = dict[str, Any](lw=1.2, ls=(0, (4, 2))), list[Line2D | Patch]()
     for curve, color in zip(panel.curves, COLORS, strict=False):
         center = axis.shown(curve.center)
         dots(top, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)

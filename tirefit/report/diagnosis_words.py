@@ -95,8 +95,8 @@ def needs_text(needs: Sequence[str], derived: bool = False) -> str:
         derived: whether ``tirefit derive`` could write what is missing.
     """
     keys = [_BY_DERIVE[need] for need in needs if derived and need in _BY_DERIVE]
-    how = f" (tirefit derive writes it: {', '.join(keys)} of vehicle.toml)"
-    return ", ".join(_NEEDS.get(need, need) for need in needs) + (how if keys else "")
+    how = f" (tirefit derive writes it: {', '.join(keys)} of vehicle.toml)" if keys else ""
+    return ", ".join(_NEEDS.get(need, need) for need in needs) + how
 
 
 def covariate_text(name: str) -> str:
@@ -187,12 +187,10 @@ def amplitude_text(amplitude: Amplitude) -> str:
 
 def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
     """The amplitude of a slip or force in the signs of the file, if these differ."""
-    if not result.data.convention:
-        return ""  # of a car
-    channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
+    channel, signs = result.data.channels[0], CONVENTIONS.get(result.data.convention)
     kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
-    kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), None)
-    if getattr(signs, kind or "", 1) > 0:
+    kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), "")
+    if getattr(signs, kind, 1) > 0:  # a car has no convention
         return ""
     text = amount_text(-amplitude.value, None, amplitude.unit)
     return f" ({text} in the file's signs, {result.data.convention})"

@@ -356,8 +356,7 @@ def _held_out(
     case: Concluded, ladder: Ladder, logs: Logs, other: Windows, generator: np.random.Generator
 ) -> tuple[HeldOut, Ladder]:
     """Closure on held-out logs, and the ladder with the closure of each step there."""
-    null = case.weighed.best_of[()]
-    other = other.following(replace(null, state=other.cut.data.start))
+    other = other.following(replace(case.weighed.best_of[()], state=other.cut.data.start))
     left = {AS_GIVEN: other.given_residual} | {
         key: other.residual_of(other.coefficients(fit.z, fit.atoms, fit.amplitude))
         for key, fit in fits_of(case, ladder).items()
@@ -374,7 +373,7 @@ def _budgets(
     tires, the effects, the remainder and the noise."""
     base, fits, found = case.base, fits_of(case, ladder), {}
     names = [PARAMETERS, *(" + ".join({*b} - {*a}) for a, b in pairwise(fits))]
-    left = [base.given_residual, *(fit.residual for fit in fits.values())]
+    left = base.given_residual, *(fit.residual for fit in fits.values())
     squares = np.square([base.over_noise(one) for one in left])
     run = np.repeat(base.cut.log, base.cut.data.v_x.shape[1])
     fitted = len(case.chosen.pull) * base.inflation / squares[0].size

@@ -2,7 +2,7 @@
 inertia of the wheel, crosstalk of channels, camber and conicity; and effects that differ
 between runs: new zeros, changed tires or surfaces."""
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -36,19 +36,11 @@ _CORNERING = 10.0
 _WARMING = 0.2  # time constant of a zero that settles while its amplifier warms up, over the record
 
 
-def _as_it_was_read(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
-    """The prior, with the sign of the conversion that the reading of the slip requires."""
-    return prior._replace(center=prior.center * prepared.definition)
-
-
 def _of_this_wheel(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """The prior: a force computed from the torque lacks the inertia that the rig states."""
-    known = rig.wheel_inertia
-    if not known:
+    if not (known := rig.wheel_inertia):
         return prior
-    return prior._replace(
-        scale=_INERTIA_STATED * known, center=known, high=max(prior.high, 2 * known)
-    )
+    return Prior(_INERTIA_STATED * known, known, prior.low, max(prior.high, 2 * known))
 
 
 def _definition_odds(prepared: "Prepared") -> float:
@@ -67,7 +59,7 @@ def _seen_between_slips(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     if check is None or not check.shifted:
         return prior
     size = max(prior.scale, abs(check.offset))
-    return prior._replace(scale=size, low=min(prior.low, -2 * size), high=max(prior.high, 2 * size))
+    return Prior(size, prior.center, min(prior.low, -2 * size), max(prior.high, 2 * size))
 
 
 def _offset_odds(prepared: "Prepared") -> float:
@@ -81,21 +73,15 @@ def _offset_odds(prepared: "Prepared") -> float:
 
 
 def _camber(state: State, share: float, constants: Constants, rows: Covariates) -> State:
-    shift, force = constants
-    thrust = force * _CORNERING * share * rows.gamma * rows.fz * rows.load
-    return state._replace(
-        shift=state.shift + shift * share * rows.gamma, force=state.force + thrust
-    )
+    shift = state.shift + constants[0] * share * rows.gamma
+    thrust = constants[1] * _CORNERING * share * rows.gamma * rows.fz * rows.load
+    return state._replace(shift=shift, force=state.force + thrust)
 
 
 def _settled(rows: Covariates, constants: Constants) -> Values | float:
     """A drift that is linear over the record, or faster at first; zero at the middle."""
     late = 0.5 - xp.exp(-(rows.time + 0.5) / _WARMING)
     return blend(constants, rows.time, late)
-
-
-def _force_drift(drift: float, constants: Constants, rows: Covariates) -> Values:
-    return PER_MILLE * drift * rows.load * _settled(rows, constants)
 
 
 def _force_hysteresis(size: float, constants: Constants, rows: Covariates) -> Values:
@@ -134,13 +120,6 @@ def _one_each(prepared: "Prepared") -> float:
     return seldom(prepared) - 0.5 * further * np.log(prepared.n / max(count, 1))
 
 
-def _parameter_of_runs(name: str) -> dict[str, Any]:
-    def factor(a: float, _: tuple[Any, ...], rows: Covariates) -> np.ndarray:
-        return xp.exp(a * getattr(rows, RUN_OFFSETS[name].pattern))
-
-    return dict(change=multiplies(name, factor), odds=_one_each)
-
-
 _IN_PROPORTION = adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz)
 
 CODE: Code = {
@@ -151,7 +130,8 @@ CODE: Code = {
     "slip_definition": dict(
         change=adds("curvature", lambda a, constants, _: constants[0] * a),
         odds=_definition_odds,
-        prior=_as_it_was_read,
+        # With the sign of the conversion that the reading of the slip requires.
+        prior=lambda prior, rows, rig: prior._replace(center=prior.center * rows.definition),
     ),
     "wheel_inertia": dict(
         change=adds("force", lambda a, _, rows: -a * rows.spin), prior=_of_this_wheel
@@ -159,7 +139,9 @@ CODE: Code = {
     "camber_thrust": _camber,
     "conicity": _IN_PROPORTION,
     "slip_zero_drift": adds("shift", lambda a, which, rows: a * _settled(rows, which)),
-    "force_zero_drift": adds("force", _force_drift),
+    "force_zero_drift": adds(
+        "force", lambda a, which, rows: PER_MILLE * a * rows.load * _settled(rows, which)
+    ),
     "load_crosstalk": _IN_PROPORTION,
     # A brush with another load equals one with another friction; this is exact if the
     # stiffness does not depend on the load.
@@ -175,6 +157,12 @@ CODE: Code = {
         change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
         odds=_one_each,
     ),
-    "friction_run": _parameter_of_runs("friction"),
-    "stiffness_run": _parameter_of_runs("stiffness"),
+    "friction_run": dict(
+        change=multiplies("friction", lambda a, _, rows: xp.exp(a * rows.run_friction)),
+        odds=_one_each,
+    ),
+    "stiffness_run": dict(
+        change=multiplies("stiffness", lambda a, _, rows: xp.exp(a * rows.run_stiffness)),
+        odds=_one_each,
+    ),
 }

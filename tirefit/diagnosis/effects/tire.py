@@ -60,8 +60,7 @@ def _kinetic_times(state: State, factor: Values | float) -> State:
 def _linear_loss(state: State, loss: float, constants: Constants, rows: Covariates) -> State:
     kinetic, sliding, rolling = constants
     state = _kinetic_times(state, 1 - kinetic * loss * rows.sliding)
-    falls = sliding * rows.sliding + rolling * rows.v
-    return scaled(state, "friction", 1 - loss * falls)
+    return scaled(state, "friction", 1 - loss * (sliding * rows.sliding + rolling * rows.v))
 
 
 def _fall(state: State, share: float, constants: Constants, rows: Covariates) -> State:
@@ -102,15 +101,12 @@ def _which_power(constants: Constants, rows: Covariates, time: np.ndarray) -> st
 
 def _which_drift(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     even, way = constants
-    lasts = way * float(np.ptp(time))
-    return "evenly" if even else f"quick at first, as exp(-t / {lasts:.3g} s)"
+    return "evenly" if even else f"quick at first, as exp(-t / {way * float(np.ptp(time)):.3g} s)"
 
 
 def _which_step(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
-    begin, end = constants
-    share = np.asarray(rows.time)[: len(time)]
-    inside = (share > begin) & (share < end)
-    order = np.argsort(time, kind="stable")
+    share, order = np.asarray(rows.time)[: len(time)], np.argsort(time, kind="stable")
+    inside = (share > constants[0]) & (share < constants[1])
     turns = np.flatnonzero(np.diff(inside[order]))
     at = [f"{t:.4g}" for t in (time[order][turns] + time[order][turns + 1]) / 2]
     if len(at) == 1:

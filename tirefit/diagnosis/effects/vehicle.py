@@ -243,10 +243,8 @@ def _steer(late: Callable[..., Any]) -> Callable[..., Any]:
 
     def change(state: State, amplitude: float, constants: Constants, rows: Covariates) -> State:
         slip, turned = rows.past[:, AHEAD], late(rows.steered, amplitude, rows)
-        return state._replace(
-            shift=state.shift + xp.tan(xp.arctan(slip) - turned) - slip,
-            force=state.force + rows.pivot * turned,
-        )
+        shift = state.shift + xp.tan(xp.arctan(slip) - turned) - slip
+        return state._replace(shift=shift, force=state.force + rows.pivot * turned)
 
     return change
 
@@ -266,8 +264,7 @@ _PAST: Code = {
 
 
 _ALL_BUT, _DOUBLED = 0.95, -3.0
-"""Largest share of the friction that the other force uses, and largest share that it
-adds (the friction is then doubled)."""
+"""Largest share of the friction that the other force uses, and that it adds: it then doubles."""
 
 _ALIKE, _ONE_LOAD = 0.9, 0.1
 """Limits of an effect of speed or load: with a larger correlation of speed and slip, or a
@@ -279,15 +276,13 @@ _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 
 def _slip_speed(share: float, constants: Constants, rows: Covariates) -> Values:
     """Slip due to a radius that grows with v or v^2; zero at rest or at usual speed."""
-    even, square, about = constants
-    grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
-    return share * (grown - about * rows.cruise)
+    grown = blend(constants[:2], rows.v, rows.v**2 / rows.cruise)
+    return share * (grown - constants[2] * rows.cruise)
 
 
 def _drag(share: float, constants: Constants, rows: Covariates) -> Values:
     ratio = rows.v / rows.cruise
-    drag = share * blend(constants, ratio, ratio**2)
-    return PER_MILLE * rows.load * drag
+    return PER_MILLE * rows.load * (share * blend(constants, ratio, ratio**2))
 
 
 def _ellipse(state: State, share: float, constants: Constants, rows: Covariates) -> State:
@@ -322,11 +317,10 @@ def _of_the_axle(factor: Callable[..., Any]) -> Callable[..., Any]:
     """A factor that depends on the lateral acceleration, on friction, stiffness or both."""
 
     def change(state: State, amplitude: float, constants: Constants, rows: Covariates) -> State:
-        friction, stiffness = constants
         times = xp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
-        return state._replace(
-            friction=state.friction * times**friction, stiffness=state.stiffness * times**stiffness
-        )
+        friction, stiffness = (times**power for power in constants)
+        friction, stiffness = state.friction * friction, state.stiffness * stiffness
+        return state._replace(friction=friction, stiffness=stiffness)
 
     return change
 
