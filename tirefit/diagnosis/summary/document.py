@@ -17,6 +17,7 @@ from tirefit.diagnosis.rows.fits import missed_share
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import offsets_of_runs
+from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.case import Case, Concluded, all_rows, rows_of
 from tirefit.diagnosis.summary.closure import (
     budgets_of,
@@ -99,47 +100,24 @@ def document_of(
     gaps = {channel: _gap(case, closed(channel, rows[channel]["extended"])) for channel in rows}
     budgets, curves = budgets_of(case, generator), look_curves(case)
     steps, reason = next_measurements(base, case.search, case.weighed, case.verdict)
-    shown, noise = shown_rows(base, rows[main]), base.noise.values()
+    shown = shown_rows(base, rows[main])
     missed = base.residual(base.as_given, base.amplitudes())[:n]
     # Its residuals contain the misfit of the model, which the noise does not.
     scores = np.split(base.at_null[0][:, None] * base.at_null[1], len(channels))
     inflations = [effective_inflation(part, base.rows.run, base.rows.time) for part in scores]
-    layout, is_simulator, off = base.tire.layout, base.simulator is not None, 0.0
-    simulator = None
-    if base.simulator is not None:
-        given, missed_by = base.simulator.given, base.design.offset[main][:n]
-        off = float(np.sqrt(np.mean(missed_by**2)))
-        share, of_gap = missed_share(base.rows, main, missed_by), off / max(gaps[main].rms, NONZERO)
-        followed = Surrogate(model, off, share, of_gap)
-        simulator = SimulatorSummary(given.kind, given.source, given.sha256, followed)
+    scale, looks = np.asarray(base.design.scale[main])[:n], [one.look for one in curves]
+    others = parameter_changes(case), closed_by, scale, looks
+    layout, verdict = base.tire.layout, case.verdict
+    # The parameters of a simulator may explain the whole gap.
+    tuned_alone = base.simulator is not None and verdict.status == Status.NONE
     return Diagnosis(
-        **of_any_subject(
-            case,
-            gaps,
-            held,
-            budgets,
-            ladder,
-            parameter_changes(case),
-            closed_by,
-            np.asarray(base.design.scale[main])[:n],
-            [one.look for one in curves],
-        ),
+        **of_any_subject(case, gaps, held, budgets, ladder, *others),
         data=data_summary(data, base, rig),
         model=model,
-        simulator=simulator,
+        simulator=_simulator(base, model, gaps[main].rms),
         n=data.n,
         n_effective=float(np.mean([n / one for one in inflations])),
-        noise=NoiseSummary(
-            forces={c: float(np.median(level.std)) for c, level in base.noise.items()},
-            slip_name="alpha" if base.rows.mode == "y" else "sigma_x",
-            slip=float(np.median(base.rows.slip_std)),
-            slip_source=base.rows.slip_source,
-            source="; ".join(dict.fromkeys(level.source for level in noise)),
-            flags=case.noise_flags,
-            excess=max(level.excess for level in noise),
-            inflation=base.inflation,
-            outliers=sum(int(level.outlier.sum()) for level in noise),
-        ),
+        noise=_noise(case),
         where=tuple(regions(base, missed, shown.gap)),
         next_measurement=steps,
         next_measurement_reason=reason,
@@ -154,13 +132,37 @@ def document_of(
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, base.inflation, gaps[main].resolvable),
-        # The parameters of a simulator may explain the whole gap.
-        comparison=compared(
-            shown, bool(case.verdict.key) or is_simulator and case.verdict.status == Status.NONE
-        ),
+        comparison=compared(shown, bool(verdict.key) or tuned_alone),
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in layout.free},
+    )
+
+
+def _simulator(base: Base, model: str, gap: float) -> SimulatorSummary | None:
+    """The record of the given simulator, with the error of its stand-in ``model``, also
+    over the whole gap [N]."""
+    if base.simulator is None:
+        return None
+    given, main = base.simulator.given, base.rows.channels[0]
+    missed = base.design.offset[main][: base.rows.n]
+    off, share = float(np.sqrt(np.mean(missed**2))), missed_share(base.rows, main, missed)
+    followed = Surrogate(model, off, share, off / max(gap, NONZERO))
+    return SimulatorSummary(given.kind, given.source, given.sha256, followed)
+
+
+def _noise(case: Case) -> NoiseSummary:
+    rows, levels = case.base.rows, case.base.noise.values()
+    return NoiseSummary(
+        forces={c: float(np.median(level.std)) for c, level in case.base.noise.items()},
+        slip_name="alpha" if rows.mode == "y" else "sigma_x",
+        slip=float(np.median(rows.slip_std)),
+        slip_source=rows.slip_source,
+        source="; ".join(dict.fromkeys(level.source for level in levels)),
+        flags=case.noise_flags,
+        excess=max(level.excess for level in levels),
+        inflation=case.base.inflation,
+        outliers=sum(int(level.outlier.sum()) for level in levels),
     )
 
 
