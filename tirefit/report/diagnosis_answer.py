@@ -105,7 +105,9 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
 
 def of_size(result: Diagnosis, effect: str) -> str:
     """``of 0.27 ± 0.03 m``: the sizes of an effect that helps; empty if it has none."""
-    sizes = [words.amount_text(one.value, one.std, one.unit) for one in result.sizes_of(effect)]
+    sizes = [
+        words.amount_text(one.value, one.std, one.unit) for one in words.sizes_of(result, effect)
+    ]
     return f" of {words.listing(sizes)}" if sizes else ""
 
 

@@ -238,7 +238,7 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
     helping = verdict.helping or verdict.effects
     for effect in (*helping, *verdict.also_possible):
         named, means = effect in helping, words.words_on(effect, result.library)
-        amounts = result.sizes_of(effect)
+        amounts = words.sizes_of(result, effect)
         sizes = [words.amplitude_text(x) + words.in_the_file(result, x) for x in amounts]
         name = words.name_of(effect) + f" ({effect})" * (words.name_of(effect) != effect)
         tail = "; ".join(sizes) if named else "not named"

@@ -179,6 +179,11 @@ def set_name(effects: Sequence[str]) -> str:
     return " + ".join(names) or "no effect"
 
 
+def sizes_of(result: Diagnosis, effect: str) -> list[Amplitude]:
+    """The amplitudes of an effect that helps; empty for another one."""
+    return [one for name, one in result.amplitudes.items() if name.startswith(f"{effect}: ")]
+
+
 def amplitude_text(amplitude: Amplitude) -> str:
     """``value ± std unit``, with its formula if the effect has several."""
     text = amount_text(amplitude.value, amplitude.std, amplitude.unit)

@@ -371,10 +371,6 @@ class Diagnosis(Record):
         helping = {*self.verdict.helping}
         return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
 
-    def sizes_of(self, effect: str) -> list[Amplitude]:
-        """Its amplitudes in that fit; empty for an effect that does not help."""
-        return [one for name, one in self.amplitudes.items() if name.startswith(f"{effect}: ")]
-
     @property
     def readings(self) -> Readings | None:
         """Both readings of a simulator; None without."""
