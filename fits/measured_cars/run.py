@@ -21,7 +21,7 @@ from fits.measured_cars.by_hand import HORIZONS, by_hand
 from fits.measured_cars.cars import CARS, Car
 from fits.measured_changes.by_hand import rounded
 from fits.replay.cars import write_logs
-from tirefit.vehicle.conclusion import conclusions
+from tirefit.report.vehicle import conclusions
 from tirefit.vehicle.trajectory import TrajectoryFit
 
 THINNED = (6, 8, 10, 12, 15)

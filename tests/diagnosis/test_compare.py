@@ -12,6 +12,7 @@ import tirefit
 from tirefit.cli.commands import app
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.summary import forces
 from tirefit.results import DataError, UsageError
 
 TIR = Path(__file__).parents[1] / "data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
@@ -90,6 +91,20 @@ def test_a_fit_beside_a_tir_is_compared_over_the_forces(saved):
     assert other.differs and found.plot().axes
     with pytest.raises(UsageError, match="two or more"):
         tirefit.compare([TIR])
+
+
+def test_the_band_of_forces_counts_the_free_parameters(days, monkeypatch):
+    """Two of the brush, of two fits of it alike; together with the three of another model five."""
+    counts = []
+
+    def isf(count, level):
+        counts.append(count)
+        return chi2.isf(level, count)
+
+    monkeypatch.setattr(forces, "chdtri", isf)
+    for other in (days[1], day(0.9, 4, "brush-m")):
+        tirefit.compare([days[0], other])
+    assert counts == [2, 5]
 
 
 def test_fits_of_the_same_rows_are_not_tested(days):

@@ -13,6 +13,7 @@ from conftest_diagnosis import RIG, bare, brush, record
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ndtr
+from scipy.stats import false_discovery_control
 
 import tirefit
 from tirefit.data.read import read_frame
@@ -36,7 +37,7 @@ from tirefit.diagnosis.summary.forecast import (
     separability,
     size_apart,
 )
-from tirefit.diagnosis.summary.views import _look_curve, regions
+from tirefit.diagnosis.summary.views import _look_curve, adjusted, regions
 from tirefit.models import MODELS, Brush, TireInputs
 from tirefit.results import UsageError
 
@@ -701,3 +702,11 @@ def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
     # Of a wave the period is stated.
     wave = found._replace(cell=cell._replace(covariate="time"), is_wave=True)
     assert _look_curve(wave).look.at == 1.0 and not _look_curve(wave).is_mirrored
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 50])
+def test_p_values_are_adjusted_as_by_scipy(count):
+    chances = np.random.default_rng(count).uniform(0, 0.2, count)
+    for dependent, method in ((False, "bh"), (True, "by")):
+        expected = false_discovery_control(chances, method=method)
+        np.testing.assert_allclose(adjusted(chances, dependent), expected, rtol=1e-12)

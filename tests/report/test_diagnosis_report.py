@@ -48,7 +48,6 @@ from tirefit.diagnosis.summary.views import (
 from tirefit.models import MODELS
 from tirefit.report.canvas import alone
 from tirefit.report.diagnosis_answer import answer, change_texts
-from tirefit.report.diagnosis_details import confused_lines
 from tirefit.report.diagnosis_figures import (
     after_label,
     budget_bars,
@@ -56,15 +55,14 @@ from tirefit.report.diagnosis_figures import (
     draw_look,
     draw_where,
     ladder_bars,
-    level_labels,
-    look_title,
     panels_of,
 )
-from tirefit.report.diagnosis_report import diagnosis_page, diagnosis_text
+from tirefit.report.diagnosis_report import confused_lines, diagnosis_page, diagnosis_text
 from tirefit.report.diagnosis_sections import (
-    budget_table,
+    budget_section,
     first_screen,
     gap_line,
+    missing_lines,
     stand_in_line,
     step_label,
     step_lines,
@@ -73,13 +71,12 @@ from tirefit.report.diagnosis_words import (
     _NEEDS,
     amount_text,
     listing,
-    name_with_id,
+    name_of,
     p_text,
     range_text,
     said_unit,
     set_name,
     share_text,
-    untestable_lines,
     words_on,
 )
 from tirefit.report.numbers import format_number
@@ -162,7 +159,6 @@ LADDER = Ladder(
         Step(("noise",), 223.6, 1.0, 0.0, 7600.0, 2500.0),
     ),
 )
-UNRESOLVED = replace(GAP, resolvable=False, closed=None, holdout=None)
 CANDIDATES = (
     candidate(["load_friction"], 0.87),
     candidate(["friction_drift", "load_friction"], 0.061),
@@ -321,13 +317,14 @@ def test_the_map_is_drawn_over_the_covariate_of_the_gap(name):
     assert panel.covariate == name
     rows = {"fz": 3, "v": 2, "time": 5, "direction": 2}
     assert panel.mean.shape == (rows[name], len(panel.edges) - 1)
-    assert len(level_labels(panel)) == rows[name]
     assert panel.energy.sum() == pytest.approx(1.0)
 
 
 def test_the_map_contains_the_truth():
     panel = diagnosis("fz").residual_map
-    assert level_labels(panel) == ("2000", "4000", "6000")
+    figure = Figure()
+    draw_where(figure, panel)
+    assert [x.get_text() for x in figure.axes[0].get_yticklabels()] == ["2000", "4000", "6000"]
     center = (panel.edges[:-1] + panel.edges[1:]) / 2
     far = (np.abs(center) > 1.2) & np.isfinite(panel.mean[2])
     assert far.sum() >= 4
@@ -342,18 +339,16 @@ def test_the_map_contains_the_truth():
     assert not np.isfinite(panel.mean).all()  # a sweep does not reach every cell
 
 
-def test_correlated_rows_count_less():
-    sure = diagnosis("offset").residual_map
-    unsure = diagnosis("offset", noise=noise_of("fx", 30.0)).residual_map
-    np.testing.assert_array_equal(sure.mean, unsure.mean)
-    assert unsure.beyond.sum() < sure.beyond.sum()
-
-
 def test_residuals_show_the_gap_before_and_nothing_after():
     panel = diagnosis("offset", scatter=0.0).comparison
     np.testing.assert_allclose(panel.before, 100.0)
     np.testing.assert_allclose(panel.after, 0.0, atol=1e-9)
     assert panel.named and after_label(diagnosis()) == "load friction"
+    # Correlated rows count less.
+    few = diagnosis("offset", noise=noise_of("fx", 30.0)).residual_map
+    many = diagnosis("offset").residual_map
+    np.testing.assert_array_equal(few.mean, many.mean)
+    assert few.beyond.sum() < many.beyond.sum()
 
 
 def test_curves_of_both_fits_are_drawn_at_three_loads():
@@ -430,22 +425,28 @@ def test_the_ladder_is_in_table_and_document():
     assert document["ladder"][2]["gain"] == 27500.0
 
 
-def test_each_step_of_the_ladder_shows_the_error_on_held_out_files():
-    rms = (520.0, 310.0, 410.0)
-    closed = (0.0, 0.75, 0.4)
+def held_out(rms, closed):
+    """A diagnosis whose first steps have these errors on files held out."""
     steps = [
         step._replace(rms_held_out=r, closed_held_out=c)
         for step, r, c in zip(LADDER.steps, rms, closed, strict=False)
     ]
     ladder = LADDER._replace(steps=(*steps, *LADDER.steps[3:]))
-    settings = replace(diagnosis().settings, holdout=("sha",))
-    found = diagnosis(ladder=ladder, settings=settings)
+    return diagnosis(ladder=ladder, settings=replace(diagnosis().settings, holdout=("sha",)))
+
+
+def test_each_step_of_the_ladder_shows_the_error_on_held_out_files():
+    rms = (520.0, 310.0, 410.0)
+    found = held_out(rms, (0.0, 0.75, 0.4))
     text = flat(found)
     assert "closed held out [N]" in text
     assert "+ slip offset 300 80.0 ± 5.0 % 310 (75%)" in text
     assert "load friction: predicts the files held out worse (310 to 410 N" in text
     assert "slip offset: predicts the files held out worse" not in text
     assert [bar.mark for bar in ladder_bars(found)] == [*rms, None, None, None]
+    assert "does not help" not in answer(found)
+    contradicted = answer(held_out((520.0, 310.0, 540.0), (0.0, 0.75, -0.1)))
+    assert "On the files held out it does not help (520 to 540 N rms)" in contradicted
 
 
 def test_without_held_out_rows_the_fitted_rows_are_shown():
@@ -458,23 +459,24 @@ def test_without_held_out_rows_the_fitted_rows_are_shown():
     assert axes.get_xlabel() == "rms on the rows fitted [N]"
 
 
-WORST = replace(HELD, closed=-1.0, closed_ci=(-1.0, 0.2), remaining_rms=302.0)
-
-
-def test_a_closure_at_its_bound_is_reported_as_a_bound():
-    line = gap_line(diagnosis(), WORST, "held out")
+def test_the_closure_of_a_gap_is_a_number_a_bound_or_not_told():
+    worst = replace(HELD, closed=-1.0, closed_ci=(-1.0, 0.2), remaining_rms=302.0)
+    line = gap_line(diagnosis(), worst, "held out")
     assert "302 N (7.5 % of mean F_z) or more with the answer" in line
     closed = "-100 % or worse [-100 % or worse, 20 %], -300 % or worse of its energy"
     assert line.endswith(f"closed [90 % interval]: {closed}")
-
-
-def test_a_gap_that_grew_on_fitted_rows_is_reported_as_such():
-    # The record ends at zero there; the remainder does not.
+    # The record ends at zero on fitted rows; the remainder does not.
     grew = replace(GAP, closed=0.0, closed_ci=(-0.3, 0.1), remaining_rms=150.0)
     line = gap_line(diagnosis(), grew, "here")
     assert line.endswith("-20 % [-30 %, 10 %], -44 % of its energy")
-    silent = replace(GAP, closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=GAP.rms)
-    assert silent.net_closed == 0.0
+    assert replace(GAP, closed=0.0, remaining_rms=GAP.rms).net_closed == 0.0
+    line = gap_line(diagnosis(), replace(GAP, resolvable=False, closed=None), "here")
+    assert line.endswith("too uncertain to say how much of it closes")
+    line = gap_line(judged("unknown", []), HELD, "wet")
+    assert line == "wet: gap of 151 N (3.8 % of mean F_z) rms beyond the noise"
+    settings = replace(diagnosis().settings, holdout=("ab12",))
+    assert "files held out (highest fz" in flat(diagnosis(settings=settings))
+    assert "files held out (" not in flat(diagnosis())
 
 
 def test_axes_contain_the_arrays():
@@ -574,7 +576,7 @@ def simulated(status="named", effects=("slip_offset",), changes=CHANGES, **other
 
 def test_the_error_of_a_simulator_is_reported_by_part():
     found = simulated()
-    assert budget_table(found, "fx")[1:] == [
+    assert budget_section(found, "fx").table[1:] == [
         ("whole error of the simulator", "454", "100 %"),
         ("its parameters", "400", "78 % [70 %, 80 %]"),
         ("slip offset", "160", "12 % [10 %, 20 %]"),
@@ -648,19 +650,14 @@ def test_the_largest_part_comes_first_and_what_does_not_carry_over_is_left_out()
     assert answer(simulator).startswith("The gap comes from slip offset")
 
 
-def test_the_remedy_of_a_derived_slip_is_in_the_vehicle_file():
+def test_the_answer_on_a_derived_slip_and_on_a_small_gap():
     found = judged("named", ["slip_offset"])
     derived = replace(found, data=replace(found.data, motion=("yaw rate of the pose",)))
+    # The remedy of a derived slip is in the vehicle's file.
     assert "(0.91): subtract it from yaw_offset of vehicle.toml" in answer(derived)
-    assert "(0.91): add it to the slip." in answer(found)
-
-
-def test_the_answer_tells_a_small_gap_beside_the_noise():
-    found = simulated("named", ("slip_offset",))
     small = replace(found, gap=replace(found.gap, rms=7.5, resolvable=False))
-    noise = f"{small.noise.forces[small.data.channels[0]]:.0f}"
-    assert f"The gap is small: 7.5 N (rms) beside {noise} N of noise." in answer(small)
-    assert "small" not in answer(found)
+    assert "The gap is small: 7.5 N (rms) beside 20 N of noise." in answer(small)
+    assert "small" not in answer(found) and "(0.91): add it to the slip." in answer(found)
 
 
 def test_the_waterfall_ends_at_the_noise():
@@ -687,7 +684,7 @@ def texts_of(figure):
 
 def test_every_channel_has_a_budget_in_its_unit():
     found = simulated(budgets={"fy": BUDGET, "mz": MOMENT})
-    force, moment = budget_table(found, "fy"), budget_table(found, "mz")
+    force, moment = (budget_section(found, channel).table for channel in ("fy", "mz"))
     assert force[0][:2] == ("F_y, part of the error", "rms [N]")
     assert moment[0][:2] == ("M_z, part of the error", "rms [N m]")
     assert moment[1][1] == "26" and moment[2][1] == "24"
@@ -735,12 +732,11 @@ SHAPES = {
 
 @pytest.mark.parametrize(("panel", "said"), SHAPES.values(), ids=SHAPES)
 def test_the_remainder_is_drawn(panel, said):
-    assert look_title(panel) == f"What is left: {said}"
     figure = Figure()
     draw_look(figure, panel, "the base fit")
     (axes,) = figure.axes
     title = axes.get_title(loc="left").replace("\n", " ").replace("\\", "")
-    assert title.replace("\u00a0", " ") == look_title(panel)
+    assert title.replace("\u00a0", " ") == f"What is left: {said}"
     scale = 1 if panel.look.parameter == "slip" else 100
     points = axes.containers[0].lines[0] if panel.at_settings else axes.lines[1]
     np.testing.assert_allclose(points.get_ydata(), scale * panel.change)
@@ -830,7 +826,7 @@ def test_every_verdict_has_its_sentence(verdict, sentence):
     text = flat(found)
     # What can be done, for each effect that is named.
     for effect in verdict[1]:
-        assert name_with_id(effect) in text
+        assert name_of(effect) in text
         assert all(part in text for part in words_on(effect))
     named = verdict[0] != "none" and verdict[1][:1] == ["load_friction"]
     assert ("effect that would be detected: 6.3 N rms" in text) == (not named)
@@ -912,19 +908,6 @@ def test_a_slip_that_contradicts_the_wheel_speed_is_reported():
     assert "rolling radius of" in flat(diagnosis_text(agrees, full=True))
 
 
-def test_an_unresolved_gap_claims_nothing():
-    line = gap_line(diagnosis(), UNRESOLVED, "here")
-    assert line.endswith("too uncertain to say how much of it closes")
-
-
-def test_without_a_name_other_files_have_a_gap_but_no_closure():
-    line = gap_line(judged("unknown", []), HELD, "wet")
-    assert line == "wet: gap of 151 N (3.8 % of mean F_z) rms beyond the noise"
-    settings = replace(diagnosis().settings, holdout=("ab12",))
-    assert "files held out (highest fz" in flat(diagnosis(settings=settings))
-    assert "files held out (" not in flat(diagnosis())
-
-
 def test_effects_excluded_by_the_caller_are_reported():
     settings = diagnosis().settings
     ids = [effect.id for effect in EFFECTS]
@@ -981,10 +964,10 @@ def test_a_user_defined_effect_is_shown_by_its_id():
         remedy="measure elsewhere",
     )
     verdict = found.verdict
-    known = diagnosis(verdict=verdict, library=(*EFFECTS, mine))
-    assert "the road has waves; to do: measure elsewhere" in str(known)
     own = Untestable("road_ripple", ("road camera", "omega"))
-    assert untestable_lines(known, [own]) == ["road camera, wheel speed omega: road ripple"]
+    known = diagnosis(verdict=verdict, library=(*EFFECTS, mine), untestable=(own,))
+    assert "the road has waves; to do: measure elsewhere" in str(known)
+    assert missing_lines(known)[0] == ["road camera, wheel speed omega: road ripple"]
 
 
 def test_what_is_missing_is_listed_once(page_text):
@@ -1012,10 +995,10 @@ def test_ranges_are_written_with_few_digits():
     assert share_text(None) == "-"
     assert share_text(0.5, [None, None]) == "50 %"
     assert p_text(0.0) == "< 1e-12" and p_text(0.0134) == "0.013"
-    first = untestable_lines(diagnosis(), UNTESTABLE)[0]
+    first = missing_lines(diagnosis(untestable=UNTESTABLE))[0][0]
     assert first.endswith(": friction temperature, stiffness temperature")
     assert listing(["a"]) == "a" and listing(["a", "b", "c"], "or") == "a, b or c"
-    assert set_name(()) == "no effect" and name_with_id("toe") == "toe"
+    assert set_name(()) == "no effect"
     assert set_name(["toe", "slip_offset"]) == "toe + slip offset"
 
 
@@ -1062,16 +1045,6 @@ def test_a_panel_of_a_diagnosis_is_drawn_for_whoever_saves_it(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["where.svg"]
     with pytest.raises(UsageError, match="there is no panel 'were'\n.*'where'"):
         result.plot("were")
-
-
-def test_a_result_contradicted_by_other_files_is_reported():
-    rms = (520.0, 310.0, 540.0)
-    steps = [step._replace(rms_held_out=r) for step, r in zip(LADDER.steps, rms, strict=False)]
-    ladder = LADDER._replace(steps=(*steps, *LADDER.steps[3:]))
-    settings = replace(diagnosis().settings, holdout=("sha",))
-    said = answer(diagnosis(ladder=ladder, settings=settings))
-    assert "On the files held out it does not help (520 to 540 N rms)" in said
-    assert "does not help" not in answer(diagnosis())
 
 
 def test_an_offset_is_also_given_in_the_signs_of_the_file():

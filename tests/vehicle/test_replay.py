@@ -19,9 +19,8 @@ from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.source import axle_tire
 from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
-from tirefit.report.vehicle import replay_text
+from tirefit.report.vehicle import conclusions, replay_text, turning
 from tirefit.results import DataError, UsageError
-from tirefit.vehicle.conclusion import conclusions, turning
 from tirefit.vehicle.errors import QUANTITIES, Errors
 from tirefit.vehicle.replay import HORIZONS, replay
 from tirefit.vehicle.windows import integrated

@@ -23,8 +23,8 @@ from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
 from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.document import document_of, with_readings
-from tirefit.diagnosis.summary.readings import readings_of
+from tirefit.diagnosis.summary.document import document_of
+from tirefit.diagnosis.summary.readings import with_readings
 from tirefit.diagnosis.summary.result import Diagnosis, Settings
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import TireLike
@@ -165,7 +165,7 @@ def diagnose(
         def study(rows: Prepared, rig: Rig) -> Case:
             return studied(rows, form, rig, effects, without)
 
-        return with_readings(found, readings_of(case, some, rig, form, study))
+        return with_readings(found, case, some, rig, form, study)
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------

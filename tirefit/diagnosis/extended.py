@@ -46,8 +46,7 @@ _NO_LOAD = 1e-6
 """Share of the mean load below which laws of the load are constant, as powers of the load
 have no value at zero."""
 
-_OF_RUN = ("brisk", "cruise", "rise", "peak")
-"""Covariates with one value for all rows."""
+_OF_RUN = ("brisk", "cruise", "rise", "peak")  # covariates with one value for all rows
 
 
 class Extension(NamedTuple):
@@ -81,13 +80,12 @@ def extension_of(base: Base, chosen: Fit) -> Extension:
     """The extension of a file, for the effects of a fitted set."""
     rows, prepared = base.design.rows, base.rows
     inflation = column(prepared.data, "pressure")
-    atoms = [base.atoms[k] for k in chosen.atoms]
     first = {name: float(getattr(rows, name)[0]) for name in ("load", *_OF_RUN)}
     fz = np.asarray(prepared.inputs.fz)
     share = np.abs(np.asarray(rows.traction)[: prepared.n]) * first["load"] / fz
     return Extension(
         mode=prepared.mode,
-        variants={a.effect.id: a.variant for a in atoms},
+        variants={base.atoms[k].effect.id: base.atoms[k].variant for k in chosen.atoms},
         at=(float(base.design.reference[0]), float(base.design.reference[1])),
         slowest=slowest(column(prepared.data, "v")),
         used=float(np.max(share)),
@@ -148,9 +146,8 @@ class Extended(AbstractTire):
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         to, tire, inputs = self.to, self.tire, TireInputs(*map(jnp.asarray, inputs))
-        usual = self.usual(inputs)
-        force = usual.fy if to.mode == "y" else usual.fx
-        rows, state = _covariates(to, inputs, force), null_state()
+        usual, state = self.usual(inputs), null_state()
+        rows = _covariates(to, inputs, usual.fy if to.mode == "y" else usual.fx)
         for atom, amplitude in self.effects:
             state = atom.change(state, amplitude, rows)
         along, across = inputs.sigma_x, jnp.tan(inputs.alpha)
@@ -161,13 +158,11 @@ class Extended(AbstractTire):
         carrier = None
         if not is_plain(tire):
             at_rest = inputs._replace(sigma_x=0.0, alpha=0.0)
-            stiffness = slope_at_rest(tire, at_rest, to.mode) / 2
-            carrier = stiffness, self.peak, arm_of(tire)
+            carrier = slope_at_rest(tire, at_rest, to.mode) / 2, self.peak, arm_of(tire)
         across = jnp.asarray(lateral_slip(across, along))
         found = force_of_state(tire, carrier, state, along, across, inputs)
-        found = with_offsets(found, state, to.mode)
         own: TireForces = tire(inputs)
-        whole: Any = zip(("fx", "fy", "mz"), found, strict=True)
+        whole: Any = zip(("fx", "fy", "mz"), with_offsets(found, state, to.mode), strict=True)
         return own._replace(**{k: v for k, v in whole if getattr(own, k) is not None})
 
 
@@ -331,18 +326,11 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable[.
     bare = finish(with_values(tire, document.extended_parameters))
     if not held:
         return Report(bare, bare, (), tuple(sentences))
-    plain = finish(with_values(tire, document.base_parameters))
-    to = document.extension
-    sentences.append(
-        f"in these formulas F_z0 = mean F_z = {to.load:.5g} N and v0 = {to.cruise:.4g} m/s"
-    )
-    extended = Extended(
-        tire=bare,
-        effects=tuple(held),
-        to=to,
-        usual=lambda given: plain(given),
-        peak=float(peak_ratio(bare, *to.at)),
-    )
+    plain, to = finish(with_values(tire, document.base_parameters)), document.extension
+    reference = f"F_z0 = mean F_z = {to.load:.5g} N and v0 = {to.cruise:.4g} m/s"
+    sentences.append(f"in these formulas {reference}")
+    peak = float(peak_ratio(bare, *to.at))
+    extended = Extended(bare, tuple(held), to, lambda given: plain(given), peak)
     names = tuple(atom.effect.id for atom, _ in held)
     return Report(extended, bare, names, tuple(sentences))
 
@@ -365,17 +353,12 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
     message += f"{' ' if unit else ''}{unit}: {effect.means} ({effect.formula})"
     if effect.of == "measurement":
         return [], f"of the measurement, not in the forces: {message}; {effect.remedy}"
-    if effect.of == "tire" and _has_inputs(atom, size.value, document.extension):
-        return [(atom, size.value)], f"in the forces: {message}"
-    whose = "" if effect.of == "tire" else f", of the {effect.of}"
-    return [], f"not in the forces{whose}: {message}"
-
-
-def _has_inputs(atom: Atom, amplitude: float, to: Extension) -> bool:
-    """Whether an effect depends only on inputs of a tire."""
-    given = TireInputs(0.01, 0.01, to.load, to.cruise)
+    if effect.of != "tire":
+        return [], f"not in the forces, of the {effect.of}: {message}"
+    to = document.extension
     try:
-        atom.change(null_state(), amplitude, _covariates(to, given, to.load))
-    except TypeError:  # it uses a covariate that is None
-        return False
-    return True
+        at = _covariates(to, TireInputs(0.01, 0.01, to.load, to.cruise), to.load)
+        atom.change(null_state(), size.value, at)
+    except TypeError:  # it uses a covariate that is None: no input of a tire
+        return [], f"not in the forces: {message}"
+    return [(atom, size.value)], f"in the forces: {message}"

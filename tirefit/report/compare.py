@@ -1,6 +1,6 @@
 """The report of a comparison: text, figure, page."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,24 +14,19 @@ from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.page import Rows, Section, fragment, image_of, page, report_text, verdict_of
 from tirefit.results import UsageError
 
-_NAMED = 6
-"""Largest number of parameters that do not differ and are named."""
-
-_JUDGING = "diagnosis", "description"
-"""Kinds of sources that name effects."""
-
-_ROUNDING = 1e-16
-"""Smallest probability that is printed as a number."""
+_NAMED = 6  # largest number of parameters that do not differ and are named
+_JUDGING = "diagnosis", "description"  # kinds of sources that name effects
+_ROUNDING = 1e-16  # smallest probability that is printed as a number
 
 
 def answer(found: Comparison) -> list[str]:
     """What differs, and what does not: parameters, forces, effects."""
-    said = [*found.meanings, *_numbers_said(found)]
+    lines = [*found.meanings, *_on_numbers(found)]
     for one in found.forces:
-        said += [_force_said(one, name, x) for name, x in one.curves.items() if x.slip is not None]
-    said += _effects_said(found)
-    said.sort(key=lambda text: " not differ" in text)  # what differs is told first
-    return said or ["the sources have nothing in common to compare"]
+        lines += [_on_force(one, name, x) for name, x in one.curves.items() if x.slip is not None]
+    lines += _on_effects(found)
+    lines.sort(key=lambda text: " not differ" in text)  # what differs is told first
+    return lines or ["the sources have nothing in common to compare"]
 
 
 def _by(value: float, std: float, unit: str, errors: float) -> str:
@@ -39,19 +34,18 @@ def _by(value: float, std: float, unit: str, errors: float) -> str:
     return f"{format_estimate(value, std)}{unit} ({errors:.1f} errors)"
 
 
-def _numbers_said(found: Comparison) -> list[str]:
+def _on_numbers(found: Comparison) -> Iterator[str]:
     tested = [one for one in found.numbers if one.p is not None]
-    said = [f"{one.name} differs: {_difference(one)}" for one in tested if one.differs]
+    yield from (f"{one.name} differs: {_difference(one)}" for one in tested if one.differs)
     same = [f"{one.name} ({one.errors:.1f} errors)" for one in tested if not one.differs]
     if same:
         more = f" and {len(same) - _NAMED} more" if len(same) > _NAMED else ""
         verb = "does" if len(same) == 1 else "do"
-        said.append(f"{', '.join(same[:_NAMED])}{more} {verb} not differ beyond the errors")
+        yield f"{', '.join(same[:_NAMED])}{more} {verb} not differ beyond the errors"
     if (joint := found.joint) and not any(one.differs for one in tested):
         verb = "differ" if joint.differs else "do not differ"
         text = f"all parameters together {verb}: chi-square {joint.chi2:.1f} of {joint.dof}"
-        said.append(f"{text}, {_chance(joint.p)}")
-    return said
+        yield f"{text}, {_chance(joint.p)}"
 
 
 def _difference(one: Apart) -> str:
@@ -64,7 +58,7 @@ def _difference(one: Apart) -> str:
     return f"{', '.join(f'{_cell(one, name)} in {name}' for name in known)}: difference {size}"
 
 
-def _force_said(one: ForceDifference, name: str, at: ForceCurve) -> str:
+def _on_force(one: ForceDifference, name: str, at: ForceCurve) -> str:
     first, unit = next(iter(one.curves)), FORCE_UNIT[one.force]
     axis = slip_axis(one.slip, one.slips)
     place = float(axis.shown(np.array([at.slip]))[0])
@@ -75,8 +69,7 @@ def _force_said(one: ForceDifference, name: str, at: ForceCurve) -> str:
         size = f"{format_number(at.difference, 3)} {unit}"
         return f"{one.force} of {name} less {first}: up to {size} at {where}; {share}; no errors"
     verb = "differs" if at.differs else "does not differ beyond the errors"
-    errors = abs(at.difference) / at.error if at.error else 0.0
-    size = _by(at.difference, at.error, unit, errors)
+    size = _by(at.difference, at.error, unit, abs(at.difference) / at.error if at.error else 0.0)
     return f"{one.force} {verb}: {name} less {first} up to {size} at {where}; {share}"
 
 
@@ -90,20 +83,18 @@ def _named(found: Comparison) -> dict[str, list[str]]:
     return named
 
 
-def _effects_said(found: Comparison) -> list[str]:
-    judging = [one.name for one in found.sources if one.kind in _JUDGING]
-    said = []
-    for effect, where in _named(found).items():
+def _on_effects(found: Comparison) -> Iterator[str]:
+    judging, named = [one for one in found.sources if one.kind in _JUDGING], _named(found)
+    if len(judging) > 1 and not named:
+        yield "no diagnosis names an effect"
+    for effect, where in named.items():
         sizes = [x for x in found.effects if x.name.startswith(f"{effect}: ") and x.p is not None]
         text = "in all" if len(where) == len(judging) > 1 else f"in {', '.join(where)} only"
         for one in sizes:
             same = f"its sizes agree ({one.errors:.1f} errors)"
             of = one.name.removeprefix(f"{effect}: ").replace("amplitude", "its size")
             text += f"; {f'{of} differs: {_difference(one)}' if one.differs else same}"
-        said.append(f"{effect} is named {text}")
-    if len(judging) > 1 and not said:
-        said = ["no diagnosis names an effect"]
-    return said
+        yield f"{effect} is named {text}"
 
 
 def _numbers_table(given: Sequence[Apart], names: Sequence[str], what: str) -> Rows:
@@ -130,15 +121,6 @@ def _cell(one: Apart, name: str) -> str:
     return "-" if value is None else format_estimate(value.value, value.std)
 
 
-def _effects_table(found: Comparison) -> Rows:
-    """Standing of each effect that helps somewhere, by source."""
-    of = [one for one in found.sources if one.kind in _JUDGING]
-    rows = [("effect", *(one.name for one in of))]
-    for effect in _named(found):
-        rows.append((effect, *(one.standing.get(effect, "not found") for one in of)))
-    return rows
-
-
 def sections_of(found: Comparison) -> list[Section]:
     """Parameters, effects, sources, notes."""
     if found.models:
@@ -160,9 +142,13 @@ def sections_of(found: Comparison) -> list[Section]:
     right = range(1, 2 + len(names))
     numbers = _numbers_table(found.numbers, names, "parameter")
     sizes = _numbers_table(found.effects, names, "effect")
+    judging = [one for one in found.sources if one.kind in _JUDGING]
+    standing = [("effect", *(one.name for one in judging))]
+    for effect in _named(found):
+        standing.append((effect, *(one.standing.get(effect, "not found") for one in judging)))
     return [
         Section("Parameters", (), numbers, right=right),
-        Section("Effects", (), _effects_table(found)),
+        Section("Effects", (), standing),
         Section("Sizes of effects", (), sizes, right=right),
         Section("Compared", sources),
         Section("Notes", notes),
@@ -179,7 +165,15 @@ def _ranking(found: Comparison) -> Section:
         off = f"{one.aicc:.1f}", f"{one.aicc - first.aicc:.1f}", f"{one.bic - least:.1f}"
         size = str(one.unknowns), format_number(one.rmse)
         rows.append((one.model, *size, *off, f"{one.n_effective:.0f}", one.status))
-    notes = [_parameters(found, one.model) for one in found.models]
+    notes = []
+    for one in found.models:
+        source = next(x for x in found.sources if x.model == one.model)
+        values = (
+            f"{name} = {'not identified' if x.std is None else format_estimate(x.value, x.std)}"
+            + f" {x.unit}" * (x.unit != "-")
+            for name, x in source.numbers.items()
+        )
+        notes.append(f"{one.model}: {', '.join(values)}")
     effective = [one.n_effective for one in found.models]
     if max(effective) > 1.1 * min(effective):
         best = min(found.models, key=lambda one: one.rmse)
@@ -188,16 +182,6 @@ def _ranking(found: Comparison) -> Section:
             f" {best.n_effective:.0f}, the effective number of the closest fit"
         )
     return Section("", notes, rows, right=range(1, len(rows[0]) - 1))
-
-
-def _parameters(found: Comparison, model: str) -> str:
-    source = next(one for one in found.sources if one.model == model)
-    parts = []
-    for name, one in source.numbers.items():
-        unit = "" if one.unit == "-" else f" {one.unit}"
-        text = "not identified" if one.std is None else format_estimate(one.value, one.std)
-        parts.append(f"{name} = {text}{unit}")
-    return f"{model}: {', '.join(parts)}"
 
 
 def _title(found: Comparison) -> str:
@@ -213,11 +197,9 @@ def comparison_text(found: Comparison) -> str:
 
 
 def _panels(found: Comparison) -> list[Panel]:
-    panels = [_force_panel(one) for one in found.forces]
+    panels, names = [_force_panel(one) for one in found.forces], [x.name for x in found.sources]
     for given, what in ((found.numbers, "Parameters"), (found.effects, "Sizes of effects")):
-        shown = [one for one in given if one.difference is not None]
-        if shown:
-            names = [one.name for one in found.sources]
+        if shown := [one for one in given if one.difference is not None]:
             panels.append(_number_panel(shown, names, what))
     return panels
 

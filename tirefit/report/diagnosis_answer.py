@@ -1,23 +1,30 @@
-"""The answer of a diagnosis: the largest part of the error first, with its size and remedy."""
+"""The answer of a diagnosis: the largest part of the error first, with its size and remedy; and
+the two readings of a simulator, its structure and both described by one model."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
+import numpy as np
+
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.closure import PARAMETERS
-from tirefit.diagnosis.summary.result import Change, Diagnosis
-from tirefit.report.diagnosis_readings import (
-    FRICTION,
-    ratio_text,
-    readings_text,
-    set_text,
-    used_friction,
-)
-from tirefit.report.diagnosis_words import amount_text, listing, name_of, share_text, words_on
+from tirefit.diagnosis.summary.readings import SLOPE
+from tirefit.diagnosis.summary.result import Diagnosis, Estimate, Readings
+from tirefit.report import diagnosis_words as words
 from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.page import Section
 
 _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Short names of parameters for sentences."""
+
+_FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")  # parameters that limit the force
+
+_LIKELY = 0.5  # probability of an effect that the simulator's own forces show
+_DIFFERS = 2.0  # standard errors beyond which parameters of two descriptions differ
+
+_MANY_TIMES = 3.0
+"""Ratio of simulated to measured value above which its number says nothing: the rows hardly
+determine it."""
 
 
 def answer(result: Diagnosis) -> str:
@@ -25,43 +32,37 @@ def answer(result: Diagnosis) -> str:
     is, and what is left."""
     changes, verdict = change_texts(result), result.verdict
     shares = {part.part: part.share for part in result.budget}
-    beyond = "its parameters and " if changes else ""
-    sentences = [_on_effects(result, shares, beyond)]
+    sentences = [_on_effects(result, shares, "its parameters and " * bool(changes))]
     if changes:
         own = shares.get(PARAMETERS, 0.0)
-        of_error = f", {share_text(own)} of its error" * (PARAMETERS in shares)
+        of_error = f", {words.share_text(own)} of its error" * (PARAMETERS in shares)
         largest = max((shares.get(effect, 0.0) for effect in verdict.effects), default=0.0)
         first = not verdict.names_an_effect or own >= largest
-        sentences.insert(0 if first else 1, f"The simulator has {listing(changes)}{of_error}.")
-    changed = " ".join([*sentences, *_how_much(result), *_no_help(result)])
-    return readings_text(result, changed)
+        sentences.insert(
+            0 if first else 1, f"The simulator has {words.listing(changes)}{of_error}."
+        )
+    changed = " ".join([*sentences, *_how_much(result)])
+    return _of_readings(result, result.readings, changed) if result.readings else changed
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
-    """The rms of the gap without and with the effects that help, or that it is small."""
-    gap, unit = result.gap, result.unit
-    if not result.verdict.helping:
+    """The rms of the gap without and with the effects that help, or that it is small; and a
+    sentence if they predict the held-out files worse."""
+    gap, unit, helping = result.gap, result.unit, result.verdict.helping
+    if not helping:
         return
     before, after = (format_number(x, 2) for x in (gap.rms, gap.remaining_rms))
     if gap.resolvable:
-        takes = "This takes" if len(result.verdict.helping) == 1 else "These take"
+        takes = "This takes" if len(helping) == 1 else "These take"
         yield f"{takes} the gap from {before} to {after} {unit} (rms)."
     else:
         noise = result.noise.forces.get(result.data.channels[0])
         beside = f" beside {format_number(noise, 2)} {unit} of noise" if noise else ""
         yield f"The gap is small: {before} {unit} (rms){beside}."
-
-
-def _no_help(result: Diagnosis) -> Iterator[str]:
-    """A sentence if the named effects predict the held-out files worse."""
-    steps = [s for s in result.ladder.steps if s.rms_held_out is not None]
-    plain = next((s for s in steps if not s.effects), None)
-    if plain is None or not result.verdict.helping:
-        return
-    before, after = plain.rms_held_out, steps[-1].rms_held_out
-    if before is not None and after is not None and after > before:
-        unit = result.unit
-        old, new = (format_number(x, 3) for x in (before, after))
+    steps = [(s.effects, s.rms_held_out) for s in result.ladder.steps if s.rms_held_out is not None]
+    plain = next((rms for effects, rms in steps if not effects), np.inf)
+    if steps and steps[-1][1] > plain:
+        old, new = (format_number(x, 3) for x in (plain, steps[-1][1]))
         yield (
             f"On the files held out it does not help ({old} to {new} {unit} rms): the"
             " answer is of the diagnosed files alone."
@@ -77,46 +78,37 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
             f" cause. Probability {verdict.left.unlisted:.2f} of an unlisted effect.{like}"
         )
     if not verdict.names_an_effect:
-        of_noise = [name_of(e) for e in verdict.effects if e != "unknown"]
-        tail = f" The noise shows {listing(of_noise)}." if of_noise else ""
-        return (
-            f"There is no gap beyond {beyond}the noise. Probability"
-            f" {verdict.probability:.2f} of no effect, listed or unlisted.{tail}"
-        )
-    causes = carried(result, verdict.effects, shares)
-    parts = [_cause_text(result, effect, shares) for effect in causes]
-    beside = (
-        f"; an unlisted effect is likely as well ({verdict.left.unlisted:.2f})"
-        if verdict.status == Status.INCOMPLETE
-        else ""
-    )
+        of_noise = [words.name_of(e) for e in verdict.effects if e != "unknown"]
+        tail = f" The noise shows {words.listing(of_noise)}." if of_noise else ""
+        text = f"There is no gap beyond {beyond}the noise. Probability {verdict.probability:.2f}"
+        return f"{text} of no effect, listed or unlisted.{tail}"
+    parts = []
+    for effect in carried(result, verdict.effects, shares):
+        each, text = verdict.each[effect], f"{words.name_of(effect)}{of_size(result, effect)}"
+        if each.twins:
+            names = words.listing([words.name_of(twin) for twin in each.twins], "or")
+            text += f" or {names}, which this data cannot tell apart"
+        text += f" ({each.probability:.2f})"
+        if effect in shares:
+            text += f", {words.share_text(shares[effect])} of the error's mean square"
+        # The first remedy; all are under the effects.
+        remedy = words.words_on(effect, result.library, bool(result.data.motion))[1].partition(";")[
+            0
+        ]
+        parts.append(f"{text}: {remedy}" if remedy and not each.twins else text)
+    beside = ""
+    if verdict.status == Status.INCOMPLETE:
+        beside = f"; an unlisted effect is likely as well ({verdict.left.unlisted:.2f})"
     part = " in part" if beside or like else ""
     return f"The gap comes{part} from {'; then from '.join(parts)}{beside}.{like}"
-
-
-def _cause_text(result: Diagnosis, effect: str, shares: Mapping[str, float]) -> str:
-    """A cause with its size, its probability, its share of the error, and its remedy."""
-    each = result.verdict.each[effect]
-    text = f"{name_of(effect)}{of_size(result, effect)}"
-    if each.twins:
-        names = listing([name_of(twin) for twin in each.twins], "or")
-        text += f" or {names}, which this data cannot tell apart"
-    text += f" ({each.probability:.2f})"
-    if effect in shares:
-        text += f", {share_text(shares[effect])} of the error's mean square"
-    # The first remedy; all are under the effects.
-    remedy = words_on(effect, result.library, bool(result.data.motion))[1].partition(";")[0]
-    return f"{text}: {remedy}" if remedy and not each.twins else text
 
 
 def of_size(result: Diagnosis, effect: str) -> str:
     """``of 0.27 ± 0.03 m``: the sizes of an effect that helps; empty if it has none."""
     sizes = [
-        amount_text(amplitude.value, amplitude.std, amplitude.unit)
-        for name, amplitude in result.amplitudes.items()
-        if name.startswith(f"{effect}: ")
+        words.amount_text(one.value, one.std, one.unit) for one in words.sizes_of(result, effect)
     ]
-    return f" of {listing(sizes)}" if sizes else ""
+    return f" of {words.listing(sizes)}" if sizes else ""
 
 
 def carried(result: Diagnosis, effects: Sequence[str], shares: Mapping[str, float]) -> list[str]:
@@ -124,8 +116,7 @@ def carried(result: Diagnosis, effects: Sequence[str], shares: Mapping[str, floa
     files worse, unless all of them do."""
     steps = result.ladder.steps
     added = [{*steps[k].effects} - {*steps[k - 1].effects} for k in worse_steps(result)]
-    worse = set().union(*added)
-    kept = [effect for effect in effects if effect not in worse] or effects
+    kept = [effect for effect in effects if effect not in set().union(*added)] or effects
     return sorted(kept, key=lambda effect: -shares.get(effect, 0.0))
 
 
@@ -142,12 +133,12 @@ def _acting(result: Diagnosis, shares: Mapping[str, float], what: str) -> str:
     parts = []
     for effect in carried(result, result.verdict.acts_like, shares):
         each = result.verdict.each[effect]
-        text = f"{name_of(effect)}{of_size(result, effect)}"
+        text = f"{words.name_of(effect)}{of_size(result, effect)}"
         text += f" ({each.probability:.2f} that this is the cause"
         if each.closed_left_out is not None:
-            text += f"; it removes {share_text(each.closed_left_out)} on data left out"
+            text += f"; it removes {words.share_text(each.closed_left_out)} on data left out"
         parts.append(f"{text})")
-    return f" In the model, {what} acts like {listing(parts)}." if parts else ""
+    return f" In the model, {what} acts like {words.listing(parts)}." if parts else ""
 
 
 def change_texts(result: Diagnosis) -> list[str]:
@@ -155,20 +146,145 @@ def change_texts(result: Diagnosis) -> list[str]:
     significant first; only those that differ from the measurement."""
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
-    words = {**result.meanings, **_SHORT}
-    both = result.simulator.readings if result.simulator else None
-    lacks = {one.id for one in both.structure} if both else set()
-    if "no_saturation" in lacks:
-        wrong = [(name, change) for name, change in wrong if name not in FRICTION]
-    used = used_friction(result) if wrong else 0.0
-    return [_change_text(name, words.get(name, name), change, used) for name, change in wrong]
+    both, meanings = result.readings, {**result.meanings, **_SHORT}
+    if both and any(one.id == "no_saturation" for one in both.structure):
+        wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
+    used, texts = _used_friction(result) if wrong else 0.0, []
+    for name, change in wrong:
+        meaning, off = meanings.get(name, name), change.simulated - change.measured
+        if min(change.simulated, change.measured) > 0:
+            ratio = change.simulated / change.measured
+            error = ratio * change.std / change.measured
+            texts.append(_ratio_text(name, meaning, ratio, error, change.measured, used))
+        else:
+            side = f"{'high' if off > 0 else 'low'} ({_set_text(name, change.measured)})"
+            texts.append(f"{meaning} {format_estimate(abs(off), change.std)} too {side}")
+    return texts
 
 
-def _change_text(name: str, meaning: str, change: Change, used: float) -> str:
-    off = change.simulated - change.measured
-    if min(change.simulated, change.measured) > 0:
-        ratio = change.simulated / change.measured
-        error = ratio * change.std / change.measured
-        return ratio_text(name, meaning, ratio, error, change.measured, used)
-    side = f"{'high' if off > 0 else 'low'} ({set_text(name, change.measured)})"
-    return f"{meaning} {format_estimate(abs(off), change.std)} too {side}"
+def _used_friction(result: Diagnosis) -> float:
+    """The largest force of the simulator, which is the base of the gap, over the load."""
+    load = np.asarray(result.table["fz"]) if result.table else np.inf  # a car has no rows
+    every = [rows["base"] for channel, rows in result.rows.items() if channel != "mz"]
+    return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
+
+
+def _set_text(name: str, measured: float) -> str:
+    """What to do about a parameter."""
+    verb = "measured:" if name == SLOPE else f"set {name} to"  # the slope is no parameter
+    return f"{verb} {format_number(measured, 3)}"
+
+
+def _ratio_text(
+    name: str, meaning: str, ratio: float, error: float, measured: float, used: float
+) -> str:
+    """A parameter that is ``ratio`` times the measured one, and its measured value; of a ratio
+    that is far from one what it means: up to the friction ``used``, there is no limit."""
+    todo = _set_text(name, measured)
+    if ratio > _MANY_TIMES and name in _FRICTION:
+        return f"no friction limit below {format_number(used, 2)} F_z in these rows ({todo})"
+    if ratio > _MANY_TIMES:
+        return f"{meaning} more than {_MANY_TIMES:.0f} times too high ({todo})"
+    share = format_estimate(100 * abs(ratio - 1), 100 * error)
+    return f"{meaning} {share} % too {'high' if ratio > 1 else 'low'} ({todo})"
+
+
+# --- both readings of a simulator -----------------------------------------------------
+
+
+def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
+    """The answer on a simulator: its structure, then the reading that predicts data left out
+    better, then a sentence on the other one.
+
+    Args:
+        changed: the answer that the simulator with its parameters and effects changed gives.
+    """
+    unit = result.unit
+    own, of_it = (format_number(x, 3) for x in (both.measured.rms_left_out, both.rms_changed))
+    parts = [
+        f"The simulator's {words.channel_name(s.channel)} shows that {s.means}."
+        for s in both.structure
+    ]
+    own_effects = both.simulator.effects if both.simulator else {}
+    likely = [_amount(e, x) for e, x in own_effects.items() if (x.probability or 0.0) >= _LIKELY]
+    if likely:
+        parts.append(f"The simulator's own forces show {words.listing(likely)}.")
+    fitted = f"A {both.model} with effects, fitted to the measured rows, predicts rows left out to"
+    fitted += f" {own} {unit}"
+    if both.first == "changed":
+        parts.append(changed)
+        if own != of_it:
+            parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
+    else:
+        parts += [
+            f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}.",
+            "So this model describes both, and the answer compares them.",
+            *_differences(result, both),
+        ]
+    return " ".join(parts)
+
+
+def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
+    """Sentences on parameters that differ, and on effects of one side alone."""
+    here, there = both.measured, both.simulator
+    wrong = []
+    for name, own in here.parameters.items():
+        simulated = _simulated(both, name)
+        if there is not None and name == SLOPE:
+            continue  # it follows from the others
+        if simulated is None or min(own.value, simulated.value) <= 0:
+            continue
+        ratio = simulated.value / own.value
+        error = ratio * np.hypot(own.std / own.value, simulated.std / simulated.value)
+        if abs(ratio - 1) > _DIFFERS * error:
+            used = _used_friction(result)
+            wrong.append(_ratio_text(name, name, ratio, float(error), own.value, used))
+    if wrong:
+        yield f"The simulator has {words.listing(wrong)}."
+    lacks = [
+        f"{_amount(effect, one)} ({one.probability:.2f} that this is the cause)"
+        for effect, one in here.effects.items()
+        if there is None or effect not in there.effects
+    ]
+    if lacks:
+        yield f"The measured forces act like {words.listing(lacks)}."
+
+
+def _amount(effect: str, one: Estimate) -> str:
+    return f"{words.name_of(effect)} of {words.amount_text(one.value, one.std, one.unit)}"
+
+
+def _simulated(both: Readings, name: str) -> Estimate | None:
+    if both.simulator is not None:
+        return both.simulator.parameters[name]
+    slopes = [one.slope for one in both.structure if one.slope is not None and name == SLOPE]
+    return Estimate(slopes[0], 0.0, "") if slopes else None
+
+
+def readings_section(both: Readings, unit: str) -> Section:
+    """Both described by one model: parameters, effects that help, error on data left out."""
+    table: list[tuple[str, ...]] = [(f"{both.model} with effects", "simulator", "measured")]
+    sides = [dict(side.effects) if side else {} for side in (both.simulator, both.measured)]
+    each: list[tuple[str, tuple[Estimate | None, ...]]] = []
+    each += [(k, (_simulated(both, k), one)) for k, one in both.measured.parameters.items()]
+    each += [(words.name_of(k), tuple(side.get(k) for side in sides)) for k in sides[0] | sides[1]]
+    for name, pair in each:
+        said = words.said_unit(next(filter(None, pair[::-1])).unit)[1]
+        table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
+    left = (format_number(s.rms_left_out, 3) if s else "-" for s in (both.simulator, both.measured))
+    table.append((f"rms left out [{unit}]", *left))
+    lines = ["in brackets: probability of an effect to be the cause"] if any(sides) else []
+    for one in both.structure:
+        lines += [f"{words.channel_name(one.channel)} of the simulator: {one.means}"]
+        lines += [f"    to do: {one.remedy}"]
+    if both.simulator is None and not both.structure:
+        lines.append("the model cannot be fitted to the simulator's forces")
+    return Section("Both described by one model", lines, table)
+
+
+def _cell(one: Estimate | None) -> str:
+    if one is None:
+        return "-"
+    factor = words.said_unit(one.unit)[0]
+    text = format_estimate(factor * one.value, factor * one.std or None)
+    return text if one.probability is None else f"{text} ({one.probability:.2f})"

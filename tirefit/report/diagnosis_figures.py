@@ -11,10 +11,11 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH, Step
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis
 from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
 from tirefit.params import check_names
+from tirefit.report import diagnosis_words as words
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -41,14 +42,6 @@ from tirefit.report.diagnosis_sections import (
     step_label,
     subject,
     whole_error,
-)
-from tirefit.report.diagnosis_words import (
-    NAMED_VALUES,
-    channel_name,
-    covariate_text,
-    covariate_unit,
-    look_text,
-    name_of,
 )
 from tirefit.report.numbers import format_number
 
@@ -77,34 +70,24 @@ class Bar(NamedTuple):
     mark: float | None = None  # the same on the files held out
 
 
-def _error(step: Step, steps: Sequence[Step]) -> float:
-    """Standard error of the rms of a step from that of the closed share: with the gap g
-    beyond the noise n, rms^2 = n^2 + g^2 (1 - closed)^2."""
-    gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
-    return gap * abs(1 - step.closed) * step.closed_std / step.rms_left_out
-
-
 def ladder_bars(result: Diagnosis) -> list[Bar]:
     """The rms on data left out of each step of the ladder, in order; if no data could be left
     out, that of the model without effects and of the noise on the fitted rows."""
     unit, steps, bars = result.unit, result.ladder.steps, []
     if not steps:
         noise = result.noise.forces.get(result.data.channels[0], 1.0)
-        sizes = {"no effect": math.hypot(result.gap.rms, noise), "noise floor": noise}
-        return [
-            Bar(name, 0.0, rms, "base", f"{format_number(rms, 3)} {unit}")
-            for name, rms in sizes.items()
-        ]
+        sizes = ("no effect", math.hypot(result.gap.rms, noise)), ("noise floor", noise)
+        return [Bar(k, 0.0, x, "base", f"{format_number(x, 3)} {unit}") for k, x in sizes]
     kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
+    gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
     for k, step in enumerate(steps):
-        kind, text = (
-            kinds.get(step.effects, "effect"),
-            f"{format_number(step.rms_left_out, 3)} {unit}",
-        )
-        text += f", {100 * step.closed:.0f} % closed" * (k > 0 and kind != "noise")
-        error = _error(step, steps) if k and kind != "noise" else 0.0
-        label = step_label(result, k)
-        bars.append(Bar(label, 0.0, step.rms_left_out, kind, text, error, step.rms_held_out))
+        rms, kind, error = step.rms_left_out, kinds.get(step.effects, "effect"), 0.0
+        text = f"{format_number(rms, 3)} {unit}"
+        if k and kind != "noise":
+            text += f", {100 * step.closed:.0f} % closed"
+            # With the gap g beyond the noise n, rms^2 = n^2 + g^2 (1 - closed)^2.
+            error = gap * abs(1 - step.closed) * step.closed_std / rms
+        bars.append(Bar(step_label(result, k), 0.0, rms, kind, text, error, step.rms_held_out))
     return bars
 
 
@@ -144,12 +127,6 @@ def draw_bars(figure: Any, bars: Sequence[Bar], x_label: str, title: str, note: 
     panel_title(axes, title, note)
 
 
-def level_labels(panel: ResidualMap) -> tuple[str, ...]:
-    """Names of the levels of the map: a value or a range."""
-    named = NAMED_VALUES.get(panel.covariate, {})
-    return tuple(named.get(low) or _range(low, high) for low, high in panel.levels)
-
-
 def _range(low: float, high: float) -> str:
     if low == high:
         return format_number(float(low))
@@ -157,8 +134,8 @@ def _range(low: float, high: float) -> str:
 
 
 def _with_unit(covariate: str, more: str = "") -> str:
-    unit = covariate_unit(covariate)
-    return covariate_text(covariate) + more + f" [{unit}]" * bool(unit)
+    unit = words.covariate_unit(covariate)
+    return words.covariate_text(covariate) + more + f" [{unit}]" * bool(unit)
 
 
 def draw_where(figure: Any, panel: ResidualMap, base: str = "base fit") -> None:
@@ -179,7 +156,10 @@ def draw_where(figure: Any, panel: ResidualMap, base: str = "base fit") -> None:
     row, column = np.nonzero(panel.beyond)
     axes.plot(center[column], row, "o", ms=3.5, mfc=DARK, mec="white", mew=0.6)
     tidy(axes, "slip / slip of full sliding", _with_unit(panel.covariate))
-    axes.set_yticks(range(rows), level_labels(panel))
+    named = words.NAMED_VALUES.get(panel.covariate, {})
+    axes.set_yticks(
+        range(rows), [named.get(low) or _range(low, high) for low, high in panel.levels]
+    )
     bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=30)
     bar.ax.tick_params(labelsize=7.5, length=3)
     bar.set_label("% of $F_z$", fontsize=8)
@@ -192,8 +172,8 @@ def after_label(result: Diagnosis) -> str:
     """Name of the curves after the diagnosis."""
     if result.comparison and not result.comparison.named:
         return "base + located gap"
-    named = map(name_of, result.verdict.helping)
-    return " + ".join((*(["parameters"] if result.simulator else []), *named))
+    first = ["parameters"] if result.simulator else []
+    return " + ".join([*first, *map(words.name_of, result.verdict.helping)])
 
 
 def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "base") -> None:
@@ -205,8 +185,7 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
     """
     top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
     axis = slip_axis(panel.slip_name, np.concatenate([curve.slip for curve in panel.curves]))
-    dashed: dict[str, Any] = {"lw": 1.2, "ls": (0, (4, 2))}
-    handles: list[Line2D | Patch] = []
+    dashed, handles = dict[str, Any](lw=1.2, ls=(0, (4, 2))), list[Line2D | Patch]()
     for curve, color in zip(panel.curves, COLORS, strict=False):
         center = axis.shown(curve.center)
         dots(top, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)
@@ -215,11 +194,8 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
         top.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
         load = f"$F_z$ = {_range(*curve.load)} N"
         handles.append(Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load))
-    tidy(
-        top,
-        f"{axis.label} [{axis.unit}]",
-        f"${channel_name(panel.channel)}$ [{UNITS[panel.channel]}]",
-    )
+    force = f"${words.channel_name(panel.channel)}$ [{UNITS[panel.channel]}]"
+    tidy(top, f"{axis.label} [{axis.unit}]", force)
     handles += [
         Line2D([], [], color=GREY, label=base, **dashed),
         Line2D([], [], color=GREY, lw=1.4, label="after"),
@@ -249,11 +225,6 @@ _ALONG = {
 _LETTERS = 52  # largest number of characters in a line of the title
 
 
-def look_title(panel: LookCurve) -> str:
-    """``What is left: friction steps at a load F_z of 5000 N by -4.9 %``."""
-    return f"What is left: {look_text(panel.look)}"
-
-
 def draw_look(figure: Any, panel: LookCurve, beside: str) -> None:
     """Draw the change of a parameter over a covariate ± standard error.
 
@@ -275,52 +246,44 @@ def draw_look(figure: Any, panel: LookCurve, beside: str) -> None:
     tidy(
         axes, _with_unit(look.covariate, ", within a period" * look.is_wave), labels[look.parameter]
     )
-    title = textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS)
+    title = f"What is left: {words.look_text(look)}".replace(" %", "\u00a0%")
+    title = textwrap.fill(title, _LETTERS)
     panel_title(axes, title, f"most probable function ± standard error; on top of {beside}")
 
 
 def panels_of(result: Diagnosis) -> dict[str, Panel]:
     """Name of a panel -> the panel."""
-    base, after, on = (
-        "simulator" if result.simulator else "base fit",
-        after_label(result),
-        result.ladder.on,
-    )
+    base, after, on = "base fit", after_label(result), result.ladder.on
+    base = "simulator" if result.simulator else base
     bars, note = ladder_bars(result), "no part of these rows can be left out"
     if on:
         note = f"{on}; bar: standard error"
         note += "; diamond: files held out" * any(b.mark is not None for b in bars)
     x_label = f"rms on {'data left out' if on else 'the rows fitted'} [{result.unit}]"
-    ladder = partial(
-        draw_bars, bars=bars, x_label=x_label, title="How far the gap shrinks", note=note
-    )
-    panels = {
-        "ladder": Panel(ladder, "Rms on data left out, step by step, down to the noise", _SIZE)
-    }
-    if result.comparison is not None:
-        compared = partial(draw_comparison, panel=result.comparison, after=after, base=base)
+    titles = {"x_label": x_label, "title": "How far the gap shrinks", "note": note}
+    text = "Rms on data left out, step by step, down to the noise"
+    panels = {"ladder": Panel(partial(draw_bars, bars=bars, **titles), text, _SIZE)}
+    if (compared := result.comparison) is not None:
         text = "Force over slip and residuals, of the base fit and after it"
-        panels["before and after"] = Panel(compared, text, (WIDE, 4.4))
+        draw = partial(draw_comparison, panel=compared, after=after, base=base)
+        panels["before and after"] = Panel(draw, text, (WIDE, 4.4))
     if result.residual_map is not None:
-        where = partial(draw_where, panel=result.residual_map, base=base)
         text = "Map of measured minus fitted force over slip and another quantity"
-        panels["where"] = Panel(where, text, _SIZE)
+        draw = partial(draw_where, panel=result.residual_map, base=base)
+        panels["where"] = Panel(draw, text, _SIZE)
     if result.look is not None:
-        beside = after if result.comparison and result.comparison.named else "the base fit"
-        look = partial(draw_look, panel=result.look, beside=beside)
+        beside = after if compared and compared.named else "the base fit"
         text = "Remainder: change of a parameter over the quantity that it depends on"
-        panels["what is left"] = Panel(look, text, _SIZE)
+        draw = partial(draw_look, panel=result.look, beside=beside)
+        panels["what is left"] = Panel(draw, text, _SIZE)
     for channel in result.budgets if result.simulator else ():
-        of = f" of {channel_name(channel)}" * (len(result.budgets) > 1)
-        budget = partial(
-            draw_bars,
-            bars=budget_bars(result, channel),
-            x_label="share of the squared error [%]",
-            title=f"Budget{of}: from the simulator's error to noise",
-            note="parts add in squares; [90 % interval]",
-        )
+        of = f" of {words.channel_name(channel)}" * (len(result.budgets) > 1)
+        titles = {"title": f"Budget{of}: from the simulator's error to noise"}
+        titles |= {"note": "parts add in squares; [90 % interval]"}
+        titles |= {"x_label": "share of the squared error [%]"}
         text = f"Waterfall from the simulator's error, part by part, to the noise{of}"
-        panels[f"budget{of}"] = Panel(budget, text, _SIZE)
+        draw = partial(draw_bars, bars=budget_bars(result, channel), **titles)
+        panels[f"budget{of}"] = Panel(draw, text, _SIZE)
     return panels
 
 

@@ -1,13 +1,33 @@
-"""A diagnosis as text, as one self-contained page, and as a fragment for notebooks."""
+"""A diagnosis as text, as one self-contained page, and as a fragment for notebooks; and the
+details, for ``--full`` and the page."""
 
+from collections.abc import Iterator
 from typing import Any
 
+from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.effects.measurement import RELATIVE
 from tirefit.diagnosis.engine.decide import Status
+from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.models import MODELS
+from tirefit.params import specs
+from tirefit.report import diagnosis_words as words
 from tirefit.report.diagnosis_answer import answer
-from tirefit.report.diagnosis_details import details
-from tirefit.report.diagnosis_sections import first_screen, foot_line, head_lines, subject
+from tirefit.report.diagnosis_sections import (
+    both_described,
+    first_screen,
+    foot_line,
+    gap_line,
+    head_lines,
+    missing_lines,
+    of_effects,
+    subject,
+)
+from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, fragment, image_of, page, report_text, verdict_of, wrapped
+
+_LEAST = 0.005  # smallest probability of a candidate that is listed
+_SEEN = 0.5  # an effect with a lower probability of detection may be present unseen
 
 
 def diagnosis_text(result: Diagnosis, full: bool = False) -> str:
@@ -16,7 +36,7 @@ def diagnosis_text(result: Diagnosis, full: bool = False) -> str:
     Args:
         full: with where the gap lies, all candidates, forecast, noise and settings.
     """
-    sections = first_screen(result) + (details(result) if full else [])
+    sections = first_screen(result) + (_details(result) if full else [])
     more = "" if full else "; details: --full, or the JSON document"
     first = Section("Answer", [answer(result), *head_lines(result)])
     head = wrapped(f"DIAGNOSIS of {subject(result)}", "", " " * 6)
@@ -40,7 +60,7 @@ def diagnosis_page(result: Diagnosis) -> str:
     sections = [
         Section("", pictures=images_of(panels)),
         *first_screen(result),
-        *(section._replace(folded=True) for section in details(result)),
+        *(section._replace(folded=True) for section in _details(result)),
         Section("", [foot_line(result)]),
     ]
     return page(subject(result), sections, _verdict(result), record=result.to_json())
@@ -55,3 +75,132 @@ def diagnosis_fragment(result: Diagnosis) -> str:
     image = image_of(picture, "; ".join(panel.alternative for panel in panels_of(result).values()))
     sections = [Section("", pictures=[image]), *first_screen(result)]
     return fragment(f"{subject(result)}, {result.n} rows", sections, _verdict(result))
+
+
+# --- details --------------------------------------------------------------------------
+
+
+def _details(result: Diagnosis) -> list[Section]:
+    """Sections on the gap, where it lies, all candidates, forecast, noise, settings."""
+    gaps = [gap_line(result, result.gap, f"the {result.n} rows fitted")]
+    if result.gap.holdout is not None:
+        gaps.append(gap_line(result, result.gap.holdout, result.gap.holdout.on))
+    of_changed = "The simulator, changed: " if both_described(result) else ""
+    changed = of_effects(result) if of_changed else []
+    where = [("quantity", "range", "share of energy", "p of noise")]
+    where += [
+        (
+            words.covariate_text(one.covariate),
+            words.range_text(one),
+            words.share_text(one.share),
+            words.p_text(one.p_value),
+        )
+        for one in result.where
+    ]
+    candidates = []
+    for one in result.candidates:
+        sizes = (
+            f"; {words.name_of(name.partition(': ')[0])} {words.amplitude_text(amplitude)}"
+            for name, amplitude in one.parameters.items()
+        )
+        if one.probability >= _LEAST:
+            candidates.append(
+                f"{one.probability:.3f}  {words.set_name(one.effects)}{''.join(sizes)}"
+            )
+    title = "Candidates (probability of exactly this set, by the evidence)"
+    return [
+        *(one._replace(title=f"{of_changed}{one.title}") for one in changed),
+        Section("Gap on the rows fitted", gaps),
+        Section("Runs (each fitted with its own offset)", list(_run_lines(result))),
+        Section("Where the gap lies", (), where),
+        Section(title, candidates),
+        Section(f"{of_changed}Parameters", (), _parameters(result)),
+        Section("Hard to tell on this data (forecast)", confused_lines(result)),
+        Section("Also not testable", missing_lines(result)[1]),
+        Section("Data and settings", list(_settings(result))),
+    ]
+
+
+def _run_lines(result: Diagnosis) -> Iterator[str]:
+    """Differences between the runs of the file, one line for each kind of offset."""
+    for kind, runs in result.runs.items():
+        factor, unit = words.said_unit(runs.unit)
+        common = f"{words.amount_text(runs.common, runs.std, runs.unit)} for all "
+        if runs.unit == RELATIVE:  # what is common is the tire's own parameter
+            common = ""
+        spread = words.amount_text(runs.spread, None, runs.unit, 2)
+        low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
+        own = (
+            f"{name} {format_estimate(factor * value, factor * std)}"
+            for name, (value, std) in runs.values.items()
+        )
+        yield (
+            f"{words.name_of(kind)}: {common}{len(runs.values)} runs, standard"
+            f" deviation between runs {spread} [{low}, {high}], p"
+            f" {words.p_text(runs.p_value)} of none;"
+            f" each run{f' [{unit}]' * bool(unit)}: {', '.join(own)}"
+        )
+
+
+def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
+    model = MODELS.get(result.model)
+    units = {k: f"[{spec.unit}]" for k, spec in specs(model).items()} if model else {}
+    rows: list[tuple[str, ...]]
+    if changes := result.verdict.parameters:
+        rows = [("parameter", "simulated", "measured", "differs")]
+        for name, one in changes.items():
+            sizes = format_number(one.simulated), format_estimate(one.measured, one.std)
+            rows.append((f"{name} {units.get(name, '')}", *sizes, "yes" if one.differs else "no"))
+        return rows
+    rows = [("parameter", "model alone", "with the answer")]
+    for name, value in result.base_parameters.items():
+        after = format_number(result.extended_parameters.get(name))
+        rows.append((f"{name} {units.get(name, '')}", format_number(value), after))
+    return rows
+
+
+def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
+    """Sentences on effects that these rows would confuse with others, and on effects
+    that they would not detect at their usual amplitude."""
+    lines = [
+        f"{words.name_of(chance.effect)} of"
+        f" {words.amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
+        f" probability {chance.recognised:.2f}, else taken for"
+        f" {words.name_of(chance.taken_for)}"
+        for chance in sorted(result.forecast, key=lambda one: one.recognised)
+        if chance.taken_for and chance.seen >= max(_SEEN, chance.recognised / 0.75)
+    ]
+    unseen = [
+        words.name_of(chance.effect)
+        for chance in result.forecast
+        if chance.seen < _SEEN and chance.effect not in result.verdict.effects
+    ]
+    at_usual_size = f"not seen here at their usual size: {', '.join(unseen)}"
+    return lines[:most] + [at_usual_size] * bool(unseen)
+
+
+def _settings(result: Diagnosis) -> Iterator[str]:
+    data, settings, noise = result.data, result.settings, result.noise
+    yield f"data: {data.path or data.name}, sha256 {data.sha256 or '-'}"
+    of_slip = f"; noise of {noise.slip_name} {format_number(noise.slip, 3)} ({noise.slip_source})"
+    yield (
+        f"{result.n} rows count as {result.n_effective:.0f} in a fit of the model, whose"
+        " residuals contain its misfit, and as"
+        f" {result.n / noise.inflation:.0f} where only the noise counts, after smooth functions"
+        f" that represent any gap{of_slip * bool(noise.slip_name)};"
+        f" {noise.outliers} rows excluded as outliers"
+        f"{'; noise ' * bool(noise.flags)}{', '.join(noise.flags)}"
+    )
+    if result.slip_check is not None:
+        yield words.slip_check_line(result.slip_check)
+    if settings.rig is not None:
+        rig = {k: v for k, v in vars(settings.rig).items() if v}
+        rig |= {f"noise.{k}": v for k, v in rig.pop("noise", {}).items()}
+        known = ", ".join(f"{k} = {v}" for k, v in rig.items() if k != "notes")
+        yield f"known of the rig: {known or 'nothing'}"
+        out = [effect.id for effect in EFFECTS if effect.id not in settings.effects]
+        if out:
+            yield f"not looked for: {', '.join(out)}"
+    yield f"files held out: {len(settings.holdout) or 'none'}; {SCHEMA}"
+    yield from (f"excluded: {reason}" for reason in data.set_aside)
+    yield from (*data.motion, *data.assumptions)

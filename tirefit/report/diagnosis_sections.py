@@ -6,29 +6,18 @@ import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import Each, Status
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, SizeByGroup, Step
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, Step
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.readings import Readings
-from tirefit.diagnosis.summary.result import UNITS, Diagnosis, NextMeasurement, Part, Shrinkage
-from tirefit.report.diagnosis_answer import worse_steps
-from tirefit.report.diagnosis_readings import readings_section
-from tirefit.report.diagnosis_words import (
-    amplitude_text,
-    channel_name,
-    closed_text,
-    covariate_text,
-    in_the_file,
-    listing,
-    look_text,
-    name_of,
-    name_with_id,
-    said_unit,
-    set_name,
-    share_text,
-    slip_check_line,
-    untestable_lines,
-    words_on,
+from tirefit.diagnosis.summary.result import (
+    UNITS,
+    Diagnosis,
+    NextMeasurement,
+    Part,
+    Readings,
+    Shrinkage,
 )
+from tirefit.report import diagnosis_words as words
+from tirefit.report.diagnosis_answer import readings_section, worse_steps
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section
 
@@ -43,8 +32,7 @@ _SHOWN = (
 """Texts that mark the notes to show: on signs, on a simulator, on findings of derive, and on
 the windows and tires of a car."""
 
-_BEYOND = 1.5
-"""Ratio of the noise to the stated noise above which it is reported."""
+_BEYOND = 1.5  # ratio of the noise to the stated noise above which it is reported
 
 _HALF = 0.5  # smallest explained share of a mean square without a warning
 _MOST_STEPS = 3  # largest number of measurements that the short report proposes
@@ -68,34 +56,27 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
     """Number of rows, noise, and warnings that come before the answer."""
     data, noise = result.data, result.noise
     levels = ", ".join(
-        f"{channel_name(name)} {format_number(level, 3)} {UNITS[name]}"
+        f"{words.channel_name(name)} {format_number(level, 3)} {UNITS[name]}"
         for name, level in noise.forces.items()
     )
     yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"
     if noise.excess > _BEYOND:
         yield f"the noise is {noise.excess:.2g} times what is stated"
     yield from (s for s in data.assumptions if any(part in s for part in _SHOWN))
-    yield from _hardly_a_model(result)
-    check = result.slip_check
-    if check is not None and check.fits != check.read_as:
-        yield slip_check_line(check)
-
-
-def _hardly_a_model(result: Diagnosis) -> Iterator[str]:
-    """A warning if the base explains less than half of the mean square of a force; not for a
-    simulator, which may be far from rows that are right."""
-    if result.simulator and result.simulator.readings:
-        return
-    for channel, forces in result.rows.items():
+    # A simulator with readings may be far from rows that are right.
+    for channel, forces in result.rows.items() if not result.readings else ():
         force = np.asarray(result.table[channel]) if result.table else np.nan
         missed = np.nanmean((force - forces["base"]) ** 2)
         explained = 1 - missed / max(np.nanmean(force**2), NONZERO)
         if explained < _HALF:
             yield (
                 f"warning: {result.model} explains {max(explained, 0.0):.0%} of the"
-                f" mean square of {channel_name(channel)}: check columns, units and"
+                f" mean square of {words.channel_name(channel)}: check columns, units and"
                 " signs before you read on"
             )
+    check = result.slip_check
+    if check is not None and check.fits != check.read_as:
+        yield words.slip_check_line(check)
 
 
 def foot_line(result: Diagnosis) -> str:
@@ -115,13 +96,13 @@ def step_label(result: Diagnosis, number: int) -> str:
         return "+ its parameters" if number else f"{result.model}, no effect"
     if effects in (SMOOTH, NOISE):
         return "noise floor" if effects == NOISE else SMOOTH[0]
-    if effects == OWN_MODEL and result.simulator and result.simulator.readings:
-        return f"a {result.simulator.readings.model} with effects"
+    if effects == OWN_MODEL and result.readings:
+        return f"a {result.readings.model} with effects"
     before = set(steps[number - 1].effects)
     if before < set(effects):
         added = [e for e in effects if e not in before]
-        return f"+ {' + '.join(map(name_of, added))}"
-    return f"instead: {' + '.join(map(name_of, effects))}"
+        return f"+ {' + '.join(map(words.name_of, added))}"
+    return f"instead: {' + '.join(map(words.name_of, effects))}"
 
 
 def _percent(share: float, std: float | None) -> str:
@@ -135,16 +116,6 @@ def _held_out(step: Step) -> str:
         return "-"
     rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
     return f"{rms} ({closed:.0%})" if closed else rms
-
-
-def _worse_held_out(result: Diagnosis, unit: str) -> Iterator[str]:
-    """A sentence on each step that predicts the held-out files worse than the previous."""
-    for k in worse_steps(result):
-        old, new = (format_number(result.ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))
-        yield (
-            f"{step_label(result, k)}: predicts the files held out worse ({old} to {new} {unit}"
-            " rms): do not carry it over to other data"
-        )
 
 
 def _ladder(result: Diagnosis) -> Section:
@@ -168,7 +139,12 @@ def _ladder(result: Diagnosis) -> Section:
         # It replaces the gain, for which the line is too short.
         table = [(*row[:3], cell) for row, cell in zip(table, cells, strict=True)]
         lines = [_CLOSED + "; held out: rms on those files (share closed there)"]
-        lines += _worse_held_out(result, unit)
+        for k in worse_steps(result):
+            old, new = (format_number(ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))
+            lines += [
+                f"{step_label(result, k)}: predicts the files held out worse ({old} to {new}"
+                f" {unit} rms): do not carry it over to other data"
+            ]
     if not ladder.steps:
         table, lines = [], ["no part of these rows can be left out"]
         lines += [gap_line(result, result.gap, "the rows fitted")]
@@ -195,27 +171,15 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
     if not gap.resolvable or closed is None:
         return f"{line}, too uncertain to say how much of it closes"
     more = " or more" * (closed <= WORST)
-    share = closed_text(closed, gap.closed_ci, gap.energy_closed)
+    share = words.closed_text(closed, gap.closed_ci, gap.energy_closed)
     return (
         f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 % interval]: {share}"
     )
 
 
-def _budget(result: Diagnosis, channel: str) -> Section:
-    several = len(result.budgets) > 1
-    first = channel == result.data.channels[0]
-    of_channel = f" of {channel_name(channel)}" if several else ""
-    what = "simulator" if result.simulator else "model"
-    return Section(
-        f"Budget of the {what}'s error{of_channel} ({result.n} rows)",
-        [stand_in_line(result)] if first and stand_in_line(result) else (),
-        budget_table(result, channel),
-    )
-
-
 def part_name(part: Part) -> str:
     """Readable name of a part of a simulator's error."""
-    return "its parameters" if part.part == "parameters" else name_of(part.part)
+    return "its parameters" if part.part == "parameters" else words.name_of(part.part)
 
 
 def whole_error(budget: Sequence[Part]) -> str:
@@ -231,23 +195,22 @@ def in_order(budget: Sequence[Part]) -> list[Part]:
     )
 
 
-def budget_table(result: Diagnosis, channel: str) -> list[tuple[str, ...]]:
-    """The error of a simulator or model and its parts, one per row, with a header."""
+def budget_section(result: Diagnosis, channel: str) -> Section:
+    """The error of a simulator or model and its parts, one per row."""
     budget, what = result.budgets[channel], "simulator" if result.simulator else "model"
-    if not budget:
-        return []
-    return [
-        (
-            f"{channel_name(channel)}, part of the error",
-            f"rms [{UNITS[channel]}]",
-            "share of the mean square [90 % interval]",
-        ),
-        (f"whole error of the {what}", whole_error(budget), "100 %"),
+    of_channel = f" of {words.channel_name(channel)}" if len(result.budgets) > 1 else ""
+    head = f"{words.channel_name(channel)}, part of the error", f"rms [{UNITS[channel]}]"
+    rows = [
+        (*head, "share of the mean square [90 % interval]"),
+        (f"whole error of the {what}", whole_error(budget) if budget else "-", "100 %"),
         *(
-            (part_name(part), format_number(part.rms, 3), share_text(part.share, part.closed_ci))
-            for part in in_order(budget)
+            (part_name(x), format_number(x.rms, 3), words.share_text(x.share, x.closed_ci))
+            for x in in_order(budget)
         ),
     ]
+    first = stand_in_line(result) if channel == result.data.channels[0] else ""
+    title = f"Budget of the {what}'s error{of_channel} ({result.n} rows)"
+    return Section(title, [first] if first else (), rows if budget else [])
 
 
 _ROUGH = 0.5
@@ -260,62 +223,51 @@ def stand_in_line(result: Diagnosis) -> str:
     if result.simulator is None or result.simulator.surrogate.of_force <= 1e-6:
         return ""
     followed, resolvable = result.simulator.surrogate, result.gap.resolvable
-    line = (
-        f"{followed.model} stands in for the simulator and differs from it by"
-        f" {format_number(followed.rms, 3)} N rms,"
-        f" {share_text(followed.of_force)} of its force"
-    )
-    line += f" and {share_text(followed.of_gap)} of the gap" * resolvable
+    line = f"{followed.model} stands in for the simulator and differs from it by"
+    line += f" {format_number(followed.rms, 3)} N rms,"
+    line += f" {words.share_text(followed.of_force)} of its force"
+    line += f" and {words.share_text(followed.of_gap)} of the gap" * resolvable
     if resolvable and followed.of_gap > _ROUGH:
-        line += (
-            "; the parts are rough: without --model, a tire that follows it more closely is chosen"
-        )
+        line += "; the parts are rough: without --model, a tire that follows it more closely is"
+        line += " chosen"
     return line
 
 
 def _effect_lines(result: Diagnosis) -> Iterator[str]:
     verdict = result.verdict
-    helping, parameters = verdict.helping or verdict.effects, result.amplitudes
+    helping = verdict.helping or verdict.effects
     for effect in (*helping, *verdict.also_possible):
-        named, means = effect in helping, words_on(effect, result.library)
-        amounts = [
-            amplitude_text(amplitude) + in_the_file(result, amplitude)
-            for name, amplitude in parameters.items()
-            if name.startswith(f"{effect}: ")
-        ]
-        sizes = amounts if named else ["not named"]
-        yield ": ".join([name_with_id(effect), *["; ".join(sizes)] * bool(sizes)])
+        named, means = effect in helping, words.words_on(effect, result.library)
+        amounts = words.sizes_of(result, effect)
+        sizes = [words.amplitude_text(x) + words.in_the_file(result, x) for x in amounts]
+        name = words.name_of(effect) + f" ({effect})" * (words.name_of(effect) != effect)
+        tail = "; ".join(sizes) if named else "not named"
+        yield f"{name}: {tail}" if tail else name
         if (each := verdict.each.get(effect)) is not None:
-            yield f"    {each_text(each)}"
+            yield f"    {_each_text(each)}"
         if groups := verdict.sizes.get(effect):
-            unit = next((a.unit for k, a in parameters.items() if k.startswith(f"{effect}: ")), "")
-            yield f"    {sizes_text(groups[0], unit)}"
+            # Those by the covariate over which they are most unequal.
+            by, (factor, unit) = groups[0], words.said_unit(amounts[0].unit if amounts else "")
+            pairs = zip(by.size, by.std, strict=True)
+            each_size = ", ".join(format_estimate(factor * x, factor * std) for x, std in pairs)
+            text = f"size by {words.covariate_text(by.covariate)}: {each_size} {unit}".rstrip()
+            share = f"{100 * by.spread:.0f} % of the whole"
+            yield f"    {text}; beyond their errors they spread by {share}"
         if means[0]:
             yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
     if verdict.helping and result.simulator:
         yield "amplitudes are measurement minus simulator; either may be wrong"
 
 
-def each_text(each: Each) -> str:
+def _each_text(each: Each) -> str:
     """Probability, twins and closure of a named effect."""
-    what = listing(["it", *map(name_of, each.twins)], "or")
+    what = words.listing(["it", *map(words.name_of, each.twins)], "or")
     text = f"probability {each.probability:.2f} that {what} is the cause"
-    if each.twins:
-        text += ": this data cannot tell them apart"
+    text += ": this data cannot tell them apart" * bool(each.twins)
     if each.closed_left_out is not None:
         closed = _percent(each.closed_left_out, each.closed_left_out_std)
         text += f"; closes {closed} of the gap on data left out"
     return text
-
-
-def sizes_text(sizes: SizeByGroup, unit: str) -> str:
-    """The sizes of an effect, of this unit, in the groups in which they are most unequal."""
-    (factor, tail), pairs = said_unit(unit), zip(sizes.size, sizes.std, strict=True)
-    each = ", ".join(format_estimate(factor * size, factor * std) for size, std in pairs)
-    return (
-        f"size by {covariate_text(sizes.covariate)}: {f'{each} {tail}'.rstrip()}; beyond"
-        f" their errors they spread by {100 * sizes.spread:.0f} % of the whole"
-    )
 
 
 def left_lines(result: Diagnosis) -> Iterator[str]:
@@ -328,7 +280,7 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
     )
     for look in left.looks_like[:1]:
         yield (
-            f"it resembles this: {look_text(look)} (probability"
+            f"it resembles this: {words.look_text(look)} (probability"
             f" {look.probability:.2f} among such functions; explains"
             f" {100 * look.explains:.0f} % of its mean square)"
         )
@@ -345,7 +297,7 @@ def step_lines(result: Diagnosis) -> list[str]:
         if result.verdict.status != Status.CANNOT_TELL or why is None:
             return []
         for effect in (*result.verdict.helping, *result.verdict.also_possible):
-            why = why.replace(effect, name_of(effect))
+            why = why.replace(effect, words.name_of(effect))
         return [why]
     # Without a forecast (NaN) every measurement is listed.
     worth = [step for step in steps if not step.p_after - step.p_now < _TELLS_MORE]
@@ -359,7 +311,7 @@ def step_lines(result: Diagnosis) -> list[str]:
 
 
 def _tells_apart(step: NextMeasurement) -> str:
-    one, other = (set_name([effect]) for effect in step.separates)
+    one, other = (words.set_name([effect]) for effect in step.separates)
     forecast = f"with probability {step.p_after:.2f}, instead of {step.p_now:.2f} now"
     if np.isnan(step.p_after):
         forecast = f"(these rows: with probability {step.p_now:.2f})"
@@ -367,31 +319,34 @@ def _tells_apart(step: NextMeasurement) -> str:
 
 
 def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
-    """Effects that cannot be tested, by what is missing for the most of them first: the lines
-    of the first screen, and those of the details."""
-    lines = untestable_lines(result, result.untestable)
-    lines.sort(key=lambda text: -text.rpartition(": ")[2].count(","))
+    """A line for each missing need with the effects that cannot be tested without it, the one
+    with most effects first: those of the first screen, and those of the details."""
+    groups: dict[str, list[str]] = {}
+    for item in result.untestable:
+        needs = words.needs_text(item.needs, bool(result.data.motion))
+        groups.setdefault(needs, []).append(words.name_of(item.effect))
+    ranked = sorted(groups.items(), key=lambda group: -len(group[1]))
+    lines = [f"{needs}: {', '.join(effects)}" for needs, effects in ranked]
     return lines[:_MOST_NEEDS], lines[_MOST_NEEDS:]
 
 
 def both_described(result: Diagnosis) -> Readings | None:
     """Both readings of a simulator, if the answer compares them: no change of the simulator
     predicts the measured rows as well as the library's own model."""
-    both = result.simulator.readings if result.simulator else None
-    return both if both and both.first == "described" else None
+    return result.readings if result.readings and result.readings.first == "described" else None
 
 
 def first_screen(result: Diagnosis) -> list[Section]:
     """Sections of the short report: both readings of a simulator, the ladder, and what
     :func:`of_effects` has, unless the answer compares two descriptions."""
     sections = [_ladder(result)]
-    if result.simulator and result.simulator.readings:
-        sections.insert(0, readings_section(result.simulator.readings, result.unit))
+    if result.readings:
+        sections.insert(0, readings_section(result.readings, result.unit))
     if (both := both_described(result)) is None:
         return [*sections, *of_effects(result)]
     lines = []
-    if helping := [name_of(effect) for effect in result.verdict.helping]:
-        what = f"what the simulator acts like if it is changed ({listing(helping)})"
+    if helping := [words.name_of(effect) for effect in result.verdict.helping]:
+        what = f"what the simulator acts like if it is changed ({words.listing(helping)})"
         lines += [f"{what}: among the details (--full)"]
     lines += ["effects on the measured forces, the remainder, and the next measurement:"]
     lines += [f"    tirefit diagnose FILE --model {both.model}"]
@@ -403,15 +358,14 @@ def of_effects(result: Diagnosis) -> list[Section]:
     tested."""
     sections = []
     if result.simulator or result.verdict.helping:
-        sections += [_budget(result, channel) for channel in result.budgets]
+        sections += [budget_section(result, channel) for channel in result.budgets]
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)
-    effects, left = list(_effect_lines(result)), list(left_lines(result))
     return [
         *sections,
-        Section("Effects", effects),
-        Section("What is left", left),
+        Section("Effects", list(_effect_lines(result))),
+        Section("What is left", list(left_lines(result))),
         Section("Next measurement", steps[:_MOST_STEPS]),
         Section("Not testable on this data (missing: effects that need it)", missing),
     ]

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.rig import SlipCheck
-from tirefit.diagnosis.summary.case import Untestable
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.result import Amplitude, Diagnosis
 from tirefit.diagnosis.summary.views import Look, Region
@@ -67,7 +66,6 @@ _COVARIATES = {
     "distance": "distance travelled",
     "pressure": "inflation pressure",
 }
-_OF_FULL_SLIDING = ("slip_fraction", "slip")
 _FAR = 100.0  # largest multiple of the slip of full sliding that is printed
 
 NAMED_VALUES = {
@@ -97,17 +95,8 @@ def needs_text(needs: Sequence[str], derived: bool = False) -> str:
         derived: whether ``tirefit derive`` could write what is missing.
     """
     keys = [_BY_DERIVE[need] for need in needs if derived and need in _BY_DERIVE]
-    how = f" (tirefit derive writes it: {', '.join(keys)} of vehicle.toml)"
-    return ", ".join(_NEEDS.get(need, need) for need in needs) + (how if keys else "")
-
-
-def untestable_lines(result: Diagnosis, untestable: Sequence[Untestable]) -> list[str]:
-    """A line for each missing need, with the effects that need it."""
-    groups: dict[str, list[str]] = {}
-    for item in untestable:
-        needs = needs_text(item.needs, bool(result.data.motion))
-        groups.setdefault(needs, []).append(name_of(item.effect))
-    return [f"{needs}: {', '.join(effects)}" for needs, effects in groups.items()]
+    how = f" (tirefit derive writes it: {', '.join(keys)} of vehicle.toml)" if keys else ""
+    return ", ".join(_NEEDS.get(need, need) for need in needs) + how
 
 
 def covariate_text(name: str) -> str:
@@ -123,16 +112,17 @@ def range_text(region: Region) -> str:
         return NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
     unit = CANONICAL.get(name, ("", ""))[0]
     tail = f" {unit}" if unit not in ("", "-") else ""
-    if low == high and (name not in _OF_FULL_SLIDING or abs(low) <= _FAR):
+    # With hardly any friction on some rows, their slip is far beyond full sliding.
+    far = name in ("slip_fraction", "slip") and max(-low, high) > _FAR
+    if low == high and not far:
         return f"{format_number(low)}{tail}"
-    if name in _OF_FULL_SLIDING and max(-low, high) > _FAR:
-        # With hardly any friction on some rows, their slip is far beyond full sliding.
-        if min(-low, high) > _FAR:
-            return "any"
-        if high > _FAR:
-            return f"{_end(min(low, _FAR), 1.0)} and more"
-        return f"{_end(max(high, -_FAR), 1.0)} and less"
-    return f"{_end(low, high)} to {_end(high, high)}{tail}"
+    if not far:
+        return f"{_end(low, high)} to {_end(high, high)}{tail}"
+    if min(-low, high) > _FAR:
+        return "any"
+    if high > _FAR:
+        return f"{_end(min(low, _FAR), 1.0)} and more"
+    return f"{_end(max(high, -_FAR), 1.0)} and less"
 
 
 def covariate_unit(name: str) -> str:
@@ -143,27 +133,15 @@ def covariate_unit(name: str) -> str:
     return "" if unit == "-" else unit
 
 
-def look_place(look: Look) -> str:
-    """The place of the largest change, or the period of a wave: ``60 s``."""
-    named = NAMED_VALUES.get(look.covariate, {})
-    if round(look.at) in named:
-        return named[round(look.at)]
-    unit = covariate_unit(look.covariate)
-    return f"{format_number(look.at, 3)} {unit}".rstrip()
-
-
-def look_size(parameter: str, size: float) -> str:
-    """A change of a parameter: ``-7 %``, ``5 % of F_z``, or a slip."""
-    if parameter == "slip":
-        return format_number(size, 2)
-    tail = " of F_z" if parameter == "force" else ""
-    return f"{format_number(100 * size, 2)} %{tail}"
-
-
 def look_text(look: Look) -> str:
     """What a remainder resembles: ``friction changes with time, by -7 % at 60 s``."""
-    covariate, at = covariate_text(look.covariate), look_place(look)
-    size = look_size(look.parameter, look.size)
+    covariate = covariate_text(look.covariate)
+    # The place of the largest change, or the period of a wave.
+    at = f"{format_number(look.at, 3)} {covariate_unit(look.covariate)}".rstrip()
+    at = NAMED_VALUES.get(look.covariate, {}).get(round(look.at), at)
+    size = f"{format_number(100 * look.size, 2)} %{' of F_z' * (look.parameter == 'force')}"
+    if look.parameter == "slip":
+        size = format_number(look.size, 2)
     if look.is_wave:
         return f"{look.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
     return f"{look.parameter} changes with {covariate}, by {size} at {at}"
@@ -175,23 +153,18 @@ def _end(value: float, largest: float) -> str:
 
 
 _OF_CAR = {"all": "the motion", "v_y": "lateral speed", "yaw_rate": "yaw rate"}
-_OF_CAR |= {name: name for name in ("heading", "x", "y")}
 
 
 def channel_name(channel: str) -> str:
     """``F_x``, ``F_y`` or ``M_z``; a channel of a car in words."""
-    return _OF_CAR.get(channel) or f"{channel[0].upper()}_{channel[1:]}"
+    if channel in ("fx", "fy", "mz"):
+        return f"{channel[0].upper()}_{channel[1:]}"
+    return _OF_CAR.get(channel, channel)
 
 
 def name_of(effect: str) -> str:
     """Readable name of an effect: ``slip offset`` of ``slip_offset``."""
     return effect.replace("_", " ")
-
-
-def name_with_id(effect: str) -> str:
-    """The readable name, and the id in brackets if it differs."""
-    name = name_of(effect)
-    return name if name == effect else f"{name} ({effect})"
 
 
 def listing(words: Sequence[str], last: str = "and") -> str:
@@ -206,6 +179,11 @@ def set_name(effects: Sequence[str]) -> str:
     return " + ".join(names) or "no effect"
 
 
+def sizes_of(result: Diagnosis, effect: str) -> list[Amplitude]:
+    """The amplitudes of an effect that helps; empty for another one."""
+    return [one for name, one in result.amplitudes.items() if name.startswith(f"{effect}: ")]
+
+
 def amplitude_text(amplitude: Amplitude) -> str:
     """``value ± std unit``, with its formula if the effect has several."""
     text = amount_text(amplitude.value, amplitude.std, amplitude.unit)
@@ -214,27 +192,21 @@ def amplitude_text(amplitude: Amplitude) -> str:
 
 def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
     """The amplitude of a slip or force in the signs of the file, if these differ."""
-    if not result.data.convention:
-        return ""  # of a car
-    channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
+    channel, signs = result.data.channels[0], CONVENTIONS.get(result.data.convention)
     kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
-    kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), None)
-    if getattr(signs, kind or "", 1) > 0:
+    kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), "")
+    if getattr(signs, kind, 1) > 0:  # a car has no convention
         return ""
     text = amount_text(-amplitude.value, None, amplitude.unit)
     return f" ({text} in the file's signs, {result.data.convention})"
-
-
-_THOUSANDTH = "1e-3 "  # beginning of the unit of a share
 
 
 def said_unit(unit: str) -> tuple[float, str]:
     """A factor on amplitudes in the unit of an effect, and their readable unit: ``% of
     the mean F_z`` of ``1e-3 mean F_z``, ``per record`` of
     ``- per record``, ``/ g`` of ``1 / g``; empty of none."""
-    if unit.startswith(_THOUSANDTH):
-        of_what = unit.removeprefix(_THOUSANDTH).replace("mean", "the mean")
-        return 0.1, f"% of {of_what}"
+    if unit.startswith("1e-3 "):
+        return 0.1, f"% of {unit.removeprefix('1e-3 ').replace('mean', 'the mean')}"
     if unit == "-" or unit.startswith(("- ", "1 / ")):
         return 1.0, unit[1:].strip()
     return 1.0, unit
@@ -258,10 +230,10 @@ def share_text(share: float | None, ends: tuple[float | None, float | None] | No
     """``95 % [80 %, 96 %]``; ``-`` for an unknown share."""
     if share is None:
         return "-"
-    tail = ""
-    if ends is not None and ends[0] is not None:
-        tail = "{:.0%}, {:.0%}".format(*ends)
-    return f"{100 * share:.0f} %" + f" [{tail.replace('%', ' %')}]" * bool(tail)
+    if ends is None or ends[0] is None:
+        return f"{100 * share:.0f} %"
+    tail = "{:.0%}, {:.0%}".format(*ends).replace("%", " %")
+    return f"{100 * share:.0f} % [{tail}]"
 
 
 def closed_text(
@@ -273,16 +245,13 @@ def closed_text(
     worse`` if the effects double the gap or more."""
     if closed is None:
         return "-"
-    message, worse = _closed(closed), " or worse" if closed <= WORST else ""
-    if ends is not None and ends[0] is not None and ends[1] is not None:
-        message += f" [{_closed(ends[0])}, {_closed(ends[1])}]"
+    known = [closed, *(end for end in ends or () if end is not None)]
+    worse = [" or worse" * (share <= WORST) for share in known]
+    message, *more = (share_text(x) + tail for x, tail in zip(known, worse, strict=True))
+    message += f" [{', '.join(more)}]" * bool(more)
     if energy is not None:
-        message += f", {100 * energy:.0f} %{worse} of its energy"
+        message += f", {100 * energy:.0f} %{worse[0]} of its energy"
     return message
-
-
-def _closed(share: float) -> str:
-    return share_text(share) + (" or worse" if share <= WORST else "")
 
 
 def p_text(p: float, least: float = 1e-12) -> str:

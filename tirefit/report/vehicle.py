@@ -1,4 +1,5 @@
-"""Reports of a car: of a replay, and of a fit by trajectory."""
+"""Reports of a car: of a replay with what its errors say of tires, effects and steering, and of
+a fit by trajectory."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -6,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.diagnosis.engine.left_out import jackknife_error
 from tirefit.diagnosis.summary.result import UNITS
 from tirefit.models import TireInputs, forces
 from tirefit.report.canvas import (
@@ -24,7 +26,6 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, page, report_text, verdict_of
-from tirefit.vehicle.conclusion import conclusions, place_of
 from tirefit.vehicle.errors import QUANTITIES
 from tirefit.vehicle.replay import Fans, Replay
 from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
@@ -44,17 +45,86 @@ _MODELS = {
     "with the effects": ("with effects", RED),
 }
 """Compared car -> its label and colour."""
-_SHOWN = 40
-"""Largest number of windows that are drawn: about ten seconds of driving."""
-_FAN = 1.0
-"""Duration [s] of a drawn prediction."""
+_SHOWN = 40  # largest number of windows that are drawn: about ten seconds of driving
+_FAN = 1.0  # duration [s] of a drawn prediction
 _PREDICTED = f"predicted, {_FAN:g} s"
+
+
+_AHEAD = 0.5  # horizon [s] at which models are compared; the nearest one is used
+_AS_WELL = 1.05  # ratio of two rms errors up to which one model predicts as well as the other
+_ABOVE = 2.0  # rms error over that of the noise from which models can be compared
+_OFF, _SURE = 0.05, 3.0  # smallest error of the turning that is told, and its standard errors
+_BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
+_FEWEST = 16  # smallest number of starts for that, and for a horizon at which models are compared
+
+
+def _place_of(result: Replay) -> int:
+    """Number of the horizon at which models are compared."""
+    reached = result.horizons[: sum(count > 0 for count in result.windows)]
+    return int(np.argmin([abs(h - _AHEAD) for h in reached]))
+
+
+def turning(result: Replay) -> tuple[float, float] | None:
+    """Measured over predicted yaw rate, by least squares over all starts, with its standard
+    error between parts of the starts; None with few starts or hardly any turning."""
+    horizon, pairs = result.horizons[_place_of(result)], []
+    for fan in result.fans.values():
+        step = round(horizon / float(fan.time[0, 1] - fan.time[0, 0]))
+        pairs.append([of["yaw_rate"][:, step] for of in (fan.measured, fan.predicted)])
+    true, predicted = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    there = np.isfinite(true) & np.isfinite(predicted)
+    if there.sum() < _FEWEST or not np.any(predicted[there]):
+        return None
+    parts = np.array_split(np.flatnonzero(there), _BLOCKS)
+    products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
+    whole, left = products.sum(axis=0), products.sum(axis=0) - products
+    return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))
+
+
+def _worse(result: Replay, model: str, other: str) -> str:
+    """Where a model predicts worse than another one by the largest ratio, such as ``the yaw rate
+    after 5 s by 23 rad/s instead of 0.57``; empty if it is nowhere worse."""
+    found, most = "", _AS_WELL
+    own, than = (result.models[k].rms() for k in (model, other))
+    for name in ("yaw_rate", "lateral"):
+        each = zip(result.horizons, result.windows, own[name], than[name], strict=True)
+        for horizon, count, wrong, less in each:
+            if count >= _FEWEST and wrong and less and wrong > most * less:
+                most = wrong / less
+                found = f"the {_NAMES[name]} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
+                found += f" instead of {less:.2g}"
+    return found
+
+
+def conclusions(result: Replay) -> list[str]:
+    """Sentences on what predicts better, and on what limits the prediction; empty where nothing
+    can be said."""
+    said = []
+    if worse := _worse(result, "tire", "linear tire"):
+        said.append(f"The tires predict worse than linear tires: they miss {worse}.")
+    if "with the effects" in result.models:
+        if worse := _worse(result, "with the effects", "tire"):
+            said.append(f"The effects make the prediction worse: with them it misses {worse}.")
+    place = _place_of(result)
+    rms = {k: errors.rms()["yaw_rate"][place] or 0.0 for k, errors in result.models.items()}
+    if rms["tire"] < _ABOVE * rms["floor"]:
+        return said
+    if rms["no slip"] <= _AS_WELL * rms["tire"]:
+        said.append("The tires are not what limits: a car without slip predicts as well.")
+    elif rms["linear tire"] <= _AS_WELL * rms["tire"]:
+        said.append("The tires' bend is not what limits: linear tires predict as well.")
+    ratio = turning(result)
+    if ratio is not None and abs(ratio[0] - 1) > max(_OFF, _SURE * ratio[1]):
+        text = f"The car turns {ratio[0]:.2f} ± {ratio[1]:.2f} times as much as predicted:"
+        text += " `tirefit diagnose --vehicle` tells steering, masses and tires apart."
+        said.append(text)
+    return said
 
 
 def answer(result: Replay) -> str:
     """What limits the prediction; the error of the car, of the noise of the log, and of the
     baselines."""
-    place = place_of(result)
+    place = _place_of(result)
     rms = {name: errors.rms() for name, errors in result.models.items()}
 
     def size(model: str, quantity: str = "lateral") -> str:
@@ -106,9 +176,8 @@ def _sections(result: Replay) -> list[Section]:
 
 def replay_text(result: Replay) -> str:
     """The report: the answer, the errors by horizon, assumptions."""
-    return (
-        f"{_head(result)}\n{report_text([Section('Answer', [answer(result)]), *_sections(result)])}"
-    )
+    sections = [Section("Answer", [answer(result)]), *_sections(result)]
+    return f"{_head(result)}\n{report_text(sections)}"
 
 
 def _head(result: Replay) -> str:
@@ -131,37 +200,29 @@ def replay_page(result: Replay) -> str:
     return page(_head(result), sections, verdict, record=result.to_json())
 
 
-_HELD = {"lateral": "lateral position [m]", "yaw_rate": "yaw rate [rad/s]"}
-_SERIES = {"yaw_rate": "yaw rate [rad/s]", "a_y": "lateral acceleration [m/s²]"}
-
-
-def _draw_errors(axes: Any, result: Replay, name: str) -> None:
-    for model, errors in result.models.items():
-        values = [np.nan if v is None else v for v in errors.rms()[name]]
-        style, (label, color) = ".:" if model == "floor" else ".-", _MODELS[model]
-        axes.plot(result.horizons, values, style, color=color, label=label)
-    axes.set(xscale="log", yscale="log")
-    axes.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
-    axes.minorticks_off()
-
-
 def _path_panels(result: Replay) -> list[Panel]:
     """Errors over the horizon, and a stretch of the path with its predictions."""
     name, fans = _longest(result)
-    panels = [
-        axes_panel(
-            partial(_draw_errors, result=result, name=key),
-            f"Error of the {label.partition(' [')[0]} over the horizon",
-            "time after the start [s]",
-            f"rms error of the {label}",
-        )
-        for key, label in _HELD.items()
-    ]
+
+    def errors_of(axes: Any, name: str) -> None:
+        for model, errors in result.models.items():
+            values = [np.nan if v is None else v for v in errors.rms()[name]]
+            style, (label, color) = ".:" if model == "floor" else ".-", _MODELS[model]
+            axes.plot(result.horizons, values, style, color=color, label=label)
+        axes.set(xscale="log", yscale="log")
+        axes.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
+        axes.minorticks_off()
 
     def draw(axes: Any) -> None:
         _draw_stretch(axes, fans, lambda of, row: (of["x"][row], of["y"][row]))
         axes.set_aspect("equal", "datalim")
 
+    x_label = "time after the start [s]"
+    panels = []
+    for key in ("lateral", "yaw_rate"):
+        title = f"Error of the {_NAMES[key]} over the horizon"
+        y_label = f"rms error of the {_NAMES[key]} [{QUANTITIES[key]}]"
+        panels.append(axes_panel(partial(errors_of, name=key), title, x_label, y_label))
     return [*panels, axes_panel(draw, f"A stretch of {name}, with predictions", "x [m]", "y [m]")]
 
 
@@ -175,9 +236,10 @@ def _series_panels(result: Replay) -> list[Panel]:
         axes.plot(fans.time[rows, 0], fans.predicted[key][rows, 0], ".", color=BLUE, ms=4)
 
     title, note = f"The same stretch of {name}", "dots: starts of a prediction"
+    units = {"yaw_rate": "rad/s", "a_y": "m/s²"}
     return [
-        axes_panel(partial(draw, key=key), title, "time [s]", label, note)
-        for key, label in _SERIES.items()
+        axes_panel(partial(draw, key=key), title, "time [s]", f"{_NAMES[key]} [{unit}]", note)
+        for key, unit in units.items()
     ]
 
 
@@ -205,10 +267,6 @@ def _stretch(fans: Fans) -> np.ndarray:
     """Numbers of the windows that are drawn, from the middle of the log."""
     first = max((len(fans.time) - _SHOWN) // 2, 0)
     return np.arange(first, min(first + _SHOWN, len(fans.time)))
-
-
-_DRAWN, _POINTS, _REACH = 60, 1500, 99.5
-"""Number of draws of a band, of derived points, and percentile of |slip angle| drawn."""
 
 
 def _trajectory_head(fit: TrajectoryFit) -> str:
@@ -242,27 +300,22 @@ def trajectory_text(fit: TrajectoryFit) -> str:
 def trajectory_figure(fit: TrajectoryFit) -> Picture:
     """Lateral force of both axles with its 95 % band, over the points that ``derive``
     gives, with the steering as it was logged."""
-    generator = np.random.default_rng(0)
+    generator, panels = np.random.default_rng(0), []
     labels = "slip angle [rad]", "lateral force of the axle [N]"
-    panels = [
-        axes_panel(
-            partial(_draw_axle, fit=fit, axle=axle, generator=generator),
-            f"{axle.capitalize()} axle, by trajectory",
-            *labels,
-        )
-        for axle in fit.axles
-    ]
+
+    def draw(axes: Any, axle: str) -> None:
+        tire, rows = fit.axles[axle], fit.rows[axle]
+        some = generator.permutation(len(rows))[:1500]
+        dots(axes, rows["alpha"][some], rows["fy"][some], 1.4, GREY, label="derived from the log")
+        reach = np.percentile(np.abs(rows["alpha"]), 99.5)
+        alpha = np.linspace(-reach, reach, 121)
+        at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
+        drawn = [np.asarray(forces(one, at).fy) for one in tire.drawn(generator, 60)]
+        low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
+        axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
+        axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)
+
+    for axle in fit.axles:
+        title = f"{axle.capitalize()} axle, by trajectory"
+        panels.append(axes_panel(partial(draw, axle=axle), title, *labels))
     return together(panels, _trajectory_head(fit), _noise(fit), "braking positive, SI")
-
-
-def _draw_axle(axes: Any, fit: TrajectoryFit, axle: str, generator: np.random.Generator) -> None:
-    tire, rows = fit.axles[axle], fit.rows[axle]
-    some = generator.permutation(len(rows))[:_POINTS]
-    dots(axes, rows["alpha"][some], rows["fy"][some], 1.4, GREY, label="derived from the log")
-    reach = np.percentile(np.abs(rows["alpha"]), _REACH)
-    alpha = np.linspace(-reach, reach, 121)
-    at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
-    drawn = [np.asarray(forces(one, at).fy) for one in tire.drawn(generator, _DRAWN)]
-    low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
-    axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
-    axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)

@@ -17,7 +17,7 @@ from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.extended import AnyDocument, read_checked
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.vehicle.car import Changes, State
-from tirefit.vehicle.document import CarExtension
+from tirefit.vehicle.diagnose import CarExtension
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.model import PARAMETERS, Model, steered
 from tirefit.vehicle.windows import samples_of
@@ -36,21 +36,13 @@ class Applied:
     z: np.ndarray
     speed: float
 
-    def at(self, samples: Samples) -> Any:
-        """The setting at samples (n,)."""
-        return self.model.setting(self.z, samples)
-
     def samples(self, motion: Motion, rows: Any, vehicle: Vehicle, tires: Any) -> Samples:
         """The quantities on which effects depend, at rows (w, k) of the motion of a log;
         the time is the middle of that of the diagnosis."""
         found = samples_of(motion, rows, vehicle, tires)
-        g = vehicle.gravity
-        return found._replace(
-            speed=found.speed / self.speed,
-            time=0 * found.time,
-            across=motion.a_y[rows] / g,
-            turn=motion.yaw_rate[rows] / motion.v_x[rows],
-        )
+        across, turn = motion.a_y[rows] / vehicle.gravity, motion.yaw_rate[rows] / motion.v_x[rows]
+        speed = found.speed / self.speed
+        return found._replace(speed=speed, time=0 * found.time, across=across, turn=turn)
 
     def channels(
         self, vehicle: Vehicle, tires: Any, motion: Motion, channels: Any, rows: Any
@@ -68,7 +60,7 @@ class Applied:
         """Road wheel angle (n,) of a log, with the effects of the steering."""
         rows = np.arange(len(motion.time))[None]
         samples = jax.tree.map(lambda x: x[0], self.samples(motion, rows, vehicle, tires))
-        of = self.at(samples).steering
+        of = self.model.setting(self.z, samples).steering
         found = np.full(len(steering), np.nan)
         for stretch in motion.stretches:
             own = stretch.start + np.flatnonzero(np.isfinite(steering[stretch]))
@@ -82,10 +74,8 @@ class Applied:
         """The changes of the car at samples (w, k)."""
 
         def one(samples: Samples) -> Any:
-            count = len(samples.speed)
-            return jax.tree.map(
-                lambda x: jnp.broadcast_to(jnp.asarray(x, float), count), self.at(samples).car
-            )
+            each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), len(samples.speed))  # noqa: E731
+            return jax.tree.map(each, self.model.setting(self.z, samples).car)
 
         return jax.vmap(one)(jax.tree.map(jnp.asarray, samples))
 
@@ -95,7 +85,7 @@ class Applied:
         """The states of a log (n,) without the errors of its channels."""
         wheelbase = vehicle.l_f + vehicle.l_r
         none = Samples(*[0.0] * len(Samples._fields))._replace(wheelbase=wheelbase)
-        reading = self.at(none._replace(sliding=np.ones(2))).reading
+        reading = self.model.setting(self.z, none._replace(sliding=np.ones(2))).reading
         ahead, turned = float(reading.ahead), float(reading.sideslip)
         found = dict(state)
         found["yaw_rate"] = found["yaw_rate"] - float(reading.yaw_rate)

@@ -82,15 +82,8 @@ class Car(eqx.Module):
 
 def car_of(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia: Any = 1.0) -> Car:
     """The car of a vehicle on two tires; ``inertia`` is a factor on its yaw inertia."""
-    return Car(
-        front,
-        rear,
-        vehicle.mass,
-        inertia * vehicle.yaw_inertia,
-        vehicle.l_f,
-        vehicle.l_r,
-        vehicle.gravity,
-    )
+    v, turning = vehicle, inertia * vehicle.yaw_inertia
+    return Car(front, rear, v.mass, turning, v.l_f, v.l_r, v.gravity)
 
 
 class State(NamedTuple):
@@ -226,8 +219,7 @@ def predicted(
     return followed(car, start, v_x, steering, step, parts, changes)[0]
 
 
-_Moving = tuple[State, jax.Array]
-"""The motion of a car, and the lags of its slip angles [rad]."""
+_Moving = tuple[State, jax.Array]  # the motion of a car, and the lags of its slip angles [rad]
 
 
 def followed(

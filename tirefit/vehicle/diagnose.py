@@ -3,35 +3,63 @@
 The motion of the car is predicted over windows of measured logs. Its errors are explained
 by sets of effects of steering, masses, ground, drive, tires and the log, fitted together
 with factors on stiffness and friction of both axles' tires. Evidence, prediction of data
-left out and decision are those of a diagnosis of forces.
+left out and decision are those of a diagnosis of forces, and so is the record: the car as given
+is a simulator, whose parameters are factors on its tires; the first channel is all channels of
+the log over their noise.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import PositiveFloat
 
 from tirefit.data.merged import merged
 from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.diagnosis.effects import Effect, atoms_of
+from tirefit.diagnosis.engine.fit import Fit
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder
 from tirefit.diagnosis.engine.search import Effort, Search, searched
 from tirefit.diagnosis.summary.case import Concluded
-from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.closure import (
+    PARAMETERS,
+    budget,
+    changed,
+    closure_elsewhere,
+    fits_of,
+    of_the_ladder,
+    on_files,
+)
+from tirefit.diagnosis.summary.document import of_any_subject
+from tirefit.diagnosis.summary.forecast import manoeuvres
+from tirefit.diagnosis.summary.result import (
+    Diagnosis,
+    HeldOut,
+    NoiseSummary,
+    Part,
+    Settings,
+    Shrinkage,
+    SimulatorSummary,
+    Surrogate,
+)
+from tirefit.diagnosis.summary.views import DataSummary
 from tirefit.files import listed
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 from tirefit.vehicle.car import car_of
-from tirefit.vehicle.document import document_of
 from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.model import PARAMETERS as FACTORS
 from tirefit.vehicle.model import Model
 from tirefit.vehicle.subject import Windows
 from tirefit.vehicle.trajectory import started
 from tirefit.vehicle.windows import (
+    CHANNELS,
     LEAST_WINDOWS,
     CutLog,
     cut_in_windows,
@@ -47,14 +75,24 @@ WINDOW = 1.0
 EFFORT = Effort(singles=8, variants=1, beam=2, width=3, pairs=2, near=5.0)
 """Sets that are refitted: fewer than for rows, as a refit integrates the car."""
 
-_ROUNDS = 2
-"""Number of times that the noise is estimated for the car without effects."""
+_ROUNDS = 2  # number of times that the noise is estimated for the car without effects
+_STEPS = 40  # usual number of refits of a search
+_OTHER_NOISE = 0.25  # change of the log noise above which the search is repeated
 
-_STEPS = 40
-"""Usual number of refits of a search."""
+ALL = "all"
+"""The first channel: all channels, in the unit of their noise."""
 
-_OTHER_NOISE = 0.25
-"""Change of the log noise above which the search is repeated."""
+
+class CarExtension(NamedTuple):
+    """What the amplitudes refer to: the number of the form of each fitted effect, and the mean
+    speed [m/s] of the logs."""
+
+    variants: Mapping[str, int]
+    speed: PositiveFloat
+
+
+Logs = Mapping[str, CutLog[Any]]
+"""Name of a log -> its windows."""
 
 
 def diagnose_vehicle(
@@ -123,14 +161,20 @@ def diagnose_vehicle(
     if kept:
         noise = {"noise": case.base.noise, "inflation": case.base.inflation}
         others = kept, replace(subject_of(kept, stated, tires, library)[0], **noise)
-    name = "vehicle" if isinstance(vehicle, Vehicle) else vehicle
+    fitted = (
+        f"the {axle} tire, {tire.name}, starts as fitted to the forces of derive"
+        for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
+        if tire is not of
+    )
+    notes = ["speed and steering are those of the log; axle loads are static", *fitted]
+    notes += merged((k, log.missing) for k, log in found.items())
+    name = "vehicle" if isinstance(vehicle, Vehicle) else str(vehicle)
     model = "car on {} (front) and {} (rear)".format(*(tire.name for tire in tires))
-    notes = (*_notes(given, tires), *merged((k, log.missing) for k, log in found.items()))
-    return document_of(case, found, others, name, model, notes, library, seed)
+    return _document_of(case, found, others, name, model, notes, library, seed)
 
 
 def studied(
-    found: Mapping[str, CutLog[Any]],
+    found: Logs,
     vehicle: Vehicle,
     tires: Sequence[GivenTire],
     library: Sequence[Effect],
@@ -175,15 +219,6 @@ def _searched(subject: Windows) -> Search:
     return search
 
 
-def _notes(given: tuple[GivenTire, ...], tires: Sequence[GivenTire]) -> tuple[str, ...]:
-    fitted = (
-        f"the {axle} tire, {tire.name}, starts as fitted to the forces of derive"
-        for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
-        if tire is not of
-    )
-    return "speed and steering are those of the log; axle loads are static", *fitted
-
-
 def check_effects(vehicle: Vehicle, effects: Sequence[Effect], without: Sequence[str]) -> None:
     """Raise UsageError for a vehicle without a steering map, or ids that are none."""
     problems = steering_problems(vehicle, "a diagnosis of a vehicle")
@@ -195,10 +230,7 @@ def check_effects(vehicle: Vehicle, effects: Sequence[Effect], without: Sequence
 
 
 def subject_of(
-    found: Mapping[str, CutLog[Any]],
-    vehicle: Vehicle,
-    tires: Sequence[GivenTire],
-    library: Sequence[Effect],
+    found: Logs, vehicle: Vehicle, tires: Sequence[GivenTire], library: Sequence[Effect]
 ) -> tuple[Windows, dict[str, tuple[str, ...]]]:
     """The subject of a diagnosis of cut logs with unit noise, and the needs that they do
     not meet, by effect."""
@@ -213,3 +245,142 @@ def subject_of(
     car = car_of(vehicle, tires[0].tire, tires[1].tire)
     step = 1 / vehicle.filter.sample_rate
     return Windows(model, car, cut, step, testable, np.ones(model.channels)), lacks
+
+
+# --- the document ---------------------------------------------------------------------
+
+
+def _document_of(
+    case: Concluded,
+    found: Logs,
+    others: tuple[Logs, Windows] | None,
+    vehicle: str,
+    model: str,
+    notes: Sequence[str],
+    library: Sequence[Effect],
+    seed: int,
+) -> Diagnosis:
+    """The document of the verdict on the windows of the logs ``found``.
+
+    Args:
+        others: logs that were held out, and their windows; None without.
+        vehicle: the file of the car, or its name.
+        model: the car and its tires in words.
+        notes: what was assumed.
+        library: effects that were looked for.
+    """
+    base, generator, ladder = case.base, np.random.default_rng(seed), case.ladder
+    held = of_the_ladder(ladder)
+    if others is not None:
+        held, ladder = _held_out(case, ladder, *others, generator)
+    z, spread = case.parameters
+
+    def closed(channel: str, fit: Fit) -> Shrinkage:
+        return _closure(base, channel, base.given_residual, fit.residual, generator)
+
+    gaps = {channel: closed(channel, case.chosen) for channel in _channels(base)}
+    each = zip(FACTORS, np.exp(z).tolist(), (np.exp(z) * spread).tolist(), strict=True)
+    budgets = _budgets(case, ladder, generator)
+    rows, names = base.cut.data.v_x.size, CHANNELS[base.model.channels]
+    length = (base.cut.data.v_x.shape[1] - 1) * base.step
+    of_windows = f"{len(base.cut.log)} windows of {length:g} s, each from the start state that"
+    return Diagnosis(
+        **of_any_subject(
+            case,
+            gaps,
+            held,
+            budgets,
+            ladder,
+            {name: changed(1.0, factor, error) for name, factor, error in each},
+            partial(closed, ALL),
+            base.unit,
+        ),
+        data=DataSummary(
+            name=", ".join(found),
+            path=", ".join(log.path for log in found.values()),
+            sha256=", ".join(log.sha256 for log in found.values()),
+            convention="",
+            channels=tuple(gaps),
+            assumptions=(f"{of_windows} fits best", *notes),
+        ),
+        model=model,
+        simulator=SimulatorSummary("car", vehicle, None, Surrogate(model, 0.0, 0.0, 0.0)),
+        n=rows,
+        n_effective=rows / base.inflation,
+        noise=NoiseSummary(
+            forces=dict(zip(names, base.noise.tolist(), strict=True)),
+            source="what all effects together leave",
+            inflation=base.inflation,
+        ),
+        next_measurement=manoeuvres(case.search, case.weighed, case.verdict),
+        base_parameters=dict.fromkeys(FACTORS, 1.0),
+        extended_parameters=dict(zip(FACTORS, np.exp(case.chosen.z).tolist(), strict=True)),
+        extension=CarExtension(
+            {base.atoms[k].effect.id: base.atoms[k].variant for k in case.chosen.atoms},
+            float(np.mean(base.cut.data.v_x)),
+        ),
+        settings=Settings(
+            rig=None,
+            effects=tuple(e.id for e in library),
+            holdout=tuple(log.sha256 for log in (others[0] if others else {}).values()),
+        ),
+        seed=seed,
+        library=tuple(library),
+        meanings={name: "{1} of the {0} tires".format(*name.split(".")) for name in FACTORS},
+    )
+
+
+def _channels(base: Windows) -> dict[str, tuple[float, slice]]:
+    """Channel -> its unit over the noise, and its columns of ``base.over_noise``."""
+    names = CHANNELS[base.model.channels]
+    each = {name: (base.noise[k], slice(k, k + 1)) for k, name in enumerate(names)}
+    return {ALL: (1.0, slice(None)), **each}
+
+
+def _closure(
+    base: Windows,
+    channel: str,
+    before: np.ndarray,
+    after: np.ndarray,
+    generator: np.random.Generator,
+) -> Shrinkage:
+    """Closure of the gap of a channel from whitened residuals (m,) to others."""
+    unit, own = _channels(base)[channel]
+    before, after = (unit * base.over_noise(x)[:, own].ravel() for x in (before, after))
+    run = np.repeat(base.cut.log, before.size // len(base.cut.log))
+    variance = np.full(before.size, unit**2)
+    return closure_elsewhere(before, after, variance, run, base.inflation, generator)
+
+
+def _held_out(
+    case: Concluded, ladder: Ladder, logs: Logs, other: Windows, generator: np.random.Generator
+) -> tuple[HeldOut, Ladder]:
+    """Closure on held-out logs, and the ladder with the closure of each step there."""
+    other = other.following(replace(case.weighed.best_of[()], state=other.cut.data.start))
+    left = {AS_GIVEN: other.given_residual} | {
+        key: other.residual_of(other.coefficients(fit.z, fit.atoms, fit.amplitude))
+        for key, fit in fits_of(case, ladder).items()
+    }
+    closure = _closure(other, ALL, left[AS_GIVEN], left[case.verdict.key], generator)
+    missed = {key: other.over_noise(one).ravel() for key, one in left.items()}
+    return on_files(ladder, closure, missed, 1.0, ", ".join(logs))
+
+
+def _budgets(
+    case: Concluded, ladder: Ladder, generator: np.random.Generator
+) -> dict[str, tuple[Part, ...]]:
+    """Parts of the energy of each channel in the order of the ladder: the parameters of the
+    tires, the effects, the remainder and the noise."""
+    base, fits, found = case.base, fits_of(case, ladder), {}
+    names = [PARAMETERS, *(" + ".join({*b} - {*a}) for a, b in pairwise(fits))]
+    left = base.given_residual, *(fit.residual for fit in fits.values())
+    squares = np.square([base.over_noise(one) for one in left])
+    run = np.repeat(base.cut.log, base.cut.data.v_x.shape[1])
+    fitted = len(case.chosen.pull) * base.inflation / squares[0].size
+    for channel, (unit, own) in _channels(base).items():
+        energy = unit**2 * squares[:, :, own].mean(axis=2)
+        parts = dict(zip(names, -np.diff(energy, axis=0), strict=True))
+        floor = np.full(len(run), unit**2 * max(1 - fitted, 0.0))
+        rest = energy[-1], floor, energy[0]
+        found[channel] = budget(parts, rest, run, base.inflation, generator)
+    return found

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects.record import LEAST_FACTOR, code, library
+from tirefit.diagnosis.effects.record import LEAST_FACTOR, Code, Constants, adds, library
 from tirefit.vehicle.car import Changes
 
 
@@ -57,26 +57,12 @@ class Samples(NamedTuple):
     sliding: Any  # (2,) slip above which the front and the rear tire slide
 
 
-_EACH = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
-"""Both axles, the front axle, the rear axle."""
+_EACH = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))  # both axles, the front axle, the rear axle
 _WORDS = ("of both axles", "of the front axle", "of the rear axle")
 
 
-def _which(constants: tuple[float, ...], rows: Samples, time: np.ndarray) -> str:
+def _which(constants: Constants, rows: Samples, time: np.ndarray) -> str:
     return _WORDS[_EACH.index(tuple(constants))]
-
-
-def _adds(part: str, name: str, value: Callable[..., Any]) -> Callable[..., Any]:
-    """The change of an effect that adds to a number of a part."""
-
-    def change(
-        setting: Setting, amplitude: jax.Array, constants: tuple[float, ...], rows: Samples
-    ) -> Setting:
-        held = getattr(setting, part)
-        new = getattr(held, name) + value(amplitude, constants, rows)
-        return setting._replace(**{part: held._replace(**{name: new})})
-
-    return change
 
 
 def scaled_axles(setting: Setting, name: str, factors: jax.Array | Sequence[jax.Array]) -> Setting:
@@ -92,68 +78,57 @@ def scaled_axles(setting: Setting, name: str, factors: jax.Array | Sequence[jax.
 def _scales(name: str, term: Callable[..., Any]) -> dict[str, Any]:
     """The code of an effect that scales a number of its axles by 1 + term."""
 
-    def change(
-        setting: Setting, amplitude: jax.Array, constants: tuple[float, ...], rows: Samples
-    ) -> Setting:
+    def change(setting: Setting, amplitude: Any, constants: Constants, rows: Samples) -> Setting:
         added = term(amplitude, rows)
-        factors = [1 + c * added for c in constants]
-        return scaled_axles(setting, name, factors)
+        return scaled_axles(setting, name, [1 + c * added for c in constants])
 
-    return code(change, which=_which)
+    return dict(change=change, which=_which)
 
 
-def _falls(
-    setting: Setting, amplitude: jax.Array, constants: tuple[float, ...], rows: Samples
-) -> Setting:
+def _falls(setting: Setting, amplitude: jax.Array, constants: Constants, rows: Samples) -> Setting:
     axles = {}
     for k, axle in enumerate(("front", "rear")):
         held = getattr(setting.car, axle)
-        axles[axle] = held._replace(
-            fall=held.fall + constants[k] * amplitude, sliding=rows.sliding[k]
-        )
+        fall = held.fall + constants[k] * amplitude
+        axles[axle] = held._replace(fall=fall, sliding=rows.sliding[k])
     return setting._replace(car=setting.car._replace(**axles))
 
 
-def _transfer(
-    setting: Setting, height: jax.Array, constants: tuple[Any, ...], rows: Samples
-) -> Setting:
-    """Load transfer of height over wheelbase times the forward acceleration."""
-    moved = height * rows.along
-    return scaled_axles(setting, "load", (1 - 2 * moved, 1 + 2 * moved))
-
-
-def _tilt(slope: jax.Array, constants: tuple[float, ...], rows: Samples) -> jax.Array:
+def _tilt(slope: jax.Array, constants: Constants, rows: Samples) -> jax.Array:
     """Force to the left of a slope of the ground."""
     along, across = constants
     towards = across * jnp.cos(rows.heading) - along * jnp.sin(rows.heading)
     return slope * rows.weight * towards
 
 
-CODE = {
-    "steering_ratio": code(_adds("steering", "ratio", lambda a, c, rows: a)),
-    "steering_offset": code(_adds("steering", "offset", lambda a, c, rows: a)),
-    "steering_delay": code(_adds("steering", "delay", lambda a, c, rows: a)),
-    "steering_lag": code(_adds("steering", "lag", lambda a, c, rows: a)),
-    "steering_play": code(_adds("steering", "play", lambda a, c, rows: a)),
-    "compliance_steer": code(_adds("steering", "yields", lambda a, c, rows: a)),
-    "yaw_inertia": code(_adds("car", "inertia", lambda a, c, rows: jnp.expm1(a))),
-    "centre_of_gravity": code(_adds("car", "ahead", lambda a, c, rows: a * rows.wheelbase)),
+CODE: Code = {
+    "steering_ratio": adds("steering.ratio", lambda a, c, rows: a),
+    "steering_offset": adds("steering.offset", lambda a, c, rows: a),
+    "steering_delay": adds("steering.delay", lambda a, c, rows: a),
+    "steering_lag": adds("steering.lag", lambda a, c, rows: a),
+    "steering_play": adds("steering.play", lambda a, c, rows: a),
+    "compliance_steer": adds("steering.yields", lambda a, c, rows: a),
+    "yaw_inertia": adds("car.inertia", lambda a, c, rows: jnp.expm1(a)),
+    "centre_of_gravity": adds("car.ahead", lambda a, c, rows: a * rows.wheelbase),
     "lateral_load_transfer": _scales("friction", lambda a, rows: -a * rows.across**2),
-    "longitudinal_load_transfer": code(_transfer),
+    # Height over wheelbase times the forward acceleration.
+    "longitudinal_load_transfer": lambda setting, height, c, rows: scaled_axles(
+        setting, "load", (1 - 2 * (height * rows.along), 1 + 2 * (height * rows.along))
+    ),
     "aerodynamic_load": _scales("load", lambda a, rows: a * (rows.speed**2 - 1)),
     "friction_speed": _scales("friction", lambda a, rows: -a * (rows.speed - 1)),
-    "sliding_friction": code(_falls, which=_which),
+    "sliding_friction": dict(change=_falls, which=_which),
     "friction_drift": _scales("friction", lambda a, rows: a * rows.time),
-    "relaxation_length": code(_adds("car", "relaxation", lambda a, c, rows: a * rows.wheelbase)),
+    "relaxation_length": adds("car.relaxation", lambda a, c, rows: a * rows.wheelbase),
     "drive_force": _scales("friction", lambda a, rows: -a * rows.along**2),
-    "yaw_resistance": code(
-        _adds("car", "moment", lambda a, c, rows: -a * rows.turn * rows.weight * rows.wheelbase**2)
+    "yaw_resistance": adds(
+        "car.moment", lambda a, c, rows: -a * rows.turn * rows.weight * rows.wheelbase**2
     ),
-    "bank": code(_adds("car", "force", lambda a, c, rows: a * rows.weight)),
-    "floor_slope": code(_adds("car", "force", _tilt)),
-    "sideslip_zero": code(_adds("reading", "sideslip", lambda a, c, rows: a)),
-    "yaw_rate_zero": code(_adds("reading", "yaw_rate", lambda a, c, rows: a)),
-    "tracked_point": code(_adds("reading", "ahead", lambda a, c, rows: a * rows.wheelbase)),
+    "bank": adds("car.force", lambda a, c, rows: a * rows.weight),
+    "floor_slope": adds("car.force", _tilt),
+    "sideslip_zero": adds("reading.sideslip", lambda a, c, rows: a),
+    "yaw_rate_zero": adds("reading.yaw_rate", lambda a, c, rows: a),
+    "tracked_point": adds("reading.ahead", lambda a, c, rows: a * rows.wheelbase),
 }
 
 CAR_EFFECTS = library("tirefit.vehicle", CODE)

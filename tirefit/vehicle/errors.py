@@ -52,12 +52,8 @@ class Measured(NamedTuple):
 def floor_of(tire: Errors, noisy: Sequence[Errors]) -> Errors:
     """The effect of the noise of the log on the errors: their change by added noise, at
     the start of a window and where it is compared."""
-    return Errors(
-        {
-            name: np.concatenate([one.of[name] - missed for one in noisy])
-            for name, missed in tire.of.items()
-        }
-    )
+    each = {k: [one.of[k] - missed for one in noisy] for k, missed in tire.of.items()}
+    return Errors({name: np.concatenate(parts) for name, parts in each.items()})
 
 
 def errors_of(states: State, a_y: np.ndarray, windows: Measured, steps: Sequence[int]) -> Errors:

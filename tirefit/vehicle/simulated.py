@@ -60,32 +60,25 @@ _BEND = 0.1
 """Change [log] of the stiffness that may make up for the bend of a brush with the largest factor
 on its friction, which loses a tenth of the force of a linear tire at 0.28 of its limit."""
 
-_ALIKE = 9.21
-"""Chi-square of three factors about their mean that one of 100 equal ones exceeds."""
+_ALIKE = 9.21  # chi-square of three factors about their mean that one of 100 equal ones exceeds
 
 _RELATED, _NEAR = 0.95, 0.15
 """Least correlation of a state with that of the log, and largest distance [log] of its factor
 from that of a unit or a sign, that show the wrong unit or sign."""
 
 
-def _l_f(vehicle: Vehicle, size: float) -> tuple[float, float]:
-    wheelbase = vehicle.l_f + vehicle.l_r
-    return vehicle.l_f - size * wheelbase, wheelbase
-
-
-def _inertia(vehicle: Vehicle, size: float) -> tuple[float, float]:
-    value = vehicle.yaw_inertia * math.exp(size)
-    return value, value
-
-
-def _delay(vehicle: Vehicle, size: float) -> tuple[float, float]:
-    return (vehicle.steering.delay if vehicle.steering else 0.0) + size, 1.0
-
-
 _STATED: dict[str, tuple[str, str, Callable[[Vehicle, float], tuple[float, float]]]] = {
-    "centre_of_gravity": ("l_f", "m", _l_f),
-    "yaw_inertia": ("yaw_inertia", "kg m2", _inertia),
-    "steering_delay": ("steering.delay", "s", _delay),
+    "centre_of_gravity": (
+        "l_f",
+        "m",
+        lambda car, x: (car.l_f - x * (car.l_f + car.l_r), car.l_f + car.l_r),
+    ),
+    "yaw_inertia": ("yaw_inertia", "kg m2", lambda car, x: (car.yaw_inertia * math.exp(x),) * 2),
+    "steering_delay": (
+        "steering.delay",
+        "s",
+        lambda car, x: ((car.steering.delay if car.steering else 0.0) + x, 1.0),
+    ),
 }
 """Effect -> the quantity of ``vehicle.toml`` that it changes, its unit, and the function of the
 amplitude that gives its value and its slope."""
@@ -161,7 +154,11 @@ def compare_with_simulator(
     ]
     car = studied(found, stated, tires, library, window, tell)
     simulator = studied(_noisy(simulated, car.base.noise), own, tires, library, window, tell)
-    atoms = _atoms_of(car, simulator)
+    # The effects that help either, in the form of the car if it has them.
+    fits = [case.chosen for case in (simulator, car)]
+    forms = {e: atom for one in fits for e, atom in zip(one.effects, one.atoms, strict=True)}
+    ranked = dict.fromkeys(e for one in fits[::-1] for e in one.effects)
+    atoms = tuple(sorted([forms[effect] for effect in ranked][:MOST_EFFECTS]))
     sources = [
         _described(name, case, atoms, stated, ", ".join(map(str, files)))
         for name, case, files in (("simulator", simulator, sim_logs), ("car", car, logs))
@@ -169,20 +166,20 @@ def compare_with_simulator(
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
-    result = replace(result, numbers=_without_bends(result.numbers))
-    meant = _meanings({one.name: one for one in (*result.numbers, *result.effects)})
+    numbers = _without_bends(result.numbers)
+    meant = _meanings({one.name: one for one in (*numbers, *result.effects)})
     meanings = (*_spins(found.values(), simulated.values()), *meant)
-    return replace(result, notes=(*result.notes, note), meanings=meanings)
+    return replace(result, numbers=numbers, notes=(*result.notes, note), meanings=meanings)
 
 
 def _unlimited(found: Mapping[str, Apart]) -> dict[str, str]:
     """Axle -> the one of simulator and car whose tires have no friction limit."""
     unlimited = {}
     for axle in ("front", "rear"):
-        if (one := found[f"{axle}.friction"]).differs:
-            low, high = sorted(one.values, key=lambda name: one.values[name].value)
-            if one.values[high].value > _UNLIMITED * one.values[low].value:
-                unlimited[axle] = high
+        one = found[f"{axle}.friction"]
+        (low, _), (high, name) = sorted((x.value, name) for name, x in one.values.items())
+        if one.differs and high > _UNLIMITED * low:
+            unlimited[axle] = name
     return unlimited
 
 
@@ -207,12 +204,11 @@ def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
             f"the {axle} tires of the {name} do not saturate in these logs: they have no"
             " friction limit, or a far higher one"
         )
-    three = [
-        found.get(x) for x in ("front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia")
-    ]
-    if not all(one is not None and one.differs for one in three):
+    names = "front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia"
+    three = [found[name].values for name in names if name in found and found[name].differs]
+    if len(three) < len(names):
         return
-    pairs = [(one.values["car"], one.values["simulator"]) for one in three if one]
+    pairs = [(values["car"], values["simulator"]) for values in three]
     logs = np.log([ours.value / theirs.value for ours, theirs in pairs])
     weight = [1 / sum(((x.std or 0) / x.value) ** 2 for x in pair) for pair in pairs]
     mean = np.average(logs, weights=weight)
@@ -227,7 +223,7 @@ def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Ite
     """A sentence if the simulated car spins where the car does not."""
     car, own = (
         max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
-        for motions in ([one.motion for one in logs], [one.motion for one in simulated])
+        for motions in ([one.motion for one in each] for each in (logs, simulated))
     )
     if own > max(_SPUN, _MORE * car):
         yield (
@@ -240,20 +236,18 @@ def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Ite
 def _own_vehicle(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
     """The vehicle with the columns of simulated logs: their states, inputs, and no measurement
     of the car as a check of them."""
-    columns = vehicle.columns
-    states = POSE if columns.motion == POSE else ("v_y", "yaw_rate")
-    lacking, problems = set(), []
+    columns, lacking, problems = vehicle.columns, set[str](), []
     for path in sim_logs:
         headers = read_table(file_at(path), []).headers
         lacks = {x for x in CHECKS if not {*_headers(columns, x)} <= {*headers}}
+        states = POSE if columns.motion == POSE else ("v_y", "yaw_rate")
         if own := [name for name in states if name in lacks]:
             reason = f"it lacks {', '.join(own)}, which the simulator has to predict"
             problems.append(InputProblem(reason, "name the columns as in the log", str(path)))
         lacking |= lacks
     DataError.raise_for(problems)
-    checks = lacking & {"a_y", "a_x", *columns.beyond}
-    columns = columns.model_copy(update=dict.fromkeys(checks))
-    return vehicle.model_copy(update={"columns": columns})
+    checks = dict.fromkeys(lacking & {"a_y", "a_x", *columns.beyond})
+    return vehicle.model_copy(update={"columns": columns.model_copy(update=checks)})
 
 
 def _headers(columns: Columns, name: str) -> list[str]:
@@ -294,8 +288,8 @@ def _unlike(
 
 def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Path) -> Path:
     """The simulated log, with the columns that it lacks from the log."""
-    flat = [x for name in vehicle.columns.model_dump() for x in _headers(vehicle.columns, name)]
-    wanted = [*flat, *([vehicle.keep.active] if vehicle.keep.active else [])]
+    wanted = [x for name in vehicle.columns.model_dump() for x in _headers(vehicle.columns, name)]
+    wanted += [vehicle.keep.active] if vehicle.keep.active else []
     own = read_table(file_at(sim), [])
     lacking = [name for name in wanted if name not in own.headers]
     if not lacking:
@@ -309,9 +303,7 @@ def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Pat
     cells = [*own.cells, *(other.cells[other.headers.index(name)] for name in taken)]
     path = folder / f"{Path(sim).stem}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow([*own.headers, *taken])
-        table.writerows(zip(*cells, strict=True))
+        csv.writer(file).writerows([[*own.headers, *taken], *zip(*cells, strict=True)])
     return path
 
 
@@ -325,15 +317,6 @@ def _noisy(found: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
     return noisy
 
 
-def _atoms_of(*cases: Concluded) -> tuple[int, ...]:
-    """The effects that help in any case, each in the form of the first that has it."""
-    found: dict[str, int] = {}
-    for case in cases:
-        for atom, effect in zip(case.chosen.atoms, case.chosen.effects, strict=True):
-            found.setdefault(effect, atom)
-    return tuple(sorted([*found.values()][:MOST_EFFECTS]))
-
-
 def _described(
     name: str, case: Concluded, atoms: tuple[int, ...], vehicle: Vehicle, file: str
 ) -> Source:
@@ -342,15 +325,13 @@ def _described(
     first = dict(zip(chosen.atoms, chosen.amplitude, strict=True))
     start = Start(chosen.z, np.array([first.get(k, 0.0) for k in atoms]), chosen.state)
     (fit,) = base.refit([start], [atoms])
-    factor, error = np.exp(fit.z), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    numbers = {
-        parameter: Number(float(factor[k]), float(factor[k] * error[k]), "-")
-        for k, parameter in enumerate(PARAMETERS)
-    }
+    factors, errors = np.exp(fit.z), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    each = zip(PARAMETERS, factors.tolist(), errors.tolist(), strict=False)
+    numbers = {name: Number(factor, factor * error, "-") for name, factor, error in each}
     sizes = {}
     for k, atom in enumerate(fit.atoms):
         effect, scale = base.atoms[atom].effect, float(base.priors.scale[atom])
-        size, std = float(fit.amplitude[k]) * scale, float(error[TIRES + k]) * scale
+        size, std = float(fit.amplitude[k]) * scale, float(errors[TIRES + k]) * scale
         key, unit, slope = f"{effect.id}: {effect.parameter}", effect.unit, 1.0
         if effect.id in _STATED:
             quantity, unit, of = _STATED[effect.id]

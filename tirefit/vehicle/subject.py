@@ -39,8 +39,7 @@ _STARTS, _SHORTER = 5, 4.0
 """Number of trials of the best start states of a car without a refit; a step that makes a
 window worse is divided by the second number."""
 
-_MOST_OFF = 1.5
-"""Largest logarithm of a factor on a tire."""
+_MOST_OFF = 1.5  # largest logarithm of a factor on a tire
 
 _FAR = 0.7
 """Logarithm of a factor on the tires from which a refit also begins at the tires as given:
@@ -49,21 +48,16 @@ without an effect, the tires are distorted to replace it."""
 _COLUMNS = TIRES + MOST_EFFECTS
 """Number of columns of the compiled program that differentiates the inputs."""
 
-_LEAST_WINDOWS = 48
-"""Smallest number of windows for which programs are compiled."""
+_LEAST_WINDOWS = 48  # smallest number of windows for which programs are compiled
 
 LEAST_LOGS = 4
 """Smallest number of logs of which each is left out in turn."""
 
-_BLOCKS = 8
-"""Number of parts of the time that are left out in turn if there are fewer logs."""
+_BLOCKS = 8  # number of parts of the time that are left out in turn if there are fewer logs
 
 _PLACES = {"share of the time": 12}
-_USUAL_PLACES = 8
-"""Numbers of places of the covariates at which an unlisted force has its values."""
-
-_USUAL = 0.03
-"""Usual change of a force over the load of its axle."""
+_USUAL_PLACES = 8  # numbers of places of the covariates at which an unlisted force has its values
+_USUAL = 0.03  # usual change of a force over the load of its axle
 
 
 def _filled(windows: Values | tuple[Data, Samples]) -> np.ndarray | tuple[Data, Samples]:
@@ -221,10 +215,9 @@ class Windows:
     def unit(self) -> np.ndarray:
         """(m,) from residuals to the rms over the noise of all channels, for samples that
         the start states leave free."""
-        shape = self.cut.data.logged.shape
-        each = shape[1] * shape[2]
+        each = int(np.prod(self.cut.data.logged.shape[1:]))
         scale = np.sqrt(self.inflation * each / (each - self._states))
-        return np.full(shape[0] * each, scale)
+        return np.full(len(self.cut.log) * each, scale)
 
     @cached_property
     def given_residual(self) -> np.ndarray:
@@ -241,14 +234,13 @@ class Windows:
 
     def folds(self, effects: Key) -> Folds:
         """Logs, or blocks of time if there are few logs."""
-        log, count = self.cut.log, len(self.cut.log)
+        part, count, what = self.cut.log, len(self.cut.log), "logs"
+        number = int(part.max()) + 1
+        if number < LEAST_LOGS:
+            number, what = min(_BLOCKS, count), "blocks of time"
+            part = np.arange(count) * number // count
         each = int(np.prod(self.cut.data.logged.shape[1:]))
-        number = int(log.max()) + 1
-        if number >= LEAST_LOGS:
-            return Folds(np.repeat(log, each), f"{number} logs left out in turn")
-        number = min(_BLOCKS, count)
-        part = np.arange(count) * number // count
-        return Folds(np.repeat(part, each), f"{number} blocks of time left out in turn")
+        return Folds(np.repeat(part, each), f"{number} {what} left out in turn")
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
@@ -285,8 +277,7 @@ class Windows:
         first = squares.begun(jnp.asarray(own), jnp.asarray(start.state))
         end = minimised(squares, first, sides, _TOLERANCE, _STEPS)
         own, states = np.asarray(end.z)[:size], end.starts
-        z = self.coefficients(own[:TIRES], atoms, own[TIRES:])
-        now, by = self.linear(z, states, places)
+        now, by = self.linear(self.coefficients(own[:TIRES], atoms, own[TIRES:]), states, places)
         return fitted(
             atoms,
             [self.atoms[k].effect.id for k in atoms],
@@ -305,16 +296,15 @@ class Windows:
     @cached_property
     def covariates(self) -> dict[str, np.ndarray]:
         """Quantities (w, k) that vary over the windows, at the start fit."""
-        now, rows = self._at_start, self.cut.rows
-        front, rear = np.moveaxis(now.motion.angles, 2, 0)
+        front, rear = np.moveaxis(self._at_start.motion.angles, 2, 0)
+        rows = self.cut.rows
         values = {"front slip": front, "rear slip": rear, "speed over its mean": rows.speed,
                   "forward acceleration": rows.along, "share of the time": rows.time}  # fmt: skip
         return {k: np.asarray(v) for k, v in values.items() if np.ptp(v) > UNSEEN}
 
     @cached_property
     def _at_start(self) -> Linear:
-        start = self.start
-        return self.linear(self.coefficients(start.z), start.state)[0]
+        return self.linear(self.coefficients(self.start.z), self.start.state)[0]
 
     @cached_property
     def discrepancy(self) -> Discrepancy:
@@ -322,34 +312,22 @@ class Windows:
         axles, of any course in time."""
         now, loads = self._at_start, self.car.loads
         shape = now.motion.missed.shape[:2]
-        columns: list[np.ndarray] = []
-        cells: list[Cell] = []
-
-        def add(
-            axles: Sequence[int],
-            covariate: str,
-            shapes: np.ndarray,
-            places: np.ndarray,
-            settings: bool = False,
-        ) -> None:
+        columns, cells = list[np.ndarray](), list[Cell]()
+        kinds: list[tuple[str, list[int], str, np.ndarray, np.ndarray]] = []
+        for covariate, values in self.covariates.items():
+            ends = np.quantile(values, [0.01, 0.99]) if "slip" in covariate else (-np.inf, np.inf)
+            inside, count = np.clip(values, *ends).ravel(), _PLACES.get(covariate, _USUAL_PLACES)
+            by = places_of(inside, None, count)
+            kinds += [("front force", [0], covariate, *by), ("rear force", [1], covariate, *by)]
+        window = np.repeat(np.eye(shape[0]), shape[1], axis=0)
+        kinds.append(("side force", [0, 1], "window", window, np.arange(shape[0])))
+        for quantity, axles, covariate, shapes, places in kinds:
             sizes = _USUAL * shapes.reshape(*shape, -1)
             each = [now.by_force(k, sizes * float(loads[k])) for k in axles]
             columns.append(self.projected(now, np.sum(each, axis=0)))
-            first = cells[-1].end if cells else 0
-            quantity = ("front force", "rear force", "side force")[sum(axles) + len(axles) - 1]
-            cells.append(
-                Cell(quantity, covariate, first, first + len(places), places, settings, settings)
-            )
-
-        for covariate, values in self.covariates.items():
-            ends = np.quantile(values, [0.01, 0.99]) if "slip" in covariate else (-np.inf, np.inf)
-            shapes, places = places_of(
-                np.clip(values, *ends).ravel(), None, _PLACES.get(covariate, _USUAL_PLACES)
-            )
-            for axle in (0, 1):
-                add([axle], covariate, shapes, places)
-        window = np.repeat(np.eye(shape[0]), shape[1], axis=0)
-        add([0, 1], "window", window, np.arange(shape[0]), True)
+            first, settings = cells[-1].end if cells else 0, covariate == "window"
+            end = first + len(places)
+            cells.append(Cell(quantity, covariate, first, end, places, settings, settings))
         return Discrepancy(np.concatenate(columns, axis=1), tuple(cells))
 
     def groups(self) -> dict[str, np.ndarray]:

@@ -2,17 +2,17 @@
 inertia of the wheel, crosstalk of channels, camber and conicity; and effects that differ
 between runs: new zeros, changed tires or surfaces."""
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from tirefit.diagnosis.effects.record import (
     PER_MILLE,
     Code,
+    Constants,
     Prior,
     adds,
     blend,
-    code,
     multiplies,
     seldom,
     xp,
@@ -25,8 +25,7 @@ from tirefit.params import Values
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.prepared import Prepared
 
-_FINE = 5e-4
-"""Standard error of a slip offset below which an offset of zero is evidence against it."""
+_FINE = 5e-4  # standard error of a slip offset below which an offset of zero is evidence against it
 
 _INERTIA_STATED = 0.3
 """Relative standard deviation of a stated inertia, as hub, disc and shaft turn too."""
@@ -34,23 +33,14 @@ _INERTIA_STATED = 0.3
 _CORNERING = 10.0
 """Usual cornering stiffness over load [1/rad], so that both camber forms share a scale."""
 
-_WARMING = 0.2
-"""Time constant of a zero that settles while its amplifier warms up, over the record."""
-
-
-def _as_it_was_read(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
-    """The prior, with the sign of the conversion that the reading of the slip requires."""
-    return prior._replace(center=prior.center * prepared.definition)
+_WARMING = 0.2  # time constant of a zero that settles while its amplifier warms up, over the record
 
 
 def _of_this_wheel(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """The prior: a force computed from the torque lacks the inertia that the rig states."""
-    known = rig.wheel_inertia
-    if not known:
+    if not (known := rig.wheel_inertia):
         return prior
-    return prior._replace(
-        scale=_INERTIA_STATED * known, center=known, high=max(prior.high, 2 * known)
-    )
+    return Prior(_INERTIA_STATED * known, known, prior.low, max(prior.high, 2 * known))
 
 
 def _definition_odds(prepared: "Prepared") -> float:
@@ -69,7 +59,7 @@ def _seen_between_slips(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     if check is None or not check.shifted:
         return prior
     size = max(prior.scale, abs(check.offset))
-    return prior._replace(scale=size, low=min(prior.low, -2 * size), high=max(prior.high, 2 * size))
+    return Prior(size, prior.center, min(prior.low, -2 * size), max(prior.high, 2 * size))
 
 
 def _offset_odds(prepared: "Prepared") -> float:
@@ -82,25 +72,19 @@ def _offset_odds(prepared: "Prepared") -> float:
     return AGAINST if check.agrees and check.offset_std < _FINE else 0.0
 
 
-def _camber(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
-    shift, force = constants
-    thrust = force * _CORNERING * share * rows.gamma * rows.fz * rows.load
-    return state._replace(
-        shift=state.shift + shift * share * rows.gamma, force=state.force + thrust
-    )
+def _camber(state: State, share: float, constants: Constants, rows: Covariates) -> State:
+    shift = state.shift + constants[0] * share * rows.gamma
+    thrust = constants[1] * _CORNERING * share * rows.gamma * rows.fz * rows.load
+    return state._replace(shift=shift, force=state.force + thrust)
 
 
-def _settled(rows: Covariates, constants: tuple[float, ...]) -> Values | float:
+def _settled(rows: Covariates, constants: Constants) -> Values | float:
     """A drift that is linear over the record, or faster at first; zero at the middle."""
     late = 0.5 - xp.exp(-(rows.time + 0.5) / _WARMING)
     return blend(constants, rows.time, late)
 
 
-def _force_drift(drift: float, constants: tuple[float, ...], rows: Covariates) -> Values:
-    return PER_MILLE * drift * rows.load * _settled(rows, constants)
-
-
-def _force_hysteresis(size: float, constants: tuple[float, ...], rows: Covariates) -> Values:
+def _force_hysteresis(size: float, constants: Constants, rows: Covariates) -> Values:
     plain, grown = constants
     way = rows.turning * rows.side * (plain + grown * rows.usage)
     return PER_MILLE * size * rows.load * way
@@ -136,44 +120,49 @@ def _one_each(prepared: "Prepared") -> float:
     return seldom(prepared) - 0.5 * further * np.log(prepared.n / max(count, 1))
 
 
-def _parameter_of_runs(name: str) -> dict[str, Any]:
-    def factor(a: float, _: tuple[Any, ...], rows: Covariates) -> np.ndarray:
-        return xp.exp(a * getattr(rows, RUN_OFFSETS[name].pattern))
-
-    return code(multiplies(name, factor), odds=_one_each)
-
-
-_IN_PROPORTION = code(adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz))
+_IN_PROPORTION = adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz)
 
 CODE: Code = {
-    "slip_offset": code(
-        adds("shift", lambda a, _, rows: a), odds=_offset_odds, prior=_seen_between_slips
+    "slip_offset": dict(
+        change=adds("shift", lambda a, _, rows: a), odds=_offset_odds, prior=_seen_between_slips
     ),
-    "force_offset": code(adds("force", lambda a, _, rows: PER_MILLE * a * rows.load)),
-    "slip_definition": code(
-        adds("curvature", lambda a, constants, _: constants[0] * a),
+    "force_offset": adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
+    "slip_definition": dict(
+        change=adds("curvature", lambda a, constants, _: constants[0] * a),
         odds=_definition_odds,
-        prior=_as_it_was_read,
+        # With the sign of the conversion that the reading of the slip requires.
+        prior=lambda prior, rows, rig: prior._replace(center=prior.center * rows.definition),
     ),
-    "wheel_inertia": code(adds("force", lambda a, _, rows: -a * rows.spin), prior=_of_this_wheel),
-    "camber_thrust": code(_camber),
+    "wheel_inertia": dict(
+        change=adds("force", lambda a, _, rows: -a * rows.spin), prior=_of_this_wheel
+    ),
+    "camber_thrust": _camber,
     "conicity": _IN_PROPORTION,
-    "slip_zero_drift": code(adds("shift", lambda a, which, rows: a * _settled(rows, which))),
-    "force_zero_drift": code(adds("force", _force_drift)),
+    "slip_zero_drift": adds("shift", lambda a, which, rows: a * _settled(rows, which)),
+    "force_zero_drift": adds(
+        "force", lambda a, which, rows: PER_MILLE * a * rows.load * _settled(rows, which)
+    ),
     "load_crosstalk": _IN_PROPORTION,
     # A brush with another load equals one with another friction; this is exact if the
     # stiffness does not depend on the load.
-    "load_offset": code(
-        multiplies(
-            "friction", lambda a, _, rows: (1 + PER_MILLE * a / rows.fz) / (1 + PER_MILLE * a)
-        )
+    "load_offset": multiplies(
+        "friction", lambda a, _, rows: (1 + PER_MILLE * a / rows.fz) / (1 + PER_MILLE * a)
     ),
-    "force_crosstalk": code(adds("force", lambda a, _, rows: a * rows.across)),
-    "force_hysteresis": code(adds("force", _force_hysteresis)),
-    "slip_offset_run": code(adds("shift", lambda a, _, rows: a * rows.run_slip), odds=_one_each),
-    "force_offset_run": code(
-        adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force), odds=_one_each
+    "force_crosstalk": adds("force", lambda a, _, rows: a * rows.across),
+    "force_hysteresis": adds("force", _force_hysteresis),
+    "slip_offset_run": dict(
+        change=adds("shift", lambda a, _, rows: a * rows.run_slip), odds=_one_each
     ),
-    "friction_run": _parameter_of_runs("friction"),
-    "stiffness_run": _parameter_of_runs("stiffness"),
+    "force_offset_run": dict(
+        change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
+        odds=_one_each,
+    ),
+    "friction_run": dict(
+        change=multiplies("friction", lambda a, _, rows: xp.exp(a * rows.run_friction)),
+        odds=_one_each,
+    ),
+    "stiffness_run": dict(
+        change=multiplies("stiffness", lambda a, _, rows: xp.exp(a * rows.run_stiffness)),
+        odds=_one_each,
+    ),
 }

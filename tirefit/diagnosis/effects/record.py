@@ -47,7 +47,10 @@ LEAST_FACTOR = 0.05
 """Smallest friction or stiffness over its usual value, as a linear law would become
 negative at amplitudes that a search tries."""
 
-Change = Callable[[State, float, tuple[float, ...], Covariates], State]
+Constants = tuple[float, ...]
+"""The constants of one variant of an effect."""
+
+Change = Callable[[State, float, Constants, Covariates], State]
 
 
 class Prior(NamedTuple):
@@ -123,9 +126,9 @@ class Effect:
     odds: Callable[[object], float] | None = None
     needs: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
-    variants: tuple[tuple[float, ...], ...] = ((),)
-    which: Callable[[tuple[float, ...], Covariates | None, object], str] | None = None
-    during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
+    variants: tuple[Constants, ...] = ((),)
+    which: Callable[[Constants, Covariates | None, object], str] | None = None
+    during: Callable[[Constants], tuple[float, float]] | None = None
     singular: bool = False
     looks_like: tuple[str, ...] = ()
     told_apart_by: str = ""
@@ -186,7 +189,7 @@ class Atom:
     variant: int = 0
 
     @property
-    def constants(self) -> tuple[float, ...]:
+    def constants(self) -> Constants:
         return self.effect.variants[self.variant]
 
     def prior(self, prepared: "Prepared", rig: Rig) -> Prior:
@@ -218,13 +221,8 @@ def effects_by_id(effects: Sequence[Effect | NoiseEffect]) -> dict[str, Any]:
     return {effect.id: effect for effect in effects}
 
 
-def choices(count: int) -> tuple[tuple[float, ...], ...]:
-    """Constants of ``count`` variants that :func:`blend` one formula each."""
-    return tuple(tuple(float(i == k) for i in range(count)) for k in range(count))
-
-
-def blend(constants: tuple[float, ...], *values: Values) -> Values | float:
-    """Sum of the values weighted by the constants: one of them for :func:`choices`."""
+def blend(constants: Constants, *values: Values) -> Values | float:
+    """Sum of the values weighted by the constants: one of them where ``variants`` is a number."""
     return sum(c * value for c, value in zip(constants, values, strict=True))
 
 
@@ -234,18 +232,20 @@ def scaled(state: State, name: str, factor: Values | float) -> State:
     return state._replace(**{name: getattr(state, name) * factor})
 
 
-Term = Callable[[Any, Any, Covariates], Any]
+Term = Callable[[Any, Any, Any], Any]
 """(amplitude, constants, covariates) -> term or factor of one field of the state."""
 
 
-def adds(name: str, term: Term) -> Change:
-    """The change of an effect that adds a term to a field of the state."""
+def adds(path: str, term: Term) -> Callable[..., Any]:
+    """The change of an effect that adds a term to a field of a state, ``force``, or of a part
+    of it, ``steering.delay``."""
+    part, _, name = path.rpartition(".")
 
-    def change(
-        state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
-    ) -> State:
-        added = getattr(state, name) + term(amplitude, constants, rows)
-        return state._replace(**{name: added})
+    def change(state: Any, amplitude: Any, constants: Constants, rows: Any) -> Any:
+        held = getattr(state, part) if part else state
+        added = getattr(held, name) + term(amplitude, constants, rows)
+        held = held._replace(**{name: added})
+        return state._replace(**{part: held}) if part else held
 
     return change
 
@@ -257,39 +257,32 @@ def multiplies(name: str, factor: Term) -> Change:
     )
 
 
-_SELDOM = -1.0
-"""Log odds of an effect that is a third as frequent as usual ones."""
-
-
 def seldom(prepared: "Prepared") -> float:
-    """Prior log odds of an effect that most files do not have."""
-    return _SELDOM
+    """Prior log odds of an effect that most files do not have: a third as frequent."""
+    return -1.0
 
 
-Code = dict[str, dict[str, Any]]
-"""Id of an effect -> the fields of its record that are code."""
-
-
-def code(change: Callable[..., Any], **others: Any) -> dict[str, Any]:
-    """The fields of a record that are code: its change, and others. A car has ``Setting`` and
-    ``Samples`` in the place of ``State`` and ``Covariates``."""
-    return {"change": change, **others}
+Code = dict[str, Callable[..., Any] | dict[str, Any]]
+"""Id of an effect -> its change, or the fields of its record that are code. A car has ``Setting``
+and ``Samples`` in the place of ``State`` and ``Covariates``."""
 
 
 def library(package: str, codes: Code) -> tuple[Effect, ...]:
     """The effects of ``effects.toml`` in a package, each with its code."""
-    tables = tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8"))
-    return tuple(Effect(id=id, **_fields(table), **codes[id]) for id, table in tables.items())
-
-
-def _fields(table: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a record from a table: of its kinds of shorthand, see ``effects.toml``."""
-    found = {key: _tuples(value) for key, value in table.items()}
-    if found.pop("seldom", False):
-        found["odds"] = seldom
-    if isinstance(found.get("variants"), int):
-        found["variants"] = choices(found["variants"])
-    return found
+    tables, found = (
+        tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8")),
+        [],
+    )
+    for id, table in tables.items():
+        own = codes[id]
+        fields = {key: _tuples(value) for key, value in table.items()}
+        fields |= own if isinstance(own, dict) else {"change": own}
+        if fields.pop("seldom", False):
+            fields["odds"] = seldom
+        if isinstance(count := fields.get("variants"), int):  # blended one formula each
+            fields["variants"] = tuple(tuple(np.eye(count)[k].tolist()) for k in range(count))
+        found.append(Effect(id=id, **fields))
+    return tuple(found)
 
 
 def _tuples(value: Any) -> Any:
@@ -391,22 +384,19 @@ class States:
 
     @np.errstate(all="ignore")
     def _after(self, state: State, present: Present) -> State:
-        """The state with further atoms, applied in their order."""
+        """The state with further atoms, applied in their order; fields that they do not change
+        stay the same arrays."""
         for number, amplitude in present:
-            state = _changed(state, self._atoms[number], amplitude, self._rows)
+            atom = self._atoms[number]
+            try:
+                pairs = zip(state, atom.change(state, amplitude, self._rows), strict=True)
+                state = State(*(a if b is a else _constant(b, np.shape(a)) for a, b in pairs))
+            except Exception as error:  # the function of a user may raise any error
+                reason = f"effect {atom.effect.id!r}: {type(error).__name__}: {error}"
+                remedy = "its change takes (state, amplitude, constants, rows) and gives"
+                remedy += " a state, each field a number or one for each row"
+                raise UsageError(InputProblem(reason, remedy)) from error
         return state
-
-
-def _changed(state: State, atom: Atom, amplitude: float, rows: Covariates) -> State:
-    """The state with an atom; fields that it does not change stay the same arrays."""
-    try:
-        pairs = zip(state, atom.change(state, amplitude, rows), strict=True)
-        return State(*(a if b is a else _constant(b, np.shape(a)) for a, b in pairs))
-    except Exception as error:  # the function of a user may raise any error
-        reason = f"effect {atom.effect.id!r}: {type(error).__name__}: {error}"
-        remedy = "its change takes (state, amplitude, constants, rows) and gives"
-        remedy += " a state, each field a number or one for each row"
-        raise UsageError(InputProblem(reason, remedy)) from error
 
 
 def _size(values: Values | float) -> float:

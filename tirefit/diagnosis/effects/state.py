@@ -233,19 +233,6 @@ def with_offsets(found: Sequence[Values], state: State, mode: str) -> tuple[Valu
     return fx + extra[0], fy + extra[1], mz + state.moment
 
 
-def _shape_change(
-    state: State, stiffness: Any, mu: Any, arm: Any, slip: jax.Array, fz: Values | float, bare: bool
-) -> tuple[jax.Array, jax.Array]:
-    """Force and moment of a brush with the effects, minus those of one without."""
-    pressure = _Shaped(state.skew, state.flat)
-    friction = _TwoFrictions(excess=state.static, factor=state.kinetic)
-    with_effect = Brush(stiffness, mu, arm, pressure, friction).pure(slip, fz, 0.0)
-    if bare:
-        return with_effect
-    plain = Brush(stiffness, mu, arm, Parabolic()).pure(slip, fz, 0.0)
-    return with_effect[0] - plain[0], with_effect[1] - plain[1]
-
-
 def force_of_state(
     base: AbstractTire,
     reference: tuple[Any, ...] | None,
@@ -269,15 +256,20 @@ def force_of_state(
     size = jnp.sqrt(along**2 + across**2 + _AT_REST)
     bare = reference is None
     if reference is None:
-        plain = cast(Brush, base)
-        reference = plain.cpa2, plain.mu, plain.half_length
+        own = cast(Brush, base)
+        reference = own.cpa2, own.mu, own.half_length
     stiffness, mu, arm = reference
-    change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, bare)
+    shape = _Shaped(state.skew, state.flat)
+    friction = _TwoFrictions(excess=state.static, factor=state.kinetic)
+    change, turn = Brush(stiffness, mu, arm, shape, friction).pure(size, inputs.fz, 0.0)
+    if not bare:  # the change of the shape alone
+        plain = Brush(stiffness, mu, arm, Parabolic()).pure(size, inputs.fz, 0.0)
+        change, turn = change - plain[0], turn - plain[1]
     x, y = along / size, across / size
     added = x * change, y * change, arm * y * turn
     if bare:
         return tuple(state.friction * part for part in added)
     alpha = jnp.arctan(across / (1 + along))
     found = base(inputs._replace(sigma_x=along, alpha=alpha))
-    own = (0.0 if f is None else f for f in (found.fx, found.fy, found.mz))
-    return tuple(state.friction * (o + a) for o, a in zip(own, added, strict=True))
+    forces = (0.0 if f is None else f for f in (found.fx, found.fy, found.mz))
+    return tuple(state.friction * (o + a) for o, a in zip(forces, added, strict=True))

@@ -8,9 +8,9 @@ import numpy as np
 from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     Code,
+    Constants,
     adds,
     blend,
-    code,
     multiplies,
     scaled,
     xp,
@@ -53,25 +53,17 @@ def _skewed(state: State, change: Values | float) -> State:
     return state._replace(skew=xp.clip(state.skew + change, *_SKEWS))
 
 
-def _skew_with(state: State, d: float, constants: tuple[float, ...], rows: Covariates) -> State:
-    moving = blend(constants, rows.force, rows.usage, xp.log(rows.fz))
-    return _skewed(state, d * moving)
-
-
 def _kinetic_times(state: State, factor: Values | float) -> State:
     return state._replace(kinetic=state.kinetic * xp.maximum(factor, _LEAST_KINETIC))
 
 
-def _linear_loss(
-    state: State, loss: float, constants: tuple[float, ...], rows: Covariates
-) -> State:
+def _linear_loss(state: State, loss: float, constants: Constants, rows: Covariates) -> State:
     kinetic, sliding, rolling = constants
     state = _kinetic_times(state, 1 - kinetic * loss * rows.sliding)
-    falls = sliding * rows.sliding + rolling * rows.v
-    return scaled(state, "friction", 1 - loss * falls)
+    return scaled(state, "friction", 1 - loss * (sliding * rows.sliding + rolling * rows.v))
 
 
-def _fall(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _fall(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), or with the logarithm,
     on the kinetic friction or on both. A negative share is a rise."""
     v_st, exponent, both = constants
@@ -89,35 +81,32 @@ def _fall(state: State, share: float, constants: tuple[float, ...], rows: Covari
 _ALONE, _ALL = "of the kinetic friction alone", "of static and kinetic friction alike"
 
 
-def _which_speed(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_speed(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     kinetic, sliding, _ = constants
     how = "with the sliding speed" if kinetic or sliding else "with the speed of travel"
     return f"{_ALONE if kinetic else _ALL}, {how}"
 
 
-def _which_fall(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_fall(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     v_st, exponent, both = constants
     law = f"with exponent e = {exponent:g}" if exponent else "by log(1 + v_s / v_st)"
     v_st = v_st * float(np.max(rows.brisk))
     return f"{_ALL if both else _ALONE}, {law}, v_st = {v_st:.3g} m/s"
 
 
-def _which_power(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_power(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     laws = "a power of the load", "in proportion to F_z / F_z0 - 1"
     return (*laws, "in proportion to log(F_z / F_z0)")[int(np.argmax(constants))]
 
 
-def _which_drift(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
+def _which_drift(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
     even, way = constants
-    lasts = way * float(np.ptp(time))
-    return "evenly" if even else f"quick at first, as exp(-t / {lasts:.3g} s)"
+    return "evenly" if even else f"quick at first, as exp(-t / {way * float(np.ptp(time)):.3g} s)"
 
 
-def _which_step(constants: tuple[float, ...], rows: Covariates, time: np.ndarray) -> str:
-    begin, end = constants
-    share = np.asarray(rows.time)[: len(time)]
-    inside = (share > begin) & (share < end)
-    order = np.argsort(time, kind="stable")
+def _which_step(constants: Constants, rows: Covariates, time: np.ndarray) -> str:
+    share, order = np.asarray(rows.time)[: len(time)], np.argsort(time, kind="stable")
+    inside = (share > constants[0]) & (share < constants[1])
     turns = np.flatnonzero(np.diff(inside[order]))
     at = [f"{t:.4g}" for t in (time[order][turns] + time[order][turns + 1]) / 2]
     if len(at) == 1:
@@ -125,7 +114,7 @@ def _which_step(constants: tuple[float, ...], rows: Covariates, time: np.ndarray
     return f"from {at[0]} to {at[1]} s" if at else ""
 
 
-def _drift(share: float, constants: tuple[float, ...], rows: Covariates) -> Values | float:
+def _drift(share: float, constants: Constants, rows: Covariates) -> Values | float:
     """A drift that is linear over the record, or fast at first as 1 - exp(-t / tau); zero
     at the middle."""
     even, way = constants
@@ -133,13 +122,13 @@ def _drift(share: float, constants: tuple[float, ...], rows: Covariates) -> Valu
     return 1 + share * blend((even, 1 - even), rows.time, late)
 
 
-def _step(share: float, constants: tuple[float, ...], rows: Covariates) -> np.ndarray:
+def _step(share: float, constants: Constants, rows: Covariates) -> np.ndarray:
     """A change at one time, or between two times."""
     begin, end = constants
     return 1 + share * xp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
 
 
-def _other(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _other(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     """Both slips share the friction in the patch, or the force is multiplied by a weight
     that falls with the other slip, cos(arctan B alpha), Pacejka 4.3.2."""
     shared, weighted = constants
@@ -150,7 +139,7 @@ def _other(state: State, share: float, constants: tuple[float, ...], rows: Covar
 
 
 def _with_load(
-    name: str, state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
+    name: str, state: State, amplitude: float, constants: Constants, rows: Covariates
 ) -> State:
     """A dependence on the load: a power, linear, or linear in its logarithm."""
     linear = xp.maximum(1 + amplitude * (rows.fz - 1), LEAST_FACTOR)
@@ -162,52 +151,42 @@ def _with_load(
 def _by_condition(name: str) -> Code:
     """Friction or stiffness with load, temperature, time, pressure, work."""
     return {
-        f"load_{name}": code(partial(_with_load, name), which=_which_power),
-        f"{name}_temperature": code(multiplies(name, lambda a, _, rows: 1 + a * rows.temperature)),
-        f"{name}_drift": code(multiplies(name, _drift), which=_which_drift),
-        f"{name}_pressure": code(multiplies(name, lambda a, _, rows: 1 + a * rows.inflation)),
-        f"{name}_warming": code(
-            multiplies(name, lambda a, c, rows: 1 + (a * rows.work) @ xp.asarray(c))
-        ),
+        f"load_{name}": dict(change=partial(_with_load, name), which=_which_power),
+        f"{name}_temperature": multiplies(name, lambda a, _, rows: 1 + a * rows.temperature),
+        f"{name}_drift": dict(change=multiplies(name, _drift), which=_which_drift),
+        f"{name}_pressure": multiplies(name, lambda a, _, rows: 1 + a * rows.inflation),
+        f"{name}_warming": multiplies(name, lambda a, c, rows: 1 + (a * rows.work) @ xp.asarray(c)),
     }
 
 
 CODE: Code = {
-    "pressure_asymmetry": code(
-        lambda state, d, constants, rows: _skewed(state, d), bounds=(_SKEWS,)
-    ),
-    "pressure_flatness": code(
-        lambda state, share, constants, rows: state._replace(
-            flat=xp.clip(state.flat + share, *_FLATNESSES)
-        ),
+    "pressure_asymmetry": dict(change=lambda state, d, *_: _skewed(state, d), bounds=(_SKEWS,)),
+    "pressure_flatness": dict(
+        change=lambda state, a, *_: state._replace(flat=xp.clip(state.flat + a, *_FLATNESSES)),
         bounds=(_FLATNESSES,),
     ),
-    "kinetic_friction": code(adds("static", lambda a, constants, rows: a)),
-    "pressure_shift_load": code(_skew_with),
+    "kinetic_friction": adds("static", lambda a, constants, rows: a),
+    "pressure_shift_load": lambda state, d, c, rows: _skewed(
+        state, d * blend(c, rows.force, rows.usage, xp.log(rows.fz))
+    ),
     # With the force of the base model, as the slip that the carcass takes is small.
-    "carcass_flexibility": code(adds("shift", lambda a, _, rows: -a * rows.traction)),
-    "friction_speed_linear": code(_linear_loss, which=_which_speed),
-    "friction_speed_exponential": code(
-        _fall,
+    "carcass_flexibility": adds("shift", lambda a, _, rows: -a * rows.traction),
+    "friction_speed_linear": dict(change=_linear_loss, which=_which_speed),
+    "friction_speed_exponential": dict(
+        change=_fall,
         which=_which_fall,
         variants=tuple((*fall, both) for both in (0.0, 1.0) for fall in _FALLS),
     ),
     **_by_condition("friction"),
     **_by_condition("stiffness"),
-    "friction_step": code(
-        multiplies("friction", _step),
+    "friction_step": dict(
+        change=multiplies("friction", _step),
         which=_which_step,
         variants=(*((at, _NO_END) for at in STEPS), *_STRETCHES),
         during=lambda constants: (constants[0], constants[1]),
     ),
-    "friction_hysteresis": code(
-        multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning)
-    ),
-    "drive_brake_asymmetry": code(
-        multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side)
-    ),
-    "combined_slip": code(_other),
-    "stiffness_speed": code(
-        multiplies("stiffness", lambda a, _, rows: (rows.pace / rows.cruise) ** a)
-    ),
+    "friction_hysteresis": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
+    "drive_brake_asymmetry": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
+    "combined_slip": _other,
+    "stiffness_speed": multiplies("stiffness", lambda a, _, rows: (rows.pace / rows.cruise) ** a),
 }

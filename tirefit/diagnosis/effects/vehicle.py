@@ -7,7 +7,7 @@ therefore the error of a measured quantity if the file states it (``tirefit deri
 from vehicle.toml), else the error of a guess."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from tirefit.diagnosis.effects.record import (
     LEAST_FACTOR,
     PER_MILLE,
     Code,
+    Constants,
     Prior,
     adds,
     blend,
-    code,
     multiplies,
     scaled,
     seldom,
@@ -35,8 +35,7 @@ from tirefit.slip import GRAVITY
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.prepared import Prepared
 
-_CERTAIN = 30.0
-"""Largest log odds: an error of one in 10^13, beyond which nothing changes."""
+_CERTAIN = 30.0  # largest log odds: an error of one in 10^13, beyond which nothing changes
 
 _HEIGHT, _FAR = 0.4, 6.0
 """Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
@@ -45,41 +44,32 @@ bounds in standard deviations."""
 _NO_LENGTH = 1e-12
 """A length below this share of a step counts as zero; the slope there is one-sided."""
 
-_FEW_WAYS = 1e-4
-"""Steps over the length below which the response is the first term of its series."""
-
-
-class _Quantity(NamedTuple):
-    """A quantity of the vehicle."""
-
-    key: str  # in vehicle.toml
-    stated: float  # standard error if that file states it
-    guessed: float  # standard error if it does not
+_FEW_WAYS = 1e-4  # steps over the length below which the response is the first term of its series
 
 
 _QUANTITIES = {
     # Errors over the arm of an axle (1 mm on a 1:10 car, 4 cm on a car) and over the
     # wheelbase. The yaw inertia of most vehicle files is an estimate.
-    "position": _Quantity("tracked_point", 0.03, 0.1),
-    "clock": _Quantity("clock", 0.005, 0.1),
-    "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1),
+    "position": ("tracked_point", 0.03, 0.1),
+    "clock": ("clock", 0.005, 0.1),
+    "yaw_inertia": ("yaw_inertia", 0.3, 1.0),
 }
-"""Key of ``[vehicle]`` in rig.toml -> the quantity whose standard error it states."""
+"""Key of ``[vehicle]`` in rig.toml -> key of the quantity in vehicle.toml, and its standard error
+if that file states it, and if it does not."""
 
 
 def _error(key: str, prepared: "Prepared", rig: Rig) -> tuple[float | None, bool]:
     """Standard error [m, s, share], and whether it or the quantity is stated; None if the
     force was measured and neither is stated."""
-    of, derived = _QUANTITIES[key], prepared.derived
+    (name, *errors), derived = _QUANTITIES[key], prepared.derived
     if key in rig.vehicle:
         return rig.vehicle[key], True
     if derived is None:
         return None, False
     constants = prepared.data.source.constants
-    stated = of.key in constants
-    error = of.stated if stated else of.guessed
+    error = errors[0 if (stated := name in constants) else 1]
     if key == "clock" and stated:
-        error = constants[of.key]
+        error = constants[name]
     if key == "position":
         # The wheelbase, if not stated, is about twice the arm of an axle.
         error *= derived.arm if stated else constants.get("wheelbase", 2 * derived.arm)
@@ -104,19 +94,15 @@ def _of_quantity(key: str, prior: Prior, prepared: "Prepared", rig: Rig) -> Prio
 
 
 def of_a_known_position(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
-    """Prior of an error of the tracked point along the vehicle.
-
-    It is the error that ``tirefit derive`` estimated from the same logs; without an
-    estimate, that of a ruler for a stated point.
-    """
+    """Prior of an error of the tracked point along the vehicle: as ``tirefit derive`` estimated
+    it from the same logs; without an estimate, that of a ruler for a stated point."""
     known = error_of_point(prepared.data.source.constants)
     if known is None or "position" in rig.vehicle:
         return _of_quantity("position", prior, prepared, rig)
     error, std = known
-    reach = _FAR * std  # no error remains within the bounds
-    return prior._replace(
-        scale=std, center=error, low=min(error, 0.0) - reach, high=max(error, 0.0) + reach
-    )
+    # No error remains within the bounds.
+    low, high = min(error, 0.0) - _FAR * std, max(error, 0.0) + _FAR * std
+    return Prior(std, error, low, high)
 
 
 def odds_of_derive(prepared: "Prepared") -> float:
@@ -166,19 +152,16 @@ def said_of_motion(rows: "Prepared", rig: Rig, force: Mapping[str, np.ndarray]) 
     if derived is None:
         return ()
     observed = rows.observed["fy"]
-    missed = observed - force["fy"]
-    message = (
-        f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
-        " it shares its channels with the slip, and so does held-out data"
-    )
+    message = f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
+    message += " it shares its channels with the slip, and so does held-out data"
     if "yaw_rate" in rows.has and derived.mass is not None:
         on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
         message += (
             "; without any tire model, mass x v x yaw_rate differs from it by"
             f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
-            f" {_rms(missed):.3g} N"
+            f" {_rms(observed - force['fy']):.3g} N"
         )
-    if unstated := [of.key for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
+    if unstated := [of[0] for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
         message += f"; vehicle.toml does not state {', '.join(unstated)}: measure them"
     return (message,)
 
@@ -236,7 +219,7 @@ def _with_lag(state: State, length: float, step: Values, rows: Covariates) -> St
     return state._replace(force=force, moment=moment)
 
 
-def _delay(state: State, delay: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _delay(state: State, delay: float, constants: Constants, rows: Covariates) -> State:
     """Delay the slip, or the forces (at the delayed slip and load), or filter the
     forces by a first-order lag with the delay as time constant [s]."""
     _, force, filtered = constants
@@ -248,9 +231,8 @@ def _delay(state: State, delay: float, constants: tuple[float, ...], rows: Covar
     return state._replace(shift=state.shift + _late(rows.past, delay, rows))
 
 
-def _relax(state: State, length: float, constants: tuple[float, ...], rows: Covariates) -> State:
-    _, force = constants
-    if force:
+def _relax(state: State, length: float, constants: Constants, rows: Covariates) -> State:
+    if constants[1]:
         return _with_lag(state, length, rows.step, rows)
     return state._replace(shift=state.shift + lag(length, rows.step)(rows.past))
 
@@ -259,35 +241,30 @@ def _steer(late: Callable[..., Any]) -> Callable[..., Any]:
     """Change by a road wheel angle that differs from the logged one by ``late(past,
     amplitude, rows)`` (n,) [rad]; a force derived across the wheels turns with them."""
 
-    def change(
-        state: State, amplitude: float, constants: tuple[Any, ...], rows: Covariates
-    ) -> State:
+    def change(state: State, amplitude: float, constants: Constants, rows: Covariates) -> State:
         slip, turned = rows.past[:, AHEAD], late(rows.steered, amplitude, rows)
-        return state._replace(
-            shift=state.shift + xp.tan(xp.arctan(slip) - turned) - slip,
-            force=state.force + rows.pivot * turned,
-        )
+        shift = state.shift + xp.tan(xp.arctan(slip) - turned) - slip
+        return state._replace(shift=shift, force=state.force + rows.pivot * turned)
 
     return change
 
 
-def _of_a_known_clock(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
-    """Prior of a delay between channels of one log."""
-    known = _of_quantity("clock", prior, prepared, rig)
-    return _within_the_past(known, prepared, rig)
-
-
-_PAST = {
-    "channel_delay": code(_delay, prior=_of_a_known_clock),
-    "relaxation_length": code(_relax),
-    "steering_delay": code(_steer(_late), prior=_within_the_past),
-    "steering_lag": code(_steer(lambda past, a, rows: lag(a, rows.interval)(past))),
+_PAST: Code = {
+    # A delay between channels of one log.
+    "channel_delay": dict(
+        change=_delay,
+        prior=lambda prior, rows, rig: _within_the_past(
+            _of_quantity("clock", prior, rows, rig), rows, rig
+        ),
+    ),
+    "relaxation_length": _relax,
+    "steering_delay": dict(change=_steer(_late), prior=_within_the_past),
+    "steering_lag": _steer(lambda past, a, rows: lag(a, rows.interval)(past)),
 }
 
 
 _ALL_BUT, _DOUBLED = 0.95, -3.0
-"""Largest share of the friction that the other force uses, and largest share that it
-adds (the friction is then doubled)."""
+"""Largest share of the friction that the other force uses, and that it adds: it then doubles."""
 
 _ALIKE, _ONE_LOAD = 0.9, 0.1
 """Limits of an effect of speed or load: with a larger correlation of speed and slip, or a
@@ -297,20 +274,18 @@ _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope of the ground; opposite ones have the opposite sign."""
 
 
-def _slip_speed(share: float, constants: tuple[float, ...], rows: Covariates) -> Values:
+def _slip_speed(share: float, constants: Constants, rows: Covariates) -> Values:
     """Slip due to a radius that grows with v or v^2; zero at rest or at usual speed."""
-    even, square, about = constants
-    grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
-    return share * (grown - about * rows.cruise)
+    grown = blend(constants[:2], rows.v, rows.v**2 / rows.cruise)
+    return share * (grown - constants[2] * rows.cruise)
 
 
-def _drag(share: float, constants: tuple[float, ...], rows: Covariates) -> Values:
+def _drag(share: float, constants: Constants, rows: Covariates) -> Values:
     ratio = rows.v / rows.cruise
-    drag = share * blend(constants, ratio, ratio**2)
-    return PER_MILLE * rows.load * drag
+    return PER_MILLE * rows.load * (share * blend(constants, ratio, ratio**2))
 
 
-def _ellipse(state: State, share: float, constants: tuple[float, ...], rows: Covariates) -> State:
+def _ellipse(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     """Factor on the friction, or on the whole force."""
     (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
@@ -332,54 +307,53 @@ def _one_load(prepared: "Prepared") -> float:
     return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
 
 
-def _slope(slope: float, constants: tuple[float, ...], rows: Covariates) -> np.ndarray:
+def _slope(slope: float, constants: Constants, rows: Covariates) -> np.ndarray:
     along, across = constants
     towards = along * xp.cos(rows.heading) + across * xp.sin(rows.heading)
     return slope * rows.load * rows.fz * towards
 
 
-def _of_the_axle(factor: Callable[..., Any]) -> dict[str, Any]:
+def _of_the_axle(factor: Callable[..., Any]) -> Callable[..., Any]:
     """A factor that depends on the lateral acceleration, on friction, stiffness or both."""
 
-    def change(
-        state: State, amplitude: float, constants: tuple[float, ...], rows: Covariates
-    ) -> State:
-        friction, stiffness = constants
+    def change(state: State, amplitude: float, constants: Constants, rows: Covariates) -> State:
         times = xp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
-        return state._replace(
-            friction=state.friction * times**friction, stiffness=state.stiffness * times**stiffness
-        )
+        friction, stiffness = (times**power for power in constants)
+        friction, stiffness = state.friction * friction, state.stiffness * stiffness
+        return state._replace(friction=friction, stiffness=stiffness)
 
-    return code(change)
+    return change
 
 
 CODE: Code = {
     **_PAST,
-    "slip_offset_load": code(
-        adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), odds=_one_load
+    "slip_offset_load": dict(
+        change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), odds=_one_load
     ),
-    "slip_offset_speed": code(adds("shift", _slip_speed), odds=_one_speed_of_the_slip),
-    "speed_zero": code(
-        adds("shift", lambda a, _, rows: a / rows.pace), odds=_one_speed_of_the_slip
+    "slip_offset_speed": dict(change=adds("shift", _slip_speed), odds=_one_speed_of_the_slip),
+    "speed_zero": dict(
+        change=adds("shift", lambda a, _, rows: a / rows.pace), odds=_one_speed_of_the_slip
     ),
-    "speed_drag": code(adds("force", _drag), odds=_one_speed_of_the_slip),
-    "friction_ellipse": code(_ellipse, prior=of_a_known_force),
-    "tracked_point": code(
-        adds("shift", lambda a, _, rows: a * rows.yaw),
+    "speed_drag": dict(change=adds("force", _drag), odds=_one_speed_of_the_slip),
+    "friction_ellipse": dict(change=_ellipse, prior=of_a_known_force),
+    "tracked_point": dict(
+        change=adds("shift", lambda a, _, rows: a * rows.yaw),
         odds=odds_of_derive,
         prior=of_a_known_position,
     ),
-    "load_transfer": code(
-        multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
+    "load_transfer": dict(
+        change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
         prior=of_a_known_height,
     ),
-    "yaw_inertia": code(adds("force", lambda a, _, rows: a * rows.swing), prior=of_a_known_inertia),
-    "floor_slope": code(
-        adds("force", _slope),
+    "yaw_inertia": dict(
+        change=adds("force", lambda a, _, rows: a * rows.swing), prior=of_a_known_inertia
+    ),
+    "floor_slope": dict(
+        change=adds("force", _slope),
         variants=tuple((float(np.cos(d)), float(np.sin(d))) for d in _DIRECTIONS),
     ),
-    "toe": code(adds("shift", lambda a, _, rows: a * rows.lean)),
+    "toe": adds("shift", lambda a, _, rows: a * rows.lean),
     "lateral_load_transfer": _of_the_axle(lambda a, lean: 1 - a * lean**2),
     "unlike_tires": _of_the_axle(lambda a, lean: 1 + a * lean),
-    "steering_gain": code(adds("shift", lambda a, _, rows: a * rows.steering)),
+    "steering_gain": adds("shift", lambda a, _, rows: a * rows.steering),
 }

@@ -175,6 +175,12 @@ class Case(Concluded):
         return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)
 
     @cached_property
+    def natural(self) -> tuple[np.ndarray, np.ndarray]:
+        """The ``parameters`` in their own units, and their standard errors."""
+        values, (z, spread) = self.base.tire.layout.vector, self.parameters
+        return values(z), np.abs(values(z + spread) - values(z - spread)) / 2
+
+    @cached_property
     def widening(self) -> float:
         """Factor on the variance of amplitudes: mean square of the remainder, times its
         rows per independent row; one if the remainder is noise."""
@@ -221,34 +227,25 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     Args:
         at: the base fit at the slips that the forces are wanted for.
     """
-    smooth, deviation = _smoothed_remainder(case)
-    forces, n = _both(case, at), case.base.rows.n
-    for k, (channel, parts) in enumerate(forces.items()):
-        scale = np.asarray(case.base.design.scale[channel])[:n]
-        part = slice(k * n, (k + 1) * n)
-        gap = parts["extended"] - parts["base"] + smooth[part] * scale
-        parts |= {"gap": gap, "gap_std": deviation[part] * scale}
-    return forces
-
-
-def _smoothed_remainder(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened smooth remainder of the chosen fit and the standard deviation of the
-    located gap, (m,) each; the remainder is zero if the verdict explains all."""
-    base, fit, p = case.base, case.chosen, len(case.chosen.z)
+    base, fit, p, n = case.base, case.chosen, len(case.chosen.z), case.base.rows.n
     columns = base.columns_at(fit)
     # The gap of a simulator includes the error of its parameters; a form that is refitted
     # without the effects takes over what its parameters can represent.
     first = 0 if base.simulator else p
     moved = columns if base.simulator else without(columns[:, p:], columns[:, :p])
-    known = fit.covariance[first:, first:]
-    variance = np.einsum("mi,ij,mj->m", moved, known, moved)
-    smooth = np.zeros(len(variance))
+    variance = np.einsum("mi,ij,mj->m", moved, fit.covariance[first:, first:], moved)
+    smooth = np.zeros(len(variance))  # whitened; zero if the verdict explains all
     if case.verdict.unlisted > POLICY.likely or not case.verdict.key:
         value, root = Beside(base.discrepancy.additive, fit).best()
         shapes = beside(base, fit)
         smooth = shapes @ value
         variance = variance + np.sum((shapes @ root) ** 2, axis=1)
-    return smooth, np.sqrt(np.maximum(variance, 0))
+    deviation, forces = np.sqrt(np.maximum(variance, 0)), _both(case, at)
+    for k, (channel, parts) in enumerate(forces.items()):
+        scale, part = np.asarray(base.design.scale[channel])[:n], slice(k * n, (k + 1) * n)
+        gap = parts["extended"] - parts["base"] + smooth[part] * scale
+        parts |= {"gap": gap, "gap_std": deviation[part] * scale}
+    return forces
 
 
 def beside(base: Base, fit: Fit) -> np.ndarray:
@@ -272,9 +269,10 @@ def all_rows(
             parts["gap"] = parts["extended"] - parts["base"] + rest
             parts["gap_std"] = np.interp(every, kept, few["gap_std"])
         rows = forces
-    spread_out: dict[str, dict[str, np.ndarray]] = {}
-    for channel, parts in rows.items():
-        spread_out[channel] = {name: np.full(len(data), np.nan) for name in parts}
-        for name, values in parts.items():
-            spread_out[channel][name][data.used] = values
-    return spread_out
+
+    def spread_out(values: np.ndarray) -> np.ndarray:
+        every = np.full(len(data), np.nan)
+        every[data.used] = values
+        return every
+
+    return {c: {name: spread_out(x) for name, x in parts.items()} for c, parts in rows.items()}

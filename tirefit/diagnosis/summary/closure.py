@@ -14,30 +14,21 @@ from scipy.special import softmax, stdtrit
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, Step, jackknife_error
-from tirefit.diagnosis.rows.fits import missed_share, refit
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, jackknife_error
+from tirefit.diagnosis.rows.fits import refit
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base, on_rows
 from tirefit.diagnosis.summary.case import Case, Concluded, beside
-from tirefit.diagnosis.summary.result import (
-    Change,
-    HeldOut,
-    Part,
-    Shrinkage,
-    SimulatorSummary,
-    Surrogate,
-)
+from tirefit.diagnosis.summary.result import Change, HeldOut, Part, Shrinkage
 
 DRAWS = 400  # number of draws and bootstrap samples; 20 are beyond each end of 90 %
 INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
-_RESOLVED = 3.0
-"""A gap is resolved if its energy exceeds noise by this many standard deviations."""
+_RESOLVED = 3.0  # a gap is resolved if its energy exceeds noise by this many standard deviations
 WORST = -1.0  # lower limit of the closure: the gap has doubled
 _BLOCKS = 60  # largest number of blocks of a record
 _SETS = 3  # number of the most probable sets of effects in the draws
-_SIZES = np.geomspace(0.03, 30, 16)
-"""Sizes of a smooth remainder, in usual changes, all equally likely."""
+_SIZES = np.geomspace(0.03, 30, 16)  # of a smooth remainder, in usual changes, equally likely
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Remainder of other shapes, over the smooth one: median, and standard deviation of the
 logarithm. Development trials have .2 to .6."""
@@ -49,22 +40,20 @@ def plausible_forces(case: Case, generator: np.random.Generator) -> dict[str, np
     """Draws of the true force of every used row at its measured slip: (n, draws) by
     channel. Each is of one set of effects, by its probability in a ``Case``, with an
     error of its parameters and a smooth remainder."""
-    base, weighed, at = case.base, case.weighed, case.base.measured
+    base, weighed, channels = case.base, case.weighed, case.base.rows.channels
     total = {k: alone + weighed.beside.get(k, 0.0) for k, alone in weighed.sets.items()}
     likely = sorted(total, key=lambda key: -total[key])[:_SETS]
     chances = np.array([total[key] for key in likely])
-    counts = generator.multinomial(DRAWS, chances / chances.sum())
-    drawn: dict[str, list[Any]] = {channel: [] for channel in base.rows.channels}
+    counts, drawn = generator.multinomial(DRAWS, chances / chances.sum()), []
     for key, count in zip(likely, counts, strict=True):
-        if not count:
-            continue
-        fit = weighed.best_of[key]
-        force = at.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-        off = np.split(_off(base, fit, count, generator), len(drawn))
-        for (channel, parts), own in zip(drawn.items(), off, strict=True):
-            scale = np.asarray(base.design.scale[channel])[: base.rows.n, None]
-            parts.append(force[channel][:, None] + scale * own)
-    return {channel: np.concatenate(parts, axis=1) for channel, parts in drawn.items()}
+        if count:
+            fit = weighed.best_of[key]
+            force = base.measured.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
+            off = np.split(_off(base, fit, count, generator), len(channels))
+            scales = (np.asarray(base.design.scale[c])[: base.rows.n, None] for c in channels)
+            pairs = zip(channels, scales, off, strict=True)
+            drawn.append([force[c][:, None] + scale * own for c, scale, own in pairs])
+    return {c: np.concatenate(x, axis=1) for c, *x in zip(channels, *drawn, strict=True)}
 
 
 def _off(base: Base, fit: Fit, count: int, generator: np.random.Generator) -> np.ndarray:
@@ -81,25 +70,28 @@ def _off(base: Base, fit: Fit, count: int, generator: np.random.Generator) -> np
     return own + discrepancy + rms * generator.standard_normal(discrepancy.shape)
 
 
-def _closed(gap: Any, left: np.ndarray) -> np.ndarray:
+def _closed(gap: Any, left: Any) -> np.ndarray:
     """1 - root of (remaining energy / energy of the gap), at least -1."""
     ratio = np.asarray(left) / np.maximum(gap, NONZERO)
     return np.maximum(1 - np.sqrt(ratio), WORST)
 
 
-def _is_resolvable(gap: float, variance: np.ndarray, inflation: float) -> bool:
-    effective = max(len(variance) / inflation, 1.0)
-    return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
-
-
 def _shrinkage(
-    rms: float, closed: np.ndarray, fewer: Sequence[float], resolvable: bool
+    energy: float,
+    closed: np.ndarray,
+    fewer: Sequence[float],
+    least: float,
+    variance: np.ndarray,
+    inflation: float,
 ) -> Shrinkage:
-    """From the rms [N] of the gap, its closure in draws (d,), and the median closure
-    with each run left out (R,)."""
+    """From the mean square [N^2] of the gap, its closure in draws (d,), the median closure
+    with each run left out (R,), and the ``least`` energy by which the gap is resolved."""
+    effective = max(len(variance) / inflation, 1.0)
+    resolvable = bool(least >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
     middle, (low, high) = float(np.median(closed)), np.quantile(closed, INTERVAL)
     if len(fewer):
         low, high = of_so_few_runs(middle, low, high, np.asarray(fewer))
+    rms = float(np.sqrt(max(energy, 0.0)))
     return Shrinkage(
         rms=rms,
         resolvable=resolvable,
@@ -130,12 +122,9 @@ def closure_on_rows(
     gaps, rests = (truth - before[:, None]) ** 2, (truth - after[:, None]) ** 2
     gap = gaps.mean(axis=0)
     one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
-    return _shrinkage(
-        float(np.sqrt(np.median(gap))),
-        _closed(gap, rests.mean(axis=0)),
-        [np.median(_closed(*means)) for means in one_less],
-        _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation),
-    )
+    fewer = [np.median(_closed(*means)) for means in one_less]
+    least, closed = float(np.quantile(gap, INTERVAL[0])), _closed(gap, rests.mean(axis=0))
+    return _shrinkage(float(np.median(gap)), closed, fewer, least, variance, inflation)
 
 
 def closure_elsewhere(
@@ -169,12 +158,9 @@ def closure_elsewhere(
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
     # The gain varies with the remaining energy as it does between bootstrap samples.
-    return _shrinkage(
-        float(np.sqrt(max(gained + left, 0.0))),
-        closed(means[np.argsort(means[:, 1]), 0], left),
-        [np.median(closed(*means)) for means in without_each(terms, run)],
-        _is_resolvable(gained + left, variance, inflation),
-    )
+    drawn = closed(means[np.argsort(means[:, 1]), 0], left)
+    fewer = [np.median(closed(*means)) for means in without_each(terms, run)]
+    return _shrinkage(gained + left, drawn, fewer, gained + left, variance, inflation)
 
 
 def block_means(
@@ -219,15 +205,15 @@ def of_the_ladder(ladder: Ladder) -> HeldOut | None:
     steps = ladder.steps[:-2]
     if not steps or steps[-1].effects in ((), AS_GIVEN):
         return None
-    base, step, floor = steps[0], steps[-1], ladder.steps[-1]
-    rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
-    reach = _NINETY * step.closed_std
+    base, floor = steps[0].rms_left_out, ladder.steps[-1].rms_left_out
+    rms, closed = float(np.sqrt(max(base**2 - floor**2, 0.0))), steps[-1].closed
+    reach = _NINETY * steps[-1].closed_std
     return HeldOut(
-        rms=float(rms),
+        rms=rms,
         resolvable=True,
-        closed=step.closed,
-        closed_ci=(max(step.closed - reach, WORST), min(step.closed + reach, 1.0)),
-        remaining_rms=float((1 - step.closed) * rms),
+        closed=closed,
+        closed_ci=(max(closed - reach, WORST), min(closed + reach, 1.0)),
+        remaining_rms=(1 - closed) * rms,
         on=ladder.on,
     )
 
@@ -247,21 +233,18 @@ def held_out(
     base, rows = case.base, case.base.rows
     main, runs = rows.channels[0], 0
     scale = np.median(base.noise[main].std / rows.inputs.fz)
-    steps = fits_of(case, ladder)
+    steps, parts = fits_of(case, ladder), []
     sets = [(base.as_given, base.amplitudes())]
     sets += [
         (one.z, base.amplitudes(one.atoms, one.amplitude)) for one in (case.chosen, *steps.values())
     ]
-    parts = []
     for data in holdout:
         left_out, shown = prepare(data, rig, rows.channels), rows.shown
         if shown is not None and rows.scatter:  # only a part of the scatter is noise
             shown = min(shown, left_out.scatter)
         other = on_rows(base, prepare(data, rig, rows.channels, shown), rig)
-        observed = other.rows.observed[main]
-        missed = [observed - other.forces(*one)[main] for one in sets]
-        variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs
-        parts.append((variance, run, *missed))
+        missed = [other.rows.observed[main] - other.forces(*one)[main] for one in sets]
+        parts.append(((scale * other.rows.inputs.fz) ** 2, other.rows.run + runs, *missed))
         runs += len(data.runs)
     variance, run, before, after, *others = map(np.concatenate, zip(*parts, strict=True))
     left = {AS_GIVEN: before, **dict(zip(steps, others, strict=True))}
@@ -289,35 +272,25 @@ def on_files(
         variance: (n,) or scalar noise variance.
         on: names of the files.
     """
-    gap = np.mean(next(iter(missed.values())) ** 2 - variance)
-
-    def extended(step: Step) -> Step:
+    gap, steps = np.mean(next(iter(missed.values())) ** 2 - variance), []
+    for step in ladder.steps:
         own = missed.get(tuple(sorted(step.effects)))
-        if own is None:
-            return step
-        left = np.array([max(np.mean(own**2 - variance), 0.0)])
-        share = float(_closed(gap, left)[0])
-        closed = share if closure.resolvable else None
-        rms = float(np.sqrt(np.mean(own**2)))
-        return step._replace(rms_held_out=rms, closed_held_out=closed)
-
-    steps = tuple(map(extended, ladder.steps))
-    return HeldOut(**vars(closure), on=on), ladder._replace(steps=steps)
+        if own is not None:
+            share = float(_closed(gap, max(np.mean(own**2 - variance), 0.0)))
+            closed, rms = share if closure.resolvable else None, float(np.sqrt(np.mean(own**2)))
+            step = step._replace(rms_held_out=rms, closed_held_out=closed)
+        steps.append(step)
+    return HeldOut(**vars(closure), on=on), ladder._replace(steps=tuple(steps))
 
 
 PARAMETERS = "parameters"
-
-_DIFFERS = 2.0
-"""Standard errors from which a parameter of a simulator counts as different."""
-
-_HELD = 1e4
-"""Stiffness that holds parameters z: they move by 1e-8 of the gradient."""
+_DIFFERS = 2.0  # standard errors from which a parameter of a simulator counts as different
+_HELD = 1e4  # stiffness that holds parameters z: they move by 1e-8 of the gradient
 
 
 def subsets(players: tuple[Any, ...]) -> list[tuple[Any, ...]]:
     """All subsets of the players, the empty one first, each in the order of players."""
-    sizes = range(len(players) + 1)
-    return [chosen for size in sizes for chosen in combinations(players, size)]
+    return [x for size in range(len(players) + 1) for x in combinations(players, size)]
 
 
 def shapley(players: tuple[Any, ...], worth: Callable[[tuple[Any, ...]], float]) -> dict[Any, Any]:
@@ -348,9 +321,8 @@ def budgets_of(case: Case, generator: np.random.Generator) -> dict[str, tuple[Pa
         parts = shapley(players, closed.__getitem__)
         named = {p if p == PARAMETERS else base.atoms[p].effect.id: x for p, x in parts.items()}
         fitted = len(case.chosen.pull) * noise.inflation / base.rows.n
-        energy = max(1 - fitted, 0.0) * noise.std[used] ** 2
-        run = base.rows.run[used]
-        found[channel] = budget(named, (rest, energy, whole), run, noise.inflation, generator)
+        energies = rest, max(1 - fitted, 0.0) * noise.std[used] ** 2, whole
+        found[channel] = budget(named, energies, base.rows.run[used], noise.inflation, generator)
     return found
 
 
@@ -369,20 +341,18 @@ def budget(
         run, inflation: as in :func:`closure_elsewhere`.
     """
     terms = np.stack([*parts.values(), *rest], axis=1)
+    energies = _energies(terms.mean(axis=0))
 
-    def shares(means: np.ndarray) -> np.ndarray:
-        energies = _energies(means)
+    def shares(energies: np.ndarray) -> np.ndarray:
         return energies[..., :-1] / energies[..., -1:]
 
-    means = terms.mean(axis=0)
-    drawn = shares(block_means(terms, run, inflation, generator))
+    drawn = shares(_energies(block_means(terms, run, inflation, generator)))
     low, high = np.quantile(drawn, INTERVAL, axis=0)
     if len(fewer := without_each(terms, run)):
-        low, high = of_so_few_runs(shares(means), low, high, shares(fewer))
+        low, high = of_so_few_runs(shares(energies), low, high, shares(_energies(fewer)))
     ends = np.clip([low, high], 0.0, 1.0).T.tolist()
-    rms = np.sqrt(_energies(means)[:-1]).tolist()
-    columns = [*parts, "unexplained", "noise"], rms, shares(means).tolist()
-    return tuple(map(Part, *columns, map(tuple, ends)))
+    columns = np.sqrt(energies[:-1]).tolist(), shares(energies).tolist(), map(tuple, ends)
+    return tuple(map(Part, [*parts, "unexplained", "noise"], *columns))
 
 
 def _energies(means: np.ndarray) -> np.ndarray:
@@ -415,44 +385,26 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple[Any, ...], np.ndarr
         stuck = refit(base.tire, [(start, a) for a in guess], sets, held)
         fits = {(PARAMETERS, *s): fit for s, fit in free.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
-    missed: dict[str, dict[tuple[Any, ...], np.ndarray]] = {
-        channel: {} for channel in base.rows.channels
+    forces = {
+        subset: base.forces(z, base.amplitudes([k for k in subset if k != PARAMETERS], amplitude))
+        for subset, (z, amplitude) in fits.items()
     }
-    for subset, (z, amplitude) in fits.items():
-        index = [k for k in subset if not isinstance(k, str)]
-        forces = base.forces(z, base.amplitudes(index, amplitude))
-        for channel, force in forces.items():
-            missed[channel][subset] = base.rows.observed[channel] - force
-    return missed
+    return {
+        channel: {k: base.rows.observed[channel] - own[channel] for k, own in forces.items()}
+        for channel in base.rows.channels
+    }
 
 
 def parameter_changes(case: Case) -> Mapping[str, Change]:
     """The parameters of the simulator as given, and as measured, averaged over the sets of
     effects that these data do not rule out; empty if a form was fitted."""
-    base, changes = case.base, {}
-    if base.simulator is None:
+    layout, simulator = case.base.tire.layout, case.base.simulator
+    if simulator is None:
         return {}
-    values, (z, spread) = base.tire.layout.vector, case.parameters
-    std = np.abs(values(z + spread) - values(z - spread)) / 2
-    ends = values(base.simulator.z), values(z), std
-    for name, *one in zip(base.tire.layout.labels, *ends, strict=True):
-        changes[name] = changed(*map(float, one))
-    return changes
+    values = zip(layout.labels, layout.vector(simulator.z), *case.natural, strict=True)
+    return {name: changed(*map(float, one)) for name, *one in values}
 
 
 def changed(given: float, measured: float, error: float) -> Change:
     """A parameter of a simulator as given and as measured."""
     return Change(given, measured, error, abs(measured - given) > _DIFFERS * error)
-
-
-def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:
-    """The record of the given simulator, with the error of its stand-in ``model``, also
-    over the whole gap [N]."""
-    if base.simulator is None:
-        return None
-    given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n
-    missed = base.design.offset[main][:n]
-    off = float(np.sqrt(np.mean(missed**2)))
-    share = missed_share(base.rows, main, missed)
-    followed = Surrogate(model, off, share, off / max(gap, NONZERO))
-    return SimulatorSummary(given.kind, given.source, given.sha256, followed)

@@ -215,7 +215,13 @@ def compared(opened: Sequence[Source], level: float = LEVEL) -> Comparison:
     forces, more = differing_forces({x.name: x.tire for x in opened if x.tire}, level)
     effects = _apart({x.name: dict(x.effects) for x in opened if x.kind != "fit"}, 1)
     if shared:
-        forces = tuple(one.untested() for one in forces)
+        # Without claims, as the errors are not independent.
+        forces = tuple(
+            one._replace(
+                curves={k: x._replace(error=None, differs=False) for k, x in one.curves.items()}
+            )
+            for one in forces
+        )
         notes.append(f"{', '.join(shared)} are of the same rows: their errors are not independent")
     return Comparison(
         sources=tuple(opened),
@@ -271,11 +277,10 @@ def _farthest(one: Apart) -> Apart:
 def _joint(opened: Sequence[Source]) -> Joint | None:
     """Chi-square of the free parameters of all fits, if all have the same with a covariance."""
     fits = [one.content["prediction"] for one in opened if one.kind == "fit"]
-    if len(fits) < 2 or any(x["layout"]["free"] != fits[0]["layout"]["free"] for x in fits):
+    free = [(x["layout"]["free"], x["labels"]) for x in fits]
+    if len(fits) < 2 or any(one != free[0] for one in free) or len(fits[0]["z"]) < 2:
         return None
     z = np.array([one["z"] for one in fits])
-    if any(x["labels"] != fits[0]["labels"] for x in fits) or z.shape[1] < 2:
-        return None
     precision = np.array([np.linalg.pinv(np.array(x["covariance"]), hermitian=True) for x in fits])
     pull = np.einsum("kij,kj->i", precision, z)
     away = z - np.linalg.pinv(precision.sum(axis=0), hermitian=True) @ pull
@@ -286,14 +291,12 @@ def _joint(opened: Sequence[Source]) -> Joint | None:
 
 def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:
     """Models of the same rows, lowest AICc first."""
-    each = [one.content["fit"] for one in fits]
-    best = min(each, key=lambda s: s["rmse"])
-    rows = best["n"] * len(fits[0].content["forces"])
-    found = []
-    for one, s in zip(fits, each, strict=True):
-        said = s["minus_two_log_likelihood"], rows, best["n_effective"], s["unknowns"]
+    best = min((one.content["fit"] for one in fits), key=lambda s: s["rmse"])
+    rows, found = best["n"] * len(fits[0].content["forces"]), []
+    for one in fits:
+        s, likelihood = one.content["fit"], one.content["fit"]["minus_two_log_likelihood"]
+        scores = information(likelihood, rows, best["n_effective"], s["unknowns"])
         free, status = len(one.content["prediction"]["labels"]), one.content["verdict"]["status"]
-        scores = information(*said)
         found.append(Ranked(one.model, free, s["rmse"], *scores, s["n_effective"], status))
     return tuple(sorted(found, key=lambda one: one.aicc))
 
@@ -324,14 +327,13 @@ def standing_of(verdict: Any, untestable: Iterable[str]) -> dict[str, str]:
 def _opened(source: Any) -> Source:
     """A source from a result or a file; raises DataError or UsageError."""
     file = fspath(source) if isinstance(source, str | PathLike) else ""
+    content: Any = source.to_dict() if hasattr(source, "to_dict") else None
     if file:
         raw = content_of(file, RECORD, DataError, _REMEDY)
         try:
             content = json.loads(raw.decode("utf-8"))
-        except (ValueError, RecursionError):  # not JSON, or damaged: given_tire tells
-            content = None
-    else:
-        content = source.to_dict() if hasattr(source, "to_dict") else None
+        except (ValueError, RecursionError):
+            pass  # not JSON, or damaged: given_tire tells
     schema = content.get("schema") if isinstance(content, dict) else None
     try:
         if schema == TRAJECTORY:

@@ -14,14 +14,12 @@ from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.relaxation import Relaxed
 from tirefit.slip import CONVENTIONS, sigma_from_kappa
 
-_SLIPS, _DRAWS = 61, 100
-"""Number of slips of a curve, and of draws of its parameters."""
+_SLIPS, _DRAWS = 61, 100  # number of slips of a curve, and of draws of its parameters
 
 _Place = tuple[np.ndarray, tuple[float, ...], float]
 """Slips, loads [N] and speed [m/s] at which forces are compared."""
 
-_USUAL_SPEED = 10.0
-"""Speed [m/s] where no source states one."""
+_USUAL_SPEED = 10.0  # speed [m/s] where no source states one
 
 _ONE_LOAD = 1.2
 """Ratio of the ends of the common loads up to which the middle stands for all; two ranges that
@@ -52,11 +50,6 @@ class ForceDifference(NamedTuple):
     speed: float
     curves: Mapping[str, ForceCurve]
 
-    def untested(self) -> "ForceDifference":
-        """The same without claims: the errors are not independent."""
-        free = {k: x._replace(error=None, differs=False) for k, x in self.curves.items()}
-        return self._replace(curves=free)
-
 
 def differing_forces(
     tires: Mapping[str, GivenTire], level: float
@@ -71,18 +64,24 @@ def differing_forces(
         return (), tuple(notes)
     if len(tires) < 2:
         return (), ()
-    each = [_forces_of(given) for given in tires.values()]
-    names = [name for name in each[0] if all(name in other for other in each)]
-    limits = {name: _ranges(given) for name, given in tires.items()}
+    each = [given.content.get("forces") or modelled(given.tire) for given in tires.values()]
+    names = [x for x in each[0] if x in ("fx", "fy", "mz") and all(x in other for other in each)]
+    limits = [_ranges(given) for given in tires.values()]
+    speeds = [np.mean(one["v"]) for one in limits if "v" in one]
+    speed = float(np.mean(speeds)) if speeds else _USUAL_SPEED
     found, notes = [], []
     for name in names:
         slip = SLIPS_OF[name][0]
-        slips, loads = (_common(limits.values(), key) for key in (slip, "fz"))
+        slips, loads = (_common(limits, key) for key in (slip, "fz"))
         if slips is None or loads is None or slips[0] >= slips[1]:
             what = "slip" if loads is not None else "load"
             notes.append(f"{name} is not compared: the sources have no common range of {what}")
             continue
-        at = np.linspace(*slips, _SLIPS), _levels(loads), _speed(limits.values())
+        low, high = loads
+        levels: tuple[float, ...] = ((low + high) / 2,)
+        if high > _ONE_LOAD * max(low, 0.0):
+            levels = max(low, 0.1 * high), *levels, high
+        at = np.linspace(*slips, _SLIPS), levels, speed
         found.append(_force(name, slip, at, tires, steady, level / len(names)))
     return tuple(found), tuple(notes)
 
@@ -91,11 +90,6 @@ def _steady(given: GivenTire) -> AbstractTire | None:
     """The tire, without relaxation; None if it has no force in steady state."""
     tire = given.tire.tire if isinstance(given.tire, Relaxed) else given.tire
     return None if tire.transient else tire
-
-
-def _forces_of(given: GivenTire) -> tuple[str, ...]:
-    fitted = given.content.get("forces") or modelled(given.tire)
-    return tuple(name for name in fitted if name in ("fx", "fy", "mz"))
 
 
 def _ranges(given: GivenTire) -> dict[str, tuple[float, float]]:
@@ -128,17 +122,6 @@ def _common(
     return (low, high) if low <= high else None
 
 
-def _levels(loads: tuple[float, float]) -> tuple[float, ...]:
-    low, high = loads
-    middle = (low + high) / 2
-    return (middle,) if high <= _ONE_LOAD * max(low, 0.0) else (max(low, 0.1 * high), middle, high)
-
-
-def _speed(limits: Iterable[Mapping[str, tuple[float, float]]]) -> float:
-    known = [np.mean(one["v"]) for one in limits if "v" in one]
-    return float(np.mean(known)) if known else _USUAL_SPEED
-
-
 def _force(
     name: str,
     slip: str,
@@ -153,27 +136,18 @@ def _force(
         force = _at(steady[source], name, slip, at)
         std = None
         if given.fit is not None:
-            generator = np.random.default_rng(k)
-            drawn = given.drawn(generator, _DRAWS)
+            drawn = given.drawn(np.random.default_rng(k), _DRAWS)
             drawn = [one.tire if isinstance(one, Relaxed) else one for one in drawn]
             std = np.std([_at(one, name, slip, at) for one in drawn], axis=0)
-        free[source] = 0 if given.fit is None else given.fit[0].size
+        free[source] = () if given.fit is None else given.fit[0].labels
         curves[source] = ForceCurve(force, std)
     first, *others = curves
     for source in others:
-        count = free[first] + free[source]
-        if _same_parameters(tires[first], tires[source]):
-            count = max(free[first], free[source])
+        both = len(free[first]), len(free[source])
+        count = both[0] if free[first] == free[source] else sum(both)
         reach = np.sqrt(chdtri(max(count, 1), level / len(others)))
         curves[source] = _differing(curves[first], curves[source], slips, loads, float(reach))
     return ForceDifference(name, slip, slips, loads, speed, curves)
-
-
-def _same_parameters(one: GivenTire, other: GivenTire) -> bool:
-    """Whether two fits have the same free parameters."""
-    if one.fit is None or other.fit is None:
-        return False
-    return one.fit[0].labels == other.fit[0].labels
 
 
 def _at(tire: AbstractTire, name: str, slip: str, at: _Place) -> np.ndarray:

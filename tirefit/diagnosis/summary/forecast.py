@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import logit, ndtr
 
 from tirefit.diagnosis.engine import FLAT, UNSEEN
-from tirefit.diagnosis.engine.decide import UNKNOWN, Verdict
+from tirefit.diagnosis.engine.decide import UNKNOWN, Status, Verdict
 from tirefit.diagnosis.engine.fit import Fit, without
 from tirefit.diagnosis.engine.search import Search, Weighed
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -26,16 +26,14 @@ _FACTORS, _SMALL = (0.5, 2.0), 0.1
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
 _WORTHWHILE = 0.02
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
-_OPEN = (0.2, 0.8)
-"""Probabilities of a cause between which a further measurement is to decide."""
+_OPEN = (0.2, 0.8)  # probabilities of a cause between which a further measurement is to decide
 _STANDS_OFF = 0.5
 """Change of the size of a stand-in under other conditions, over its size: on measured logs a
 quarter to once its size, that of a cause hardly any."""
 _VARIES = 0.15
 """Standard deviation of the size of a cause between conditions, over its size: half of the
 largest one on measured logs."""
-_SAME_AGAIN = "the same again"
-_MOMENT = "the aligning moment M_z on lateral runs"
+_SAME_AGAIN, _MOMENT = "the same again", "the aligning moment M_z on lateral runs"
 
 
 def separability(columns: np.ndarray, a: int, b: int, size_a: float, size_b: float) -> float:
@@ -160,9 +158,8 @@ def _with_moment(base: Base, z: np.ndarray) -> _Block:
     n, channels = base.rows.n, ("fy", "mz")
     scale = np.asarray(base.design.scale[base.rows.channels[0]])
     none = dict.fromkeys(channels, np.zeros_like(scale))
-    rows = replace(base.rows, mode="y", channels=channels)
     design = base.design._replace(observed=none, offset=none, scale=dict.fromkeys(channels, scale))
-    tire = replace(base.tire, mode="y")
+    rows, tire = replace(base.rows, mode="y", channels=channels), replace(base.tire, mode="y")
     lateral = replace(base, rows=rows, tire=tire, design=design)
     force = lateral.forces(z, base.amplitudes())
     peaks = {c: max(float(np.max(np.abs(f))), FLAT) for c, f in force.items()}
@@ -180,9 +177,8 @@ def _told_apart(blocks: Sequence[_Block], one: tuple[int, float], two: tuple[int
     """
     width = max(jacobian.shape[1] for jacobian, _ in blocks)
     known = [np.pad(own, ((0, 0), (0, width - own.shape[1]))) for own, _ in blocks]
-    (i, size), (j, other) = one, two
-    columns = np.concatenate([columns[:, [i, j]] for _, columns in blocks])
-    return separability(without(columns, np.concatenate(known)), 0, 1, size, other)
+    columns = np.concatenate([columns[:, [one[0], two[0]]] for _, columns in blocks])
+    return separability(without(columns, np.concatenate(known)), 0, 1, one[1], two[1])
 
 
 def decided(chance: float, distance: float) -> float:
@@ -301,19 +297,14 @@ def next_measurements(
         # One of them decides whether an effect is the cause, if any can.
         first = [step for step in ranked if UNKNOWN in step.separates][:1]
         return tuple(dict.fromkeys([*first, *ranked]))[:most], None
-    return (), _reason(considered, verdict.status)
-
-
-def _reason(considered: Sequence[NextMeasurement], status: str) -> str:
-    """The reason why no further measurement is suggested."""
     if not considered:
-        return "there is only one effect that these rows can be tested for"
+        return (), "there is only one effect that these rows can be tested for"
     _, (a, b), now, _ = considered[0]
     if now > 1 - _WORTHWHILE:
         apart = f"rows like these distinguish {a} from {b} with probability {now:.2f}"
-        if status == "cannot_tell":
-            return f"{apart}, but with their present noise they do not: repeat them"
-        return apart
+        if verdict.status == Status.CANNOT_TELL:
+            apart += ", but with their present noise they do not: repeat them"
+        return (), apart
     best = max(step.p_after for step in considered if step.separates == (a, b))
     apart = f"no further measurement known here would distinguish {a} from {b}"
-    return f"{apart}: the best one with probability {best:.2f} (now {now:.2f})"
+    return (), f"{apart}: the best one with probability {best:.2f} (now {now:.2f})"

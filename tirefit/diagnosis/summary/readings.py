@@ -2,9 +2,9 @@
 the simulator's forces, by the same model with effects. A simulator that is far from the rows keeps
 its structure in every prediction of the first; the second does not need it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from tirefit.diagnosis.engine.left_out import OWN_MODEL, Step, closed_share, pre
 from tirefit.diagnosis.rows.fits import as_measured
 from tirefit.diagnosis.rows.prepared import Prepared, prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.structure import UNLIKE, Structure, structures_of
+from tirefit.diagnosis.rows.structure import UNLIKE, structures_of
 from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.result import Described, Diagnosis, Estimate, Readings
 from tirefit.models import TireInputs, forces
 from tirefit.params import with_values
 from tirefit.results import DataError
@@ -29,56 +30,16 @@ _EXACT = 0.005
 """Noise given to simulated forces, over their rms: the error of a description that is exact."""
 
 
-class Estimate(NamedTuple):
-    """A value with its standard error, and of an effect the probability to be the cause."""
-
-    value: float
-    std: float
-    unit: str
-    probability: float | None = None
-
-
-class Described(NamedTuple):
-    """Forces described by a model with effects.
-
-    ``parameters`` include the slope at zero slip, ``effects`` are those that help,
-    ``rms_left_out`` is the error on data left out [N].
-    """
-
-    parameters: Mapping[str, Estimate]
-    effects: Mapping[str, Estimate]
-    rms_left_out: float
-
-
-class Readings(NamedTuple):
-    """Both readings of a simulator.
-
-    Attributes:
-        first: "changed" if the simulator, with its parameters and effects changed, predicts
-            measured rows left out as well as the ``model`` with effects does, else "described".
-        gain: mean square by which the model predicts them better; ``gain_std`` its standard error.
-        rms_changed: rms on data left out of the changed simulator.
-        model: that describes both.
-        measured: description of the measured forces.
-        simulator: that of the simulator's; None if it has a structure that the model lacks.
-        structure: what the simulator's forces show of it.
-    """
-
-    first: str
-    gain: float
-    gain_std: float
-    rms_changed: float
-    model: str
-    measured: Described
-    simulator: Described | None
-    structure: tuple[Structure, ...]
-
-
-def readings_of(
-    case: Case, whole: Prepared, rig: Rig, model: str, study: Callable[[Prepared, Rig], Case]
-) -> tuple[Readings, Step] | None:
-    """Both readings of a simulator that was diagnosed, and the step of its ladder that the second
-    one makes; None if the model cannot be fitted.
+def with_readings(
+    result: Diagnosis,
+    case: Case,
+    whole: Prepared,
+    rig: Rig,
+    model: str,
+    study: Callable[[Prepared, Rig], Case],
+) -> Diagnosis:
+    """The diagnosis of a simulator with both readings, and with the step of its ladder that the
+    second one makes; without them if the model cannot be fitted.
 
     Args:
         case: the simulator, changed.
@@ -88,7 +49,7 @@ def readings_of(
     try:
         own = study(whole, rig)
     except DataError:
-        return None
+        return result
     # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
     left = predicted(own.search.subject, [own.chosen], own.search.null, folds).loss[:, 0]
@@ -112,7 +73,10 @@ def readings_of(
         itself,
         structure,
     )
-    return both, step
+    steps, simulator = result.ladder.steps, result.simulator
+    ladder = result.ladder._replace(steps=(*steps[:-2], step, *steps[-2:]))
+    assert simulator is not None, "the diagnosis is that of a simulator"
+    return replace(result, ladder=ladder, simulator=simulator._replace(readings=both))
 
 
 def _of_simulator(whole: Prepared, rig: Rig, study: Callable[..., Any]) -> Described | None:
@@ -138,10 +102,8 @@ def _loss(case: Case) -> np.ndarray:
 
 def _described(case: Case, rms: float) -> Described:
     base, p, (z, spread) = case.base, len(case.chosen.z), case.parameters
-    layout = base.tire.layout
-    errors = np.abs(layout.vector(z + spread) - layout.vector(z - spread)) / 2
-    values = zip(layout.labels, layout.vector(z), errors, strict=True)
-    units = {one.name: one.spec.unit for one in layout.free}
+    values = zip(base.tire.layout.labels, *case.natural, strict=True)
+    units = {one.name: one.spec.unit for one in base.tire.layout.free}
     parameters = {k: Estimate(float(v), float(e), units.get(k, "")) for k, v, e in values}
     steps = _STEP * np.eye(p)
     slope = np.array([_slope(case, z + step) - _slope(case, z - step) for step in steps])

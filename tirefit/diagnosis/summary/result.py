@@ -21,8 +21,8 @@ from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
 from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
+from tirefit.diagnosis.rows.structure import Structure
 from tirefit.diagnosis.summary.case import Untestable
-from tirefit.diagnosis.summary.readings import Readings
 from tirefit.diagnosis.summary.views import (
     Comparison,
     DataSummary,
@@ -58,15 +58,9 @@ class NoiseSummary:
     def as_json(self) -> Mapping[str, Any]:
         """Each level under the name of its column."""
         slip = {self.slip_name: self.slip, f"{self.slip_name}_source": self.slip_source}
-        return {
-            **self.forces,
-            **(slip if self.slip_name else {}),
-            "source": self.source,
-            "flags": self.flags,
-            "inflation": self.inflation,
-            "outliers": self.outliers,
-            "excess": self.excess,
-        }
+        others = ("source", "flags", "inflation", "outliers", "excess")
+        named = {name: getattr(self, name) for name in others}
+        return {**self.forces, **(slip if self.slip_name else {}), **named}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,6 +171,51 @@ class Surrogate(NamedTuple):
     rms: float
     of_force: float
     of_gap: float
+
+
+class Estimate(NamedTuple):
+    """A value with its standard error, and of an effect the probability to be the cause."""
+
+    value: float
+    std: float
+    unit: str
+    probability: float | None = None
+
+
+class Described(NamedTuple):
+    """Forces described by a model with effects.
+
+    ``parameters`` include the slope at zero slip, ``effects`` are those that help,
+    ``rms_left_out`` is the error on data left out [N].
+    """
+
+    parameters: Mapping[str, Estimate]
+    effects: Mapping[str, Estimate]
+    rms_left_out: float
+
+
+class Readings(NamedTuple):
+    """Both readings of a simulator.
+
+    Attributes:
+        first: "changed" if the simulator, with its parameters and effects changed, predicts
+            measured rows left out as well as the ``model`` with effects does, else "described".
+        gain: mean square by which the model predicts them better; ``gain_std`` its standard error.
+        rms_changed: rms on data left out of the changed simulator.
+        model: that describes both.
+        measured: description of the measured forces.
+        simulator: that of the simulator's; None if it has a structure that the model lacks.
+        structure: what the simulator's forces show of it.
+    """
+
+    first: str
+    gain: float
+    gain_std: float
+    rms_changed: float
+    model: str
+    measured: Described
+    simulator: Described | None
+    structure: tuple[Structure, ...]
 
 
 class SimulatorSummary(NamedTuple):
@@ -332,6 +371,11 @@ class Diagnosis(Record):
         helping = {*self.verdict.helping}
         return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
 
+    @property
+    def readings(self) -> Readings | None:
+        """Both readings of a simulator; None without."""
+        return self.simulator.readings if self.simulator else None
+
     def to_frame(self) -> "pandas.DataFrame":
         """The base parameters, the gap and the sizes of the effects that help as a pandas data
         frame: columns kind, name, value, std, unit."""
@@ -385,15 +429,13 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
         header = data.source.columns.get(channel, channel)
         # A difference of forces is converted like a force, as their units have no offset.
         own = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
-        for name in ("sim", "tuned", "base", "extended", "gap"):
-            if name in own:  # only a simulator has forces as given and tuned
-                out[f"{name}_{channel}"] = own[name]
+        # Only a simulator has forces as given and tuned.
+        shown = (x for x in ("sim", "tuned", "base", "extended", "gap") if x in own)
+        out |= {f"{name}_{channel}": own[name] for name in shown}
         out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
     out["masked"] = (~data.used).astype(int)
-    if data.source.place is None:
-        return out
-    in_file = np.argsort(data.source.place)
-    return {name: values[in_file] for name, values in out.items()}
+    place = data.source.place
+    return out if place is None else {name: x[np.argsort(place)] for name, x in out.items()}
 
 
 def record_of_document(path: Path) -> FileRecord:
@@ -414,9 +456,8 @@ def record_of(content: Mapping[str, Any], path: str = "") -> FileRecord:
     rows += [Row("gap", "closed", gap["closed"])]
     rows += [Row("gap", "probability", verdict["probability"])]
     best = (one for one in content["candidates"] if set(one["effects"]) == helping - {UNKNOWN})
-    for name, amplitude in next(best, {"parameters": {}})["parameters"].items():
-        value, std, unit = (amplitude[k] for k in ("value", "std", "unit"))
-        rows.append(Row("effect", name, value, std, unit=unit))
+    sizes: Mapping[str, Any] = next(best, {"parameters": {}})["parameters"]
+    rows += [Row("effect", k, x["value"], x["std"], unit=x["unit"]) for k, x in sizes.items()]
     status = ": ".join(filter(None, [verdict["status"], ", ".join(verdict["effects"])]))
     return FileRecord(
         data["path"],

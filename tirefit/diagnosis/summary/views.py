@@ -79,8 +79,8 @@ def adjusted(p_values: np.ndarray, dependent: bool = False) -> np.ndarray:
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
     """The file of a diagnosis: the table as it was read, with the fit to its rows."""
-    messages = base.simulator.doubt if base.simulator else ""
-    doubts = (f"warning: {messages}",) if messages else ()
+    doubt = base.simulator.doubt if base.simulator else ""
+    doubts = (f"warning: {doubt}",) if doubt else ()
     return DataSummary(
         name=data.name,
         path=data.source.path,
@@ -109,14 +109,6 @@ def covariates_of(base: Base) -> dict[str, np.ndarray]:
     return found | {name: rows.column(name) for name in others if name in rows.has}
 
 
-def _chance(base: Base, residual: np.ndarray, rows: np.ndarray) -> float:
-    """p-value of the whitened misfit of ``rows``: chi-squared of the sums over
-    neighbours in slip. The residual has the rows' inflation in it already."""
-    ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
-    groups = np.array_split(ordered, max(len(rows) // FEWEST_ROWS, 1))
-    return float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
-
-
 def binned(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Bin (n,) of each value, edges (k + 1,) of at most ``count`` equally full bins."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, max(count, 1) + 1)))
@@ -139,9 +131,14 @@ def regions(base: Base, residual: np.ndarray, gap: np.ndarray) -> list[Region]:
             lows, highs = edges[:-1], edges[1:]
         for k, (low, high) in enumerate(zip(lows, highs, strict=True)):
             rows = np.flatnonzero(code == k)
-            if len(rows) >= FEWEST_ROWS:
-                p, share = _chance(base, residual, rows), float(energy[rows].sum())
-                found.append(Region(name, float(low), float(high), share, p))
+            if len(rows) < FEWEST_ROWS:
+                continue
+            # Chi-squared of the sums over neighbours in slip.
+            ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
+            groups = np.array_split(ordered, max(len(rows) // FEWEST_ROWS, 1))
+            p = float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
+            share = float(energy[rows].sum())
+            found.append(Region(name, float(low), float(high), share, p))
     if not found:
         return []
     chances = adjusted(np.array([one.p_value for one in found]), dependent=True)
@@ -154,8 +151,7 @@ _BANDS, _BINS, _STEPS = 5, 13, 60
 
 _FEWEST = 4  # smallest number of rows of a cell for its scatter to be known
 _TENTHS = (0.1, 0.9)  # quantiles that hold 80 % of the rows of a bin
-_BETTER = 0.05
-"""Another map replaces that over the load if it shows more energy by this share."""
+_BETTER = 0.05  # another map replaces that over the load if it shows more energy by this share
 _SHOWN = 0.05  # smallest probability of a function of the remainder that is reported
 _POINTS, _CURVES = 300, 3  # largest numbers of points and curves in a figure
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
@@ -175,6 +171,17 @@ class ShownRows(NamedTuple):
     base: np.ndarray  # [N]
     extended: np.ndarray  # [N]
     gap: np.ndarray  # [N], located
+
+    @property
+    def within(self) -> np.ndarray:
+        """The slip fraction, at most that of full sliding."""
+        return np.clip(self.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+
+    def bins(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
+        columns = min(len(self.slip) // (FEWEST_ROWS * count), _BINS)
+        # With an odd number, zero slip, where noise changes the sign, is within one cell.
+        return binned(self.within, columns | 1)
 
 
 class ResidualMap(NamedTuple):
@@ -249,14 +256,6 @@ def _levels(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return codes, np.stack([edges[:-1], edges[1:]], axis=1)
 
 
-def _in_columns(rows: ShownRows, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
-    inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    columns = min(len(inside) // (FEWEST_ROWS * count), _BINS)
-    # With an odd number, zero slip, where noise changes the sign, is within one cell.
-    return binned(inside, columns | 1)
-
-
 def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> ResidualMap:
     """The map over slip fraction and the covariate that shows most of the gap; the load,
     unless another covariate shows 5 % more.
@@ -269,7 +268,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     most, found = -np.inf, list[Any]()
     for covariate, values in (rows.covariates or {"fz": rows.load}).items():
         level, ends = _levels(values)
-        column, edges = _in_columns(rows, len(ends))
+        column, edges = rows.bins(len(ends))
         cell = level * (len(edges) - 1) + column
         each = cells(cell, len(ends) * (len(edges) - 1), residual)
         count, mean, std = each
@@ -290,40 +289,30 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     return ResidualMap(rows.channel, covariate, ends, edges, *(x.reshape(shape) for x in shown))
 
 
-def _load_curve(
-    load: tuple[float, float],
-    slip: np.ndarray,
-    force: np.ndarray,
-    base: np.ndarray,
-    extended: np.ndarray,
-) -> LoadCurve:
-    codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
-    bins = [codes == k for k in np.unique(codes)]
-    # The force rises with slip within a bin: spread only the part of the extension.
-    spread = [np.quantile((extended - base)[rows], _TENTHS) for rows in bins]
-    # The slip of a nearly locked wheel is unbounded, so do not average it.
-    center = np.array([np.median(slip[rows]) for rows in bins])
-    before, after = _means(codes, base, extended)
-    points = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
-    return LoadCurve(
-        load, slip[points], force[points], center, before, after, *(before + np.array(spread).T)
-    )
-
-
 def compared(rows: ShownRows, named: bool) -> Comparison:
     """Both fits and the data at up to three loads, and their residuals over slip. If no
     effect is named, the base with the located gap replaces the extension."""
     after = rows.extended if named else rows.base + rows.gap
-    codes, ends = _levels(rows.load)
-    there, each = np.unique(codes), (rows.slip, rows.observed, rows.base, after)
-    chosen = np.unique(there[np.linspace(0, len(there) - 1, _CURVES).astype(int)])
-    curves = tuple(
-        _load_curve(tuple(ends[k].tolist()), *(x[codes == k] for x in each)) for k in chosen
-    )
+    level, ends = _levels(rows.load)
+    there, curves = np.unique(level), []
+    for k in np.unique(there[np.linspace(0, len(there) - 1, _CURVES).astype(int)]):
+        each = (x[level == k] for x in (rows.slip, rows.observed, rows.base, after))
+        slip, force, base, extended = each
+        codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
+        bins = [codes == code for code in np.unique(codes)]
+        # The slip of a nearly locked wheel is unbounded, so do not average it.
+        center = np.array([np.median(slip[own]) for own in bins])
+        means = _means(codes, base, extended)
+        # The force rises with slip within a bin: spread only the part of the extension.
+        spread = np.array([np.quantile((extended - base)[own], _TENTHS) for own in bins])
+        some = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
+        shown = slip[some], force[some], center, *means, *(means[0] + spread.T)
+        curves.append(LoadCurve(tuple(ends[k].tolist()), *shown))
     missed = [(rows.observed - x) ** 2 for x in (rows.base, after)]
-    inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    center, *squares = _means(_in_columns(rows, 1)[0], inside, *missed)
-    return Comparison(rows.channel, rows.slip_name, named, curves, center, *map(np.sqrt, squares))
+    center, *squares = _means(rows.bins(1)[0], rows.within, *missed)
+    return Comparison(
+        rows.channel, rows.slip_name, named, tuple(curves), center, *map(np.sqrt, squares)
+    )
 
 
 class LookCurve(NamedTuple):
@@ -343,25 +332,16 @@ def look_curves(case: Case) -> tuple[LookCurve, ...]:
     if an unlisted effect is unlikely."""
     if case.verdict.unlisted <= POLICY.likely:
         return ()
-    return tuple(
-        _look_curve(found)
-        for found in case.base.discrepancy.found(case.chosen)
-        if found.probability > _SHOWN
-    )
+    found = case.base.discrepancy.found(case.chosen)
+    return tuple(_look_curve(one) for one in found if one.probability > _SHOWN)
 
 
 def _look_curve(found: Found) -> LookCurve:
     cell, usual = found.cell, PARAMETERS[found.cell.quantity][1]
     change = usual * found.value
     largest = int(np.argmax(np.abs(change)))
-    look = Look(
-        cell.quantity,
-        cell.covariate,
-        found.is_wave,
-        float(cell.places[-1] if found.is_wave else cell.places[largest]),
-        float(change[largest]),
-        found.probability,
-        found.explains,
-    )
+    at = float(cell.places[-1 if found.is_wave else largest])
+    sizes = float(change[largest]), found.probability, found.explains
+    look = Look(cell.quantity, cell.covariate, found.is_wave, at, *sizes)
     mirrored = is_mirrored(cell.quantity, cell.covariate)
     return LookCurve(look, cell.places, change, usual * found.std, mirrored, cell.settings)
