@@ -92,7 +92,7 @@ def _neighbours(ordered: np.ndarray) -> float:
 
 
 def _versions() -> dict[str, str]:
-    packages = ("jax", "optimistix", "jaxopt", "emcee", "blackjax", "numpy", "scipy")
+    packages = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
     return {"python": platform.python_version()} | {
         name: importlib.metadata.version(name) for name in packages
     }

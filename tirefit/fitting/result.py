@@ -116,7 +116,6 @@ class PosteriorSummary:
     acceptance: float  # ``importance``: effective samples per point evaluated
     outcome: Outcome
     k_hat: float | None = None  # of the weights; ``emcee``: of the weights it replaced
-    divergences: int | None = None  # of ``nuts``
     note: str = ""  # a further remark for the report
 
 

@@ -134,7 +134,7 @@ class DataConfig(Section):
 class PosteriorConfig(Section):
     """The posterior: which sampler, and how many samples."""
 
-    sampler: Literal["emcee", "nuts", "importance"] | None = None
+    sampler: Literal["emcee", "importance"] | None = None
     ensembles: int = Field(default=4, ge=4, le=1000)
     walkers: Annotated[int, Field(ge=1, le=10_000)] | None = None
     effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] | None = None

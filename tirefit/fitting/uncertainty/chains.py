@@ -2,7 +2,7 @@
 
 emcee's HDF backend was tried and is not used: it opens its file at every step, with 3.1
 ms of processor time against 0.18 ms of the step itself (64 walkers, two parameters). It
-also holds one ensemble per group, no identity of the fit and no NUTS. This file is
+also holds one ensemble per group and no identity of the fit. This file is
 replaced as a whole every few seconds: a kill loses the samples since then, which are
 drawn again identically.
 """
