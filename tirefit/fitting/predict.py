@@ -28,7 +28,7 @@ from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, beyond, tire_of
 from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire
-from tirefit.params import Values, check_values, parameter_values, with_values
+from tirefit.params import Values, check_values, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, UsageError
 
@@ -81,17 +81,11 @@ def _inputs(data: TireData) -> TireInputs:
     return TireInputs(*(np.nan_to_num(c[data.used].astype(float)) for c in columns))
 
 
-def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
-    if not layout.is_sparse:
-        return data.run[data.used]
-    unknown = [run for run in data.runs if run not in layout.runs]
-    if unknown:
-        raise DataError(
-            f"the fit has no parameters for the runs {', '.join(unknown)}",
-            f"it knows {', '.join(layout.runs)}",
-            data.file,
-        )
-    return np.array([layout.runs.index(run) for run in data.runs])[data.run[data.used]]
+def _check_needs(data: TireData, tire: AbstractTire, name: str) -> None:
+    """Raises DataError if the data lack an input of the tire."""
+    require(data, ("fz", *tire.needs), f"the model {name}")
+    if tire.transient:
+        check_time_series(data, name)
 
 
 def predict(
@@ -132,28 +126,21 @@ def predict(
         return _of_model(given, name, data, values or {})
     if values:
         raise UsageError("values together with a fit, which has its own", "leave them out")
-    if isinstance(given, MagicFormulaFit):
-        given = given.stored
-    noise: Mapping[str, Mapping[str, Any]]
-    if isinstance(given, FitResult):
-        problem = given.problem
-        tire, layout, name = problem.model, problem.layout, given.model
-        noise = {force: given.noise[force] for force in given.forces}
-        reference = given.reference
+    fit = given if isinstance(given, StoredFit) else given.stored
+    tire, layout, noise = fit.tire, fit.layout, fit.noise
+    _check_needs(data, tire, name)
+    if isinstance(tire, MFTire):
+        force, variance = magic_formula_forces(fit, tuple(noise), _inputs(data))
     else:
-        tire, layout, name, noise = (given.tire, given.layout, given.model, given.noise)
-        reference = given.content["reference"]
-    require(data, ("fz", *tire.needs), f"the model {name}")
-    if tire.transient:
-        check_time_series(data, name)
-    if isinstance(tire, MFTire) and isinstance(given, StoredFit):
-        force, variance = magic_formula_forces(given, tuple(noise), _inputs(data))
-    else:
-        force, variance = predict_forces(
-            tire, layout, given.z, given.covariance, _inputs(data), _run_codes(data, layout)
-        )
+        codes = data.run[data.used]
+        if layout.is_sparse:
+            if unknown := [run for run in data.runs if run not in layout.runs]:
+                reason = f"the fit has no parameters for the runs {', '.join(unknown)}"
+                raise DataError(reason, f"it knows {', '.join(layout.runs)}", data.file)
+            codes = np.array([layout.runs.index(run) for run in data.runs])[codes]
+        force, variance = predict_forces(tire, layout, fit.z, fit.covariance, _inputs(data), codes)
     force, variance = _all_rows(data, force), _all_rows(data, variance)
-    out = {}
+    out, names = {}, np.array(data.runs)[data.run]
     fitted = [channel for channel in _channels(data, force) if channel in noise]
     if not fitted:
         needs = " and ".join(dict.fromkeys(SLIPS_OF[channel][0] for channel in noise))
@@ -164,7 +151,11 @@ def predict(
         )
     for channel in fitted:
         out[channel] = force[channel]
-        std = _noise_std(data, channel, noise[channel], force[channel], reference)
+        if f"{channel}_std" in data:
+            std = data[f"{channel}_std"]
+        else:
+            at = data["fz"], force[channel], names, fit.content["reference"]["fz"]
+            std = noise_std(noise[channel], *at)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
@@ -185,8 +176,8 @@ def _opened(
         source = load_fit(text)
     if isinstance(source, AbstractTire):
         return source, type(source).__name__, None
-    content = source.content if isinstance(source, StoredFit) else vars(source)
-    return source, source.model, (content["data"]["convention"], "the fit's data")
+    data = source.content["data"] if isinstance(source, StoredFit) else source.data
+    return source, source.model, (data["convention"], "the fit's data")
 
 
 def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
@@ -202,20 +193,6 @@ def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
     return messages
 
 
-def _noise_std(
-    data: TireData,
-    channel: str,
-    record: Mapping[str, Any],
-    force: np.ndarray,
-    reference: Mapping[str, float],
-) -> np.ndarray:
-    """Noise of one measurement, from a column of the data or from the fit."""
-    if f"{channel}_std" in data:
-        return data[f"{channel}_std"]
-    names = np.array(data.runs)[data.run]
-    return noise_std(record, data["fz"], force, names, reference["fz"])
-
-
 def _channels(data: TireData, force: Mapping[str, Any]) -> list[str]:
     return [
         channel
@@ -226,29 +203,17 @@ def _channels(data: TireData, force: Mapping[str, Any]) -> list[str]:
 
 def _all_rows(data: TireData, out: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Arrays over the used rows as arrays over all rows, NaN where masked."""
-    full = {name: np.full(len(data), np.nan) for name in out}
-    for name, values in out.items():
-        full[name][data.used] = values
-    return full
-
-
-def tire_with(template: AbstractTire, name: str, values: Mapping[str, float]) -> AbstractTire:
-    """The tire with other values of its parameters.
-
-    Raises:
-        UsageError: lists all unknown parameters and values outside their bounds.
-    """
-    check_values(template, name, values)
-    return with_values(template, parameter_values(template) | dict(values))
+    full = np.full((len(out), len(data)), np.nan)
+    full[:, data.used] = list(out.values())
+    return dict(zip(out, full, strict=True))
 
 
 def _of_model(
     template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
 ) -> dict[str, np.ndarray]:
-    tire = tire_with(template, name, values)
-    require(data, ("fz", *tire.needs), f"the model {name}")
-    if tire.transient:
-        check_time_series(data, name)
+    check_values(template, name, values)
+    tire = with_values(template, values)
+    _check_needs(data, tire, name)
     given = forces(tire, _inputs(data), data.run[data.used])._asdict()
     channels = _channels(data, given)
     if not channels:
