@@ -83,11 +83,6 @@ class _Sample(NamedTuple):
         return beyond_loads(self.fz, self.loads)
 
     @property
-    def is_outer(self) -> bool:
-        """Whether its load lies beyond those of the other parts."""
-        return bool(np.median(self.beyond) > 0)
-
-    @property
     def rmse(self) -> float:
         return float(np.sqrt(np.mean(self.residual**2)))
 
@@ -220,7 +215,8 @@ def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     wider = float(np.sqrt(squares / count)) if is_clear else 1.0
     known = wider**2 * fitted.variance
     law = noise_law(fitted.residual, fitted.fz, fitted.predicted, known, fitted.each)
-    beyond = beyond_of([_error_beyond(part, law) for part in parts if part.is_outer])
+    outer = [part for part in parts if np.median(part.beyond) > 0]
+    beyond = beyond_of([_error_beyond(part, law) for part in outer])
     needed = (fitted.residual / _IN_95) ** 2 - known
     needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-200)
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))

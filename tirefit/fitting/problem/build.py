@@ -143,8 +143,15 @@ def _noise_problems(
         if not len(wrong):
             continue
         beside = f"is not a noise level beside {name} up to {largest:.4g}"
-        if f"{name}_std" in data:
-            of_columns.append(_noise_column(data, f"{name}_std", wrong, beside))
+        column = f"{name}_std"
+        if column in data:
+            source, row = data.source, int(np.flatnonzero(data.used)[wrong[0]])
+            rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
+            reason = f"{data[column][row]:.3g} {beside}{rows}"
+            remedy = "correct the column or its unit, or leave it out"
+            line = None if source.line is None else int(source.line[row])
+            place = data.file, line, source.columns.get(column, column)
+            of_columns.append(InputProblem(reason, remedy, *place))
             continue
         keys = (name, f"{name}_relative", f"{name}_speed")
         key = next(k for k in keys if getattr(config.noise, k, None) is not None)
@@ -152,19 +159,6 @@ def _noise_problems(
         remedy = f"give the true noise of {name}, or leave noise.{key} out"
         of_settings.append(InputProblem(reason, remedy, config.source))
     return of_columns, of_settings
-
-
-def _noise_column(data: TireData, column: str, wrong: np.ndarray, beside: str) -> InputProblem:
-    """``wrong`` indexes the used rows."""
-    source, row = data.source, np.flatnonzero(data.used)[wrong[0]]
-    rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
-    return InputProblem(
-        f"{data[column][row]:.3g} {beside}{rows}",
-        "correct the column or its unit, or leave it out",
-        data.file,
-        None if source.line is None else int(source.line[row]),
-        source.columns.get(column, column),
-    )
 
 
 def _settled(
@@ -202,14 +196,6 @@ def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
 def _put(values: np.ndarray, size: int) -> Array:
     """Rows padded, on the device; ``jnp.asarray`` would compile a program for each shape."""
     return jax.device_put(pad_rows(values, size))
-
-
-def _inputs(data: TireData, size: int) -> TireInputs:
-    def column(name: str) -> Array:
-        values = data.usable(name) if name in data else np.zeros(data.n)
-        return _put(np.nan_to_num(values), size)
-
-    return TireInputs(*(column(name) for name in TireInputs._fields))
 
 
 def _first_guess(
@@ -271,17 +257,6 @@ def _check_size(data: TireData, layout: Layout, channels: Sequence[Channel], n_v
         )
 
 
-def _limited(data: TireData, config: FitConfig, slip: str) -> TireData:
-    low, high = config.data.slip_min, config.data.slip_max
-    if low is None and high is None:
-        return data
-    values = data[slip]
-    inside = (values >= (-np.inf if low is None else low)) & (
-        values <= (np.inf if high is None else high)
-    )
-    return data.where(inside)
-
-
 def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> FitTask:
     """Choose forces, noise, free parameters and a first guess.
 
@@ -294,7 +269,11 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
-    data = _limited(data, config, CHANNEL_SLIP[forces[0]])
+    low, high = config.data.slip_min, config.data.slip_max
+    if low is not None or high is not None:
+        slip = data[CHANNEL_SLIP[forces[0]]]
+        above = slip >= (-np.inf if low is None else low)
+        data = data.where(above & (slip <= (np.inf if high is None else high)))
     _check_inputs(data, name, template, forces, config)
     config, messages = _with_reference_load(data, template, config)
     model, layout, narrowed = _settled(data, template, forces, config)
@@ -318,8 +297,10 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         if std is not None:
             check_slip_noise(data, slip, std)
             slip_std[slip] = _put(std, size)
+    zero = np.zeros(data.n)
+    inputs = (data.usable(name) if name in data else zero for name in TireInputs._fields)
     rows = Rows(
-        inputs=_inputs(data, size),
+        inputs=TireInputs(*(_put(np.nan_to_num(values), size) for values in inputs)),
         run=_put(data.run[data.used].astype(int), size),
         weight=jax.device_put((np.arange(size) < data.n).astype(float)),
         observed=observed,

@@ -65,14 +65,10 @@ def noise_law(
     terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
     plain = np.append(law_shares(residual, terms[:, :2], known), 0.0)
     shares = law_shares(residual, terms, known)
-    deviances = [_deviance(residual, terms @ x + known, each) for x in (plain, shares)]
+    variances = [np.maximum(terms @ x + known, 1e-300) for x in (plain, shares)]
+    deviances = [np.sum((np.log(v) + residual**2 / v) / each) for v in variances]
     is_clear = deviances[0] - deviances[1] > _CLEAR_TERM
     return NoiseLaw(*np.sqrt(shares if is_clear else plain).tolist())
-
-
-def _deviance(residual: np.ndarray, variance: np.ndarray, each: np.ndarray | float) -> float:
-    variance = np.maximum(variance, 1e-300)
-    return float(np.sum((np.log(variance) + residual**2 / variance) / each))
 
 
 def law_shares(
@@ -164,9 +160,7 @@ def autocorrelation_time(residuals: list[np.ndarray]) -> float:
     count = sum(len(part) for part in parts)
     correlation = autocorrelation(parts)
     longest = len(correlation)
-    if longest < 2:
-        return 1.0
-    if correlation[1] < 3.3 / np.sqrt(count):
+    if longest < 2 or correlation[1] < 3.3 / np.sqrt(count):
         return 1.0
     time = 1.0
     for lag in range(1, longest - 1, 2):

@@ -90,33 +90,23 @@ def _density(solved: Solved) -> Density:
 
 def _pack(state: Any) -> np.ndarray:
     """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
-    _, keys, position, has_gauss, cached = state
-    return np.concatenate([keys.astype(float), [position, has_gauss, cached]])
-
-
-def _unpack(packed: np.ndarray) -> tuple[Any, ...]:
-    keys = packed[:624].astype(np.uint32)
-    return "MT19937", keys, int(packed[624]), int(packed[625]), float(packed[626])
+    return np.concatenate([state[1].astype(float), state[2:]])
 
 
 def _start(
     density: Density, size: int, ensembles: int, walkers: int, seed: int
 ) -> dict[str, np.ndarray]:
-    coordinates, packed, values = [], [], []
+    state: dict[str, list[np.ndarray]] = {"coordinates": [], "values": [], "random": []}
     # Full generator states: emcee silently ignores an integer seed.
     for child in np.random.SeedSequence(seed).spawn(ensembles):
         generator = np.random.RandomState(np.random.MT19937(child))
         # Wider than the posterior, so that R-hat can see ensembles that disagree.
         start = 1.3 * generator.standard_normal((walkers, size))
+        state["coordinates"].append(start)
         halves = [np.asarray(density(half)) for half in np.split(start, 2)]
-        coordinates.append(start)
-        values.append(np.concatenate(halves))
-        packed.append(_pack(generator.get_state()))
-    return {
-        "coordinates": np.array(coordinates),
-        "values": np.array(values),
-        "random": np.array(packed),
-    }
+        state["values"].append(np.concatenate(halves))
+        state["random"].append(_pack(generator.get_state()))
+    return {key: np.array(parts) for key, parts in state.items()}
 
 
 def _chunk(
@@ -140,10 +130,10 @@ def _chunk(
     for e in range(ensembles):
         sampler = emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True)
         sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
+        *keys, position, has_gauss, cached = state["random"][e]
+        random = "MT19937", np.array(keys, np.uint32), int(position), int(has_gauss), float(cached)
         start = emcee.State(
-            state["coordinates"][e],
-            log_prob=state["values"][e],
-            random_state=_unpack(state["random"][e]),
+            state["coordinates"][e], log_prob=state["values"][e], random_state=random
         )
         run = sampler.sample(start, iterations=steps, skip_initial_state_check=True)
         for step, now in enumerate(run):
@@ -274,16 +264,15 @@ def sample(
     if cells is None:
         return _sampled(result, solved.problem, run)
     done = _sampled(result, cells, run)
+    if done.posterior is None:
+        return done
     off = apart(done, cells)
-    if off <= _ALIKE or Outcome.INTERRUPTED in done.outcomes:
-        text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
-        text += f" {off:.2g} in the log density"
-        posterior = done.posterior
-        if posterior is None:
-            return done
-        note = "; ".join(filter(None, (posterior.note, text)))
-        return replace(done, posterior=replace(posterior, note=note))
-    return _sampled(result, solved.problem, run._replace(resume=False))
+    if off > _ALIKE and Outcome.INTERRUPTED not in done.outcomes:
+        return _sampled(result, solved.problem, run._replace(resume=False))
+    text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
+    text += f" {off:.2g} in the log density"
+    note = "; ".join(filter(None, (done.posterior.note, text)))
+    return replace(done, posterior=replace(done.posterior, note=note))
 
 
 class _Run(NamedTuple):
@@ -351,7 +340,10 @@ def _draw(
                 if chain.samples.shape[1] >= run.max_steps:
                     break
                 if run.progress is not None:
-                    run.progress(*_share(chain, health, run.target))
+                    steps, least = chain.samples.shape[1], float(health.ess.min())
+                    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
+                    share = min(steps / needed, least / run.target, 0.99)
+                    run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
             chain = extended(chain, *_chunk(density, state, CHUNK))
             state = chain.state
             keeper.now_and_then(chain)
@@ -360,13 +352,6 @@ def _draw(
     if chain is not None:
         keeper.keep(chain)
     return chain, outcome
-
-
-def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
-    steps = chain.samples.shape[1]
-    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
-    share = min(steps / needed, float(health.ess.min()) / target, 0.99)
-    return share, f"{steps} steps, R-hat {health.rhat.max():.3f}"
 
 
 def _of_chain(
@@ -379,22 +364,16 @@ def _of_chain(
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
     health = _health(chain.samples, run.target)
-    labels = result.labels
+    ensembles, steps, walkers, _ = chain.samples.shape
+    by_label = [
+        dict(zip(result.labels, values.tolist(), strict=True))
+        for values in (health.ess, health.rhat, health.tau)
+    ]
+    k_hat = None if weighted is None else weighted.k_hat
     summary = PosteriorSummary(
-        "emcee",
-        run.seed,
-        chain.samples.shape[0],
-        chain.samples.shape[2],
-        chain.samples.shape[1],
-        health.discarded,
-        dict(zip(labels, health.ess.tolist(), strict=True)),
-        dict(zip(labels, health.rhat.tolist(), strict=True)),
-        dict(zip(labels, health.tau.tolist(), strict=True)),
-        chain.accepted,
-        outcome,
-        None if weighted is None else weighted.k_hat,
-        "; ".join(notes),
-    )
+        "emcee", run.seed, ensembles, walkers, steps, health.discarded, *by_label,
+        chain.accepted, outcome, k_hat, "; ".join(notes),
+    )  # fmt: skip
     # Nearly independent draws, the same ones for parameters and derived quantities.
     # A walker that never moved has no autocorrelation time: keep one draw of each.
     slowest = min(health.tau.max() / 2, health.kept.shape[1])
@@ -423,13 +402,12 @@ def _with_posterior(result: FitResult, u: np.ndarray, summary: PosteriorSummary)
     z = center + u @ root.T
     flat = z.reshape(-1, z.shape[-1])
     kept = solved.problem.layout.vector(flat.T).T.reshape(z.shape)
-    estimates: dict[str, Estimate] = {}
-    ends: dict[str, tuple[float | None, float | None]] = {}
-    for i, label in enumerate(result.labels):
-        draws = kept[..., i].ravel()
-        known = result.least_squares[label]
-        estimates[label] = Estimate.of_draws(draws, known.unit, known.identified)
-        ends[label] = estimates[label].ci95
+    estimates = {
+        label: Estimate.of_draws(kept[..., i].ravel(), known.unit, known.identified)
+        for i, label in enumerate(result.labels)
+        for known in [result.least_squares[label]]
+    }
+    ends = {label: one.ci95 for label, one in estimates.items()}
     return judge(
         replace(
             result,

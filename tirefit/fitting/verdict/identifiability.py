@@ -66,6 +66,18 @@ class ParameterGate(NamedTuple):
     beside: str = ""  # the parameter it is most correlated with
     remedy: str = ""  # rows that would determine it
 
+    @property
+    def text(self) -> str:
+        """Name and expected error, or what it is correlated with and what it needs."""
+        if self.grade == NOT:
+            reason = f"correlated with {self.beside}; " if self.beside else ""
+            needs = f"needs {self.remedy}" if self.remedy else "not in a wider test either"
+            return f"{self.name}: {reason}{needs}"
+        about = "" if self.grade == WELL else " roughly"
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        error = f"{100 * self.std / self.value:.2g} %" if self.is_size else f"{self.std:.2g}{unit}"
+        return f"{self.name}{about} ±{error}"
+
 
 class ModelGate(NamedTuple):
     """How well the file determines one model; ``reason`` if it cannot be evaluated."""
@@ -108,30 +120,11 @@ class Identifiability:
             if gate.reason:
                 lines.append(f"{start}{gate.reason}")
                 continue
-            known = [_known_text(p) for p in gate.parameters if p.grade != NOT]
+            known = [p.text for p in gate.parameters if p.grade != NOT]
             lines.append(f"{start}{', '.join(known) or 'none'}")
-            lines += [
-                f"{'':<{len(start)}}not {_unknown_text(p)}"
-                for p in gate.parameters
-                if p.grade == NOT
-            ]
+            unknown = [p.text for p in gate.parameters if p.grade == NOT]
+            lines += [f"{'':<{len(start)}}not {text}" for text in unknown]
         return "\n".join(lines)
-
-
-def _known_text(p: ParameterGate) -> str:
-    about = "" if p.grade == WELL else " roughly"
-    if p.is_size:
-        return f"{p.name}{about} ±{100 * p.std / p.value:.2g} %"
-    unit = "" if p.unit == "-" else f" {p.unit}"
-    return f"{p.name}{about} ±{p.std:.2g}{unit}"
-
-
-def _unknown_text(p: ParameterGate) -> str:
-    parts = [p.name]
-    if p.beside:
-        parts.append(f"correlated with {p.beside}")
-    parts.append(f"needs {p.remedy}" if p.remedy else "not in a wider test either")
-    return ": ".join([parts[0], "; ".join(parts[1:])])
 
 
 def identifiability(
@@ -301,20 +294,19 @@ def _parameter(
 ) -> ParameterGate:
     """The parameter at the likely point that determines it least."""
     gates = [_judged(problem, k, z, _information(slopes, weight)) for z, _, slopes in likely]
-    worst = max(gates, key=_rank)
-    if worst.grade != NOT:
-        return worst
-    return worst._replace(remedy=_remedy(problem, k, likely, weight))
+
+    def rank(gate: ParameterGate) -> tuple[int, float]:
+        scale = gate.value if gate.is_size else 1.0
+        return (WELL, ROUGHLY, NOT).index(gate.grade), gate.std / scale
+
+    worst = max(gates, key=rank)
+    remedy = _remedy(problem, k, likely, weight) if worst.grade == NOT else ""
+    return worst._replace(remedy=remedy)
 
 
 def _information(slopes: np.ndarray, weight: np.ndarray) -> np.ndarray:
     weighted = slopes * weight[:, None]
     return weighted.T @ weighted
-
-
-def _rank(gate: ParameterGate) -> tuple[int, float]:
-    scale = gate.value if gate.is_size else 1.0
-    return (WELL, ROUGHLY, NOT).index(gate.grade), gate.std / scale
 
 
 def _judged(problem: FitProblem, k: int, z: np.ndarray, information: np.ndarray) -> ParameterGate:
@@ -350,21 +342,15 @@ def _remedy(
         ("loads from half to one and a half times as large", "fz", (0.5, 1.5)),
         ("speeds from half to twice as high", "v", (0.5, 2.0)),
     ):
-        wider = [_scaled(problem, name, factor) for factor in times]
-        enough = True
+        inputs, reached = problem.rows.inputs, _REACHED.get(name, (-np.inf, np.inf))
+        values = [np.clip(factor * np.asarray(getattr(inputs, name)), *reached) for factor in times]
+        wider = [problem.with_rows(inputs=inputs._replace(**{name: each})) for each in values]
         for z, _, slopes in likely:
             more = _information(slopes, weight)
             for rows in wider:
                 more = more + _information(_at(rows, z)[1], weight)
-            enough &= _judged(problem, k, z, more).grade != NOT
-        if enough:
+            if _judged(problem, k, z, more).grade == NOT:
+                break
+        else:
             return words
     return ""
-
-
-def _scaled(problem: FitProblem, name: str, factor: float) -> FitProblem:
-    """The problem with an input of all rows multiplied by a factor."""
-    values = factor * np.asarray(getattr(problem.rows.inputs, name))
-    if name in _REACHED:
-        values = np.clip(values, *_REACHED[name])
-    return problem.with_rows(inputs=problem.rows.inputs._replace(**{name: values}))
