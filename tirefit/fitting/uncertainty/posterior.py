@@ -4,15 +4,12 @@ The only importer of emcee. Sampling happens in the whitened unconstrained space
 least-squares fit, where a well-identified posterior is nearly a unit Gaussian; the
 prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
 
-A chain is a sequence of chunks of steps. The record holds the random state after each
-chunk: a resumed run draws exactly the samples of an uninterrupted one.
+A chain is a sequence of chunks of steps. The same seed draws the same samples again.
 """
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -27,7 +24,6 @@ from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve.condense import apart, condensed
 from tirefit.fitting.solve.inference import REACH, deviance
 from tirefit.fitting.solve.multistart import Solved
-from tirefit.fitting.uncertainty.chains import Chain, Keeper, extended, identity_of, load_chain
 from tirefit.fitting.uncertainty.derived import derived_from_draws
 from tirefit.fitting.uncertainty.importance import Density, Weighted, draw_weighted
 from tirefit.fitting.verdict.judge import judge
@@ -88,60 +84,32 @@ def _density(solved: Solved) -> Density:
     return partial(_log_density, problem=problem, center=center, root=root, base=base)
 
 
-def _pack(state: Any) -> np.ndarray:
-    """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
-    return np.concatenate([state[1].astype(float), state[2:]])
-
-
-def _start(
+def _ensembles(
     density: Density, size: int, ensembles: int, walkers: int, seed: int
-) -> dict[str, np.ndarray]:
-    state: dict[str, list[np.ndarray]] = {"coordinates": [], "values": [], "random": []}
+) -> tuple[list[Any], list[Any]]:
+    """Samplers of emcee, one for each ensemble, and their first states."""
+    import emcee  # here, because importance sampling does not need it
+
+    # Differential evolution, with a full jump between modes in one step of ten (ter
+    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
+    # over walkers in Python as in the snooker move.
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    samplers, states = [], []
+
+    def log_prob(u: np.ndarray) -> np.ndarray:
+        return np.asarray(density(u))
+
     # Full generator states: emcee silently ignores an integer seed.
     for child in np.random.SeedSequence(seed).spawn(ensembles):
         generator = np.random.RandomState(np.random.MT19937(child))
         # Wider than the posterior, so that R-hat can see ensembles that disagree.
         start = 1.3 * generator.standard_normal((walkers, size))
-        state["coordinates"].append(start)
-        halves = [np.asarray(density(half)) for half in np.split(start, 2)]
-        state["values"].append(np.concatenate(halves))
-        state["random"].append(_pack(generator.get_state()))
-    return {key: np.array(parts) for key, parts in state.items()}
-
-
-def _chunk(
-    density: Density, state: dict[str, np.ndarray], steps: int
-) -> tuple[np.ndarray, np.ndarray, float, dict[str, np.ndarray]]:
-    """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
-    import emcee  # here, because importance sampling does not need it
-
-    ensembles, walkers, size = state["coordinates"].shape
-    # Differential evolution, with a full jump between modes in one step of ten (ter
-    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
-    # over walkers in Python as in the snooker move.
-    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
-    samples = np.empty((ensembles, steps, walkers, size))
-    values = np.empty((ensembles, steps, walkers))
-    accepted, after = 0.0, {key: value.copy() for key, value in state.items()}
-
-    def log_prob(u: np.ndarray) -> np.ndarray:
-        return np.asarray(density(u))
-
-    for e in range(ensembles):
-        sampler = emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True)
-        sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
-        *keys, position, has_gauss, cached = state["random"][e]
-        random = "MT19937", np.array(keys, np.uint32), int(position), int(has_gauss), float(cached)
-        start = emcee.State(
-            state["coordinates"][e], log_prob=state["values"][e], random_state=random
-        )
-        run = sampler.sample(start, iterations=steps, skip_initial_state_check=True)
-        for step, now in enumerate(run):
-            samples[e, step], values[e, step] = now.coords, now.log_prob
-        after["coordinates"][e], after["values"][e] = now.coords, now.log_prob
-        after["random"][e] = _pack(sampler.random_state)
-        accepted += float(np.mean(sampler.acceptance_fraction)) / ensembles
-    return samples, values, accepted, after
+        values = np.concatenate([log_prob(half) for half in np.split(start, 2)])
+        random = generator.get_state()
+        states.append(emcee.State(start, log_prob=values, random_state=random))
+        samplers.append(emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True))
+        samplers[-1].log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
+    return samplers, states
 
 
 SAMPLERS = ("emcee", "importance")
@@ -206,8 +174,6 @@ def sample(
     effective_samples: int | None = None,
     max_steps: int = 5000,
     seed: int | None = None,
-    checkpoint: str | os.PathLike[str] | None = None,
-    resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> FitResult:
     """Return the same fit with samples of its posterior.
@@ -227,9 +193,6 @@ def sample(
             standard deviation.
         max_steps: stop here even without convergence, and report it.
         seed: of the sampling; by default that of the fit.
-        checkpoint: file that stores the chain during sampling.
-        resume: continue from ``checkpoint`` if it exists. Importance sampling has
-            nothing to continue: the same seed draws the same samples again.
         progress: called with (share done, message).
 
     Returns:
@@ -237,8 +200,8 @@ def sample(
         ``chains`` and ``posterior``, the quality of the sampling.
 
     Raises:
-        UsageError: an unknown sampler, too few ensembles, odd walkers, or a checkpoint
-            of another fit; or 32-bit floats in use.
+        UsageError: an unknown sampler, too few ensembles, odd walkers; or 32-bit floats in
+            use.
 
     Example:
         >>> found = sample(fit(samples / "circles.csv", "brush"), sampler="importance")
@@ -255,8 +218,7 @@ def sample(
         sampler = "importance" if solved.problem.slip_noise or size > _MANY else "emcee"
     target = effective_samples or _TARGETS[bool(solved.problem.slip_noise)]
     shape = _shape(size, ensembles, walkers)
-    path = None if checkpoint is None else Path(checkpoint)
-    run = _Run(sampler, seed, shape, target, max_steps, path, resume, progress)
+    run = _Run(sampler, seed, shape, target, max_steps, progress)
     try:
         cells = condensed(solved, _whitening(solved)[1])
     except KeyboardInterrupt:
@@ -268,7 +230,7 @@ def sample(
         return done
     off = apart(done, cells)
     if off > _ALIKE and Outcome.INTERRUPTED not in done.outcomes:
-        return _sampled(result, solved.problem, run._replace(resume=False))
+        return _sampled(result, solved.problem, run)
     text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
     text += f" {off:.2g} in the log density"
     note = "; ".join(filter(None, (done.posterior.note, text)))
@@ -283,8 +245,6 @@ class _Run(NamedTuple):
     shape: tuple[int, int]
     target: int
     max_steps: int
-    path: Path | None
-    resume: bool
     progress: Callable[[float, str], None] | None
 
 
@@ -297,20 +257,16 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
         weighted = draw_weighted(density, *_whitening(solved), run.seed, run.target, run.progress)
         if weighted.interrupted or not weighted.refused:
             return _of_weighted(result, weighted, run.seed)
-    identity = identity_of(result, "emcee", run.seed, run.shape)
-    chain, keeper = None, Keeper(run.path, identity)
-    if run.resume and run.path is not None:
-        chain = load_chain(run.path, identity)
-    chain, outcome = _draw(density, size, run, chain, keeper)
-    if chain is None:
+    samplers, outcome = _draw(density, size, run)
+    samples = _samples(samplers)
+    if not len(samples):
         return judge(replace(result, interrupted=True))
+    accepted = float(np.mean([sampler.acceptance_fraction for sampler in samplers]))
     notes = []
     if weighted is not None:
         refused = f"importance sampling refused ({weighted.refused})"
         notes.append(f"{refused}: emcee instead")
-    if keeper.fault:
-        notes.append(f"the chain was not kept for --resume: {keeper.fault}")
-    return _of_chain(result, chain, outcome, run, weighted, notes)
+    return _of_chain(result, samples, accepted, outcome, run, weighted, notes)
 
 
 def _shape(size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
@@ -324,47 +280,47 @@ def _shape(size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
     return ensembles, walkers
 
 
-def _draw(
-    density: Density, size: int, run: _Run, chain: Chain | None, keeper: Keeper
-) -> tuple[Chain | None, Outcome]:
-    """Sample chunks until the chain converged, reached its limit or was interrupted."""
-    outcome = Outcome.CHAIN_TOO_SHORT
+def _draw(density: Density, size: int, run: _Run) -> tuple[list[Any], Outcome]:
+    """Samplers that ran in chunks until the chain converged, reached its limit or was
+    interrupted."""
+    outcome, samplers = Outcome.CHAIN_TOO_SHORT, []
     try:
-        state = _start(density, size, *run.shape, run.seed) if chain is None else chain.state
+        samplers, states = _ensembles(density, size, *run.shape, run.seed)
         while True:
-            if chain is not None:
-                health = _health(chain.samples, run.target)
-                if health.enough:
-                    outcome = Outcome.CONVERGED
-                    break
-                if chain.samples.shape[1] >= run.max_steps:
-                    break
-                if run.progress is not None:
-                    steps, least = chain.samples.shape[1], float(health.ess.min())
-                    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
-                    share = min(steps / needed, least / run.target, 0.99)
-                    run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
-            chain = extended(chain, *_chunk(density, state, CHUNK))
-            state = chain.state
-            keeper.now_and_then(chain)
+            for e, sampler in enumerate(samplers):
+                states[e] = sampler.run_mcmc(states[e], CHUNK, skip_initial_state_check=True)
+            health, steps = _health(_samples(samplers), run.target), samplers[0].iteration
+            if health.enough:
+                outcome = Outcome.CONVERGED
+            if health.enough or steps >= run.max_steps:
+                break
+            if run.progress is not None:
+                needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
+                share = min(steps / needed, float(health.ess.min()) / run.target, 0.99)
+                run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
     except KeyboardInterrupt:
         outcome = Outcome.INTERRUPTED
-    if chain is not None:
-        keeper.keep(chain)
-    return chain, outcome
+    return samplers, outcome
+
+
+def _samples(samplers: Sequence[Any]) -> np.ndarray:
+    """Samples (ensembles, steps, walkers, p), of the steps that every ensemble has made."""
+    steps = min((sampler.iteration for sampler in samplers), default=0)
+    return np.array([sampler.get_chain()[:steps] for sampler in samplers if steps])
 
 
 def _of_chain(
     result: FitResult,
-    chain: Chain,
+    samples: np.ndarray,
+    accepted: float,
     outcome: Outcome,
     run: _Run,
     weighted: Weighted | None,
     notes: list[str],
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
-    health = _health(chain.samples, run.target)
-    ensembles, steps, walkers, _ = chain.samples.shape
+    health = _health(samples, run.target)
+    ensembles, steps, walkers, _ = samples.shape
     by_label = [
         dict(zip(result.labels, values.tolist(), strict=True))
         for values in (health.ess, health.rhat, health.tau)
@@ -372,7 +328,7 @@ def _of_chain(
     k_hat = None if weighted is None else weighted.k_hat
     summary = PosteriorSummary(
         "emcee", run.seed, ensembles, walkers, steps, health.discarded, *by_label,
-        chain.accepted, outcome, k_hat, "; ".join(notes),
+        accepted, outcome, k_hat, "; ".join(notes),
     )  # fmt: skip
     # Nearly independent draws, the same ones for parameters and derived quantities.
     # A walker that never moved has no autocorrelation time: keep one draw of each.
