@@ -11,7 +11,6 @@ from tirefit.compiled import release_programs
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.problem.config import FitConfig, parse_config
-from tirefit.fitting.problem.layout import Tie
 from tirefit.fitting.problem.likelihood import FitProblem
 from tirefit.fitting.problem.noise import noise_by_row
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
@@ -263,29 +262,18 @@ def with_fixed(estimates: dict[str, Estimate], problem: FitProblem) -> dict[str,
     """Estimates plus the fixed and tied parameters, in the model's order."""
     everything, free = dict(estimates), {p.name for p in problem.layout.free}
     ties = {tie.name: tie for tie in problem.layout.ties}
+    ends = ("", *(f"[{run}]" for run in problem.layout.runs))
     for name, spec in specs(problem.model).items():
         if name in ties:
-            everything |= _tied(ties[name], spec.unit, estimates, problem.layout.runs)
+            factor, of = ties[name].factor, ties[name].other
+            # One for each run, if the other one is per run.
+            for end, other in ((e, estimates[of + e]) for e in ends if of + e in estimates):
+                low, high = (None if x is None else factor * x for x in other.ci95)
+                ci95 = (low, high) if factor > 0 else (high, low)
+                std = None if other.std is None else abs(factor) * other.std
+                tied = Estimate(factor * other.value, std, spec.unit, ci95, other.identified)
+                everything[name + end] = tied
         elif name not in free and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
             everything[name] = Estimate(value, None, spec.unit, (None, None), fixed=True)
     return everything
-
-
-def _tied(
-    tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, ...]
-) -> dict[str, Estimate]:
-    """Estimates of a tied parameter by label; one per run if the other one is per run."""
-    tied = {}
-    for end in ("", *(f"[{run}]" for run in runs)):
-        if f"{tie.other}{end}" in estimates:
-            other = estimates[f"{tie.other}{end}"]
-            low, high = (None if end is None else tie.factor * end for end in other.ci95)
-            tied[f"{tie.name}{end}"] = Estimate(
-                tie.factor * other.value,
-                None if other.std is None else abs(tie.factor) * other.std,
-                unit,
-                (low, high) if tie.factor > 0 else (high, low),
-                other.identified,
-            )
-    return tied

@@ -31,10 +31,10 @@ from tirefit.fitting.mf.parts import (
     parts_named,
 )
 from tirefit.fitting.mf.priors import (
+    LOGARITHMIC,
     Prior,
     borrowed_from,
     normal_form,
-    prior_given,
     published_priors,
     with_dimensions,
 )
@@ -249,7 +249,9 @@ def problem_from(
         asked = config.parameters.get(name) or ParameterConfig(free=False if name in HELD else None)
         prior = usual[name]
         if asked.prior is not None:
-            prior = prior_given(name, asked.prior.mean, asked.prior.std)
+            mean, std = asked.prior.mean, asked.prior.std
+            log = name in LOGARITHMIC and mean > 0
+            prior = Prior(mean, std / mean if log else std, log)
         elif asked.value is not None:
             prior = prior._replace(centre=asked.value, log=False)
         priors[name] = prior

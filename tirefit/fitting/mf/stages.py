@@ -26,7 +26,6 @@ from tirefit.fitting.mf.solve import (
     row_values,
 )
 from tirefit.fitting.problem.noise import autocorrelation_time, design_effect, noise_law
-from tirefit.fitting.solve.least_squares import Solution
 
 _ENOUGH = 2048
 """Number of cells, evenly taken, by which the best of several starts is chosen."""
@@ -172,8 +171,13 @@ def _one_stage(work: Search, group: Group, is_last: bool) -> None:
     groups[-1] = group = replace(group, each=_cells_per_one(work, group, names))
     moved = problem = problem_of(work, groups, names)
     end = minimise(problem, work.u)
-    if is_last:
-        moved, end = _hold(work, problem, end)
+    if is_last:  # hold what the rows do not identify at the centre of its prior
+        left = np.diagonal(_covariance(work.covariance, problem, end.z))
+        held, every = problem.free & (left > _HELD), np.array(problem.names)
+        own = own_coefficients(problem.tire.version, group.force)
+        work.held = (work.held - set(own)) | set(every[held].tolist())
+        moved = problem.with_free(every[problem.free & ~held].tolist())
+        end = minimise(moved, np.where(held, 0.0, end.z))
     work.u, work.moved = end.z, work.moved | set(names)
     # The covariance includes the held coefficients: the rows may determine them at this end.
     work.covariance = _covariance(work.covariance, problem, end.z)
@@ -232,17 +236,6 @@ def _cells_per_one(work: Search, group: Group, names: Collection[str]) -> float:
     parts = [residual[setting == code] for code in np.unique(setting)]
     by_setting = design_effect(residual, slopes[:, problem.free], setting)
     return max(autocorrelation_time(parts), by_setting)
-
-
-def _hold(work: Search, problem: Problem, end: Solution) -> tuple[Problem, Solution]:
-    """Fix coefficients that the rows do not identify at the centre of their priors."""
-    left = np.diagonal(_covariance(work.covariance, problem, end.z))
-    held = problem.free & (left > _HELD)
-    own = own_coefficients(problem.tire.version, problem.blocks[0].force)
-    names = np.array(problem.names)
-    work.held = (work.held - set(own)) | set(names[held].tolist())
-    problem = problem.with_free(names[problem.free & ~held].tolist())
-    return problem, minimise(problem, np.where(held, 0.0, end.z))
 
 
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:

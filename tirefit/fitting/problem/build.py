@@ -2,7 +2,7 @@
 
 import difflib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -12,7 +12,6 @@ from jaxtyping import Array
 from tirefit.arrays import Kept
 from tirefit.data.read import require
 from tirefit.data.table import TireData
-from tirefit.fitting.problem.combined_slip import slip_of_forces
 from tirefit.fitting.problem.config import FitConfig, NoiseConfig, ParameterConfig
 from tirefit.fitting.problem.layout import Layout, choose_layout
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
@@ -363,3 +362,50 @@ def _with_reference_load(
     given = config.parameters | {"fz0": asked.model_copy(update={"value": load})}
     message = f"reference load fz0: {load:g} N, the median (set parameters.fz0.value)"
     return config.model_copy(update={"parameters": given}), [message]
+
+
+def slip_of_forces(
+    data: TireData, model: AbstractTire, forces: Sequence[str], noisy: Collection[str]
+) -> dict[str, str]:
+    """Force -> the slip whose noise is integrated out for it.
+
+    In pure slip, and for a model of pure slip, it is the slip of the force. In combined
+    slip every force depends on both, so all share the latent values of the noisy one.
+
+    Args:
+        data: the rows to be fitted.
+        model: the model of the fit.
+        forces: the fitted forces.
+        noisy: those of sigma_x and alpha whose noise is given.
+
+    Raises:
+        DataError: combined slip with noise of both slips.
+    """
+    own = {force: CHANNEL_SLIP[force] for force in forces}
+    if not noisy or "sigma_x" not in data or "alpha" not in data:
+        return own
+    # Whether both slips matter together in more than a twentieth of the rows; that of a
+    # locked wheel represents infinity.
+    slips = np.nan_to_num([data.usable("sigma_x"), np.tan(data.usable("alpha"))])
+    sizes = np.minimum(np.abs(slips), 1.0)
+    is_combined = sizes.min(axis=0) > 0.05 * np.hypot(*sizes).max(initial=0.0)
+    # Whether one slip changes the force of the other.
+    both, along, across = (
+        model(TireInputs(*each, 4000.0, 10.0)) for each in ((0.1, 0.1), (0.1, 0.0), (0.0, 0.1))
+    )
+    couples = any(
+        a is not None and b is not None and abs(a - b) > 1e-6 * abs(b)
+        for a, b in ((both.fx, along.fx), (both.fy, across.fy))
+    )
+    if not (couples and np.mean(is_combined) > 0.05):
+        return own
+    if len(noisy) > 1:
+        raise DataError(
+            "noise of both sigma_x and alpha in combined slip: every force depends"
+            " on both slips, and only one noisy slip can be integrated out",
+            "give the noise of the slip that matters more, and count that of the"
+            " other as noise of the forces; or fit rows of pure slip",
+            data.file,
+        )
+    (slip,) = noisy
+    return dict.fromkeys(forces, slip)

@@ -44,17 +44,12 @@ def _huber(square: Array) -> Array:
     return jnp.where(inside, square, 2 * k * size - k**2)
 
 
-def _cauchy(square: Array) -> Array:
-    """Redescending; scale 2.385 gives 95 % efficiency at Gaussian noise."""
-    k = 2.385
-    return k**2 * jnp.log1p(square / k**2)
-
-
 LOSSES = {
     "squares": lambda square: square,
     "huber": _huber,
     "soft-l1": lambda square: 2 * (jnp.sqrt(1 + square) - 1),
-    "cauchy": _cauchy,
+    # Redescending; scale 2.385 gives 95 % efficiency at Gaussian noise.
+    "cauchy": lambda square: 2.385**2 * jnp.log1p(square / 2.385**2),
 }
 """Robust losses: squared whitened residual -> contribution to -2 log likelihood."""
 

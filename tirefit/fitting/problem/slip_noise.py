@@ -47,7 +47,8 @@ _HATS = 20
 would fall below the slip noise: the data do not resolve finer detail."""
 _STEPS, _STEPS_AFTER = 200, 60
 """Steps of expectation maximisation, and those after each standing slip is added."""
-_MOST_STANDING = 40
+_MOST_STANDING, _MOST_PEAKS = 40, 8
+"""Largest number of standing slips, and of places that are tried for the next one."""
 
 
 _ENOUGH = 4000
@@ -236,7 +237,9 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
 
     while len(standing) < _MOST_STANDING:
         together = columns @ weight
-        peaks = _peaks(1 / np.maximum(together, 1e-300) @ near)
+        rises = np.pad(1 / np.maximum(together, 1e-300) @ near, 1, constant_values=-np.inf)
+        peaks = np.flatnonzero((rises[1:-1] >= rises[:-2]) & (rises[1:-1] >= rises[2:]))
+        peaks = peaks[np.argsort(-rises[1:-1][peaks])][:_MOST_PEAKS]
         # From a share of one more part with the ratios of the others unchanged: a lower limit
         # of the gain in log likelihood when all shares are fitted again.
         ratios = near[:, peaks].T / np.maximum(together, 1e-300) - 1
@@ -254,13 +257,6 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
         likely = _log_likelihood(columns, weight)
     density = np.concatenate([[0.0], weight[:hats] / spacing, [0.0]])
     return SlipDistribution(knots, density, standing, weight[hats:])
-
-
-def _peaks(values: np.ndarray, most: int = 8) -> np.ndarray:
-    """Indices of the highest local maxima."""
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    tops = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
-    return tops[np.argsort(-values[tops])][:most]
 
 
 def _with_more(

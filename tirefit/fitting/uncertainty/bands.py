@@ -64,16 +64,21 @@ def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run: Value
     return _force_at(blocks, channel, result.z)[: len(run)]
 
 
-def _curve_band(
-    result: FitResult, channel: str, inputs: TireInputs, run: Values
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(force, low, high) of the fitted curve, each (m,).
+def force_band(
+    result: FitResult, channel: str, inputs: TireInputs, run: Values, noise: np.ndarray
+) -> Band:
+    """The fitted curve at other inputs, with its bands.
 
-    The band is that of the posterior draws if there are any, else it is linearised in z
-    around the estimate, with slopes by central differences.
+    The band of the curve is that of the posterior draws if there are any, else it is
+    linearised in z around the estimate, with slopes by central differences.
+
+    Args:
+        inputs: (m,) each; ``run`` (m,): the run of each.
+        noise: (m,) standard deviation of a measured force, without slip noise.
     """
-
-    layout, blocks = result.problem.layout, _elsewhere(result.problem, inputs, run)
+    problem, std, layout = result.problem, noise, result.problem.layout
+    blocks = _elsewhere(problem, inputs, run)
+    quantile = half_width_95(problem.noise_estimated, result.statistics.dof)
 
     def at(z: np.ndarray) -> np.ndarray:
         return _force_at(blocks, channel, z)[: len(run)]
@@ -83,28 +88,14 @@ def _curve_band(
         flat = np.asarray(result.chains).reshape(-1, layout.size)
         flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
         z = layout.unconstrained(dict(zip(layout.labels, flat.T, strict=True)))
-        draws = np.array([at(one) for one in np.asarray(z).T])
-        return force, *np.quantile(draws, [0.025, 0.975], axis=0)
-    steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
-    slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])
-    slope /= 2 * np.diag(steps)[:, None]
-    variance = np.einsum("in,ij,jn->n", slope, result.covariance, slope)
-    half = half_width_95(result.problem.noise_estimated, result.statistics.dof)
-    half = half * np.sqrt(np.maximum(variance, 0))
-    return force, force - half, force + half
-
-
-def force_band(
-    result: FitResult, channel: str, inputs: TireInputs, run: Values, noise: np.ndarray
-) -> Band:
-    """The fitted curve at other inputs, with its bands.
-
-    Args:
-        inputs: (m,) each; ``run`` (m,): the run of each.
-        noise: (m,) standard deviation of a measured force, without slip noise.
-    """
-    force, low, high = _curve_band(result, channel, inputs, run)
-    problem, std = result.problem, noise
+        low, high = np.quantile([at(one) for one in np.asarray(z).T], [0.025, 0.975], axis=0)
+    else:
+        steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
+        slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])
+        slope /= 2 * np.diag(steps)[:, None]
+        variance = np.einsum("in,ij,jn->n", slope, result.covariance, slope)
+        half = quantile * np.sqrt(np.maximum(variance, 0))
+        low, high = force - half, force + half
     name = next(c.slip for c in problem.channels if c.name == channel)
     if name in problem.slip_noise:
         slip = getattr(inputs, name)
@@ -112,7 +103,7 @@ def force_band(
         moved = inputs._replace(**{name: slip + step})
         slope = (fitted_force(result, channel, moved, run) - force) / np.asarray(step)
         std = np.hypot(noise, slope * float(np.median(problem.slip_noise[name])))
-    half = half_width_95(problem.noise_estimated, result.statistics.dof) * std
+    half = quantile * std
     # Noise and parameter uncertainty are independent: half-widths add in quadrature.
     below, above = np.hypot(force - low, half), np.hypot(high - force, half)
     return Band(force, low, high, force - below, force + above)

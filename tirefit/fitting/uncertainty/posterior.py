@@ -25,7 +25,7 @@ from tirefit.fitting.solve.condense import apart, condensed
 from tirefit.fitting.solve.inference import REACH, deviance
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.derived import derived_from_draws
-from tirefit.fitting.uncertainty.importance import Density, Weighted, draw_weighted
+from tirefit.fitting.uncertainty.importance import Density, draw_weighted
 from tirefit.fitting.verdict.judge import judge
 from tirefit.params import Values
 from tirefit.precision import require_x64
@@ -211,14 +211,19 @@ def sample(
     require_x64("sampling")
     if sampler not in (None, *SAMPLERS):
         raise UsageError(f"sampler {sampler!r}: one of {', '.join(SAMPLERS)}")
-    solved: Solved = result.solved
+    solved = result.solved
     seed = result.seed if seed is None else seed
     size = solved.problem.layout.size
     if sampler is None:
         sampler = "importance" if solved.problem.slip_noise or size > _MANY else "emcee"
     target = effective_samples or _TARGETS[bool(solved.problem.slip_noise)]
-    shape = _shape(size, ensembles, walkers)
-    run = _Run(sampler, seed, shape, target, max_steps, progress)
+    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
+    if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
+        raise UsageError(
+            f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
+            f" even number of walkers, at least {2 * size + 2}, are needed"
+        )
+    run = _Run(sampler, seed, (ensembles, walkers), target, max_steps, progress)
     try:
         cells = condensed(solved, _whitening(solved)[1])
     except KeyboardInterrupt:
@@ -250,34 +255,41 @@ class _Run(NamedTuple):
 
 def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     """The fit with the posterior of this problem: its own, or one made of cells."""
-    solved: Solved = result.solved
-    density, weighted = _density(solved._replace(problem=problem)), None
-    size = solved.problem.layout.size
+    solved, labels, weighted = result.solved, result.labels, None
+    density = _density(solved._replace(problem=problem))
     if run.sampler == "importance":
         weighted = draw_weighted(density, *_whitening(solved), run.seed, run.target, run.progress)
-        if weighted.interrupted or not weighted.refused:
-            return _of_weighted(result, weighted, run.seed)
-    samplers, outcome = _draw(density, size, run)
+        if not weighted.refused:
+            count = len(weighted.draws)
+            summary = PosteriorSummary(
+                "importance", run.seed, 1, 1, weighted.points, 0,
+                dict.fromkeys(labels, float(count)), {}, {}, count / weighted.points,
+                Outcome.INTERRUPTED if weighted.interrupted else Outcome.CONVERGED,
+                weighted.k_hat,
+            )  # fmt: skip
+            return _with_posterior(result, weighted.draws[None, :, None], summary)
+    interrupted = weighted is not None and weighted.interrupted
+    samplers, outcome = ([], None) if interrupted else _draw(density, len(labels), run)
     samples = _samples(samplers)
-    if not len(samples):
+    if outcome is None or not len(samples):
         return judge(replace(result, interrupted=True))
+    health, (ensembles, steps, walkers, _) = _health(samples, run.target), samples.shape
+    numbers = (health.ess, health.rhat, health.tau)
+    by_label = [dict(zip(labels, values.tolist(), strict=True)) for values in numbers]
     accepted = float(np.mean([sampler.acceptance_fraction for sampler in samplers]))
-    notes = []
+    rejected = (None, "")
     if weighted is not None:
-        refused = f"importance sampling refused ({weighted.refused})"
-        notes.append(f"{refused}: emcee instead")
-    return _of_chain(result, samples, accepted, outcome, run, weighted, notes)
-
-
-def _shape(size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
-    """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
-    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
-    if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
-        raise UsageError(
-            f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
-            f" even number of walkers, at least {2 * size + 2}, are needed"
-        )
-    return ensembles, walkers
+        note = f"importance sampling refused ({weighted.refused}): emcee instead"
+        rejected = weighted.k_hat, note
+    summary = PosteriorSummary(
+        "emcee", run.seed, ensembles, walkers, steps, health.discarded, *by_label,
+        accepted, outcome, *rejected,
+    )  # fmt: skip
+    # Nearly independent draws, the same ones for parameters and derived quantities.
+    # A walker that never moved has no autocorrelation time: keep one draw of each.
+    slowest = min(health.tau.max() / 2, health.kept.shape[1])
+    thin = max(int(np.ceil(slowest)), 1)
+    return _with_posterior(result, health.kept[:, ::thin], summary)
 
 
 def _draw(density: Density, size: int, run: _Run) -> tuple[list[Any], Outcome]:
@@ -309,51 +321,9 @@ def _samples(samplers: Sequence[Any]) -> np.ndarray:
     return np.array([sampler.get_chain()[:steps] for sampler in samplers if steps])
 
 
-def _of_chain(
-    result: FitResult,
-    samples: np.ndarray,
-    accepted: float,
-    outcome: Outcome,
-    run: _Run,
-    weighted: Weighted | None,
-    notes: list[str],
-) -> FitResult:
-    """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
-    health = _health(samples, run.target)
-    ensembles, steps, walkers, _ = samples.shape
-    by_label = [
-        dict(zip(result.labels, values.tolist(), strict=True))
-        for values in (health.ess, health.rhat, health.tau)
-    ]
-    k_hat = None if weighted is None else weighted.k_hat
-    summary = PosteriorSummary(
-        "emcee", run.seed, ensembles, walkers, steps, health.discarded, *by_label,
-        accepted, outcome, k_hat, "; ".join(notes),
-    )  # fmt: skip
-    # Nearly independent draws, the same ones for parameters and derived quantities.
-    # A walker that never moved has no autocorrelation time: keep one draw of each.
-    slowest = min(health.tau.max() / 2, health.kept.shape[1])
-    thin = max(int(np.ceil(slowest)), 1)
-    return _with_posterior(result, health.kept[:, ::thin], summary)
-
-
-def _of_weighted(result: FitResult, weighted: Weighted, seed: int) -> FitResult:
-    """The posterior of weighted points: one chain of independent draws."""
-    if weighted.refused:
-        return judge(replace(result, interrupted=True))
-    count = len(weighted.draws)
-    summary = PosteriorSummary(
-        "importance", seed, 1, 1, weighted.points, 0,
-        dict.fromkeys(result.labels, float(count)), {}, {}, count / weighted.points,
-        Outcome.INTERRUPTED if weighted.interrupted else Outcome.CONVERGED,
-        weighted.k_hat,
-    )  # fmt: skip
-    return _with_posterior(result, weighted.draws[None, :, None], summary)
-
-
 def _with_posterior(result: FitResult, u: np.ndarray, summary: PosteriorSummary) -> FitResult:
     """The fit with draws u (ensembles, steps, walkers, p) of the whitened space."""
-    solved: Solved = result.solved
+    solved = result.solved
     center, root = _whitening(solved)
     z = center + u @ root.T
     flat = z.reshape(-1, z.shape[-1])
