@@ -132,6 +132,8 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
 
     states = set()
     for _ in steps_of(work, restore):
+        with claimed(tmp_path):
+            pass
         there = {name: text for name, text in files_of(tmp_path).items() if name[0] != "."}
         if state := there.get("fit.json"):
             assert there == dict.fromkeys(old if state == b"old" else new, state)

@@ -1,6 +1,5 @@
 """Importance sampling compared with known posteriors, ArviZ and emcee."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -203,17 +202,6 @@ def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
         weighted.plot("trace")
     text = " ".join(fit_report(weighted).split())
     assert "k-hat" in text and "no chain" in text and "R-hat" not in text
-
-
-def test_a_density_is_differentiable_and_batched(given):
-    """Everything that the samplers need of a fit."""
-    density = _density(given.solved)
-    u = np.random.default_rng(0).standard_normal((5, 2))
-    values = density(u)
-    assert values.shape == (5,)
-    slope = jax.jacfwd(density)(u)
-    assert np.all(np.isfinite(slope))
-    assert np.count_nonzero(np.abs(slope) > 0) == 10  # each point its own
 
 
 def test_slips_with_noise_are_sampled_by_points_like_a_grid():

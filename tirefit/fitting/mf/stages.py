@@ -19,9 +19,9 @@ from tirefit.fitting.mf.solve import (
     Block,
     Problem,
     blocks_of,
-    curvature_at,
     limit_of,
     minimise,
+    normal_equations,
     row_gradients,
     row_values,
 )
@@ -245,7 +245,7 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
     H_mm^-1 given k and change by -H_mm^-1 H_mk; H: curvature of rows and priors.
     """
     moved, known = np.flatnonzero(problem.free), np.flatnonzero(~problem.free)
-    curvature = curvature_at(problem, u)
+    _, curvature, _ = normal_equations(problem, u, np.full(len(u), True))
     # Of a noise-free test the curvature spans 1e12: only a product with its own transpose
     # has no negative eigenvalue after rounding.
     root = np.linalg.cholesky(curvature[np.ix_(moved, moved)] + np.eye(len(moved)))

@@ -192,14 +192,6 @@ def row_forces(
     return jax.vmap(one, in_axes=(axes, 0))(rows, felt)
 
 
-def predict(
-    problem: FitProblem, z: Float[Values, " p"], inputs: TireInputs | None = None
-) -> dict[str, Float[Array, " n"] | None]:
-    """Forces of a problem's rows by channel, at other inputs if given."""
-    inputs = problem.rows.inputs if inputs is None else inputs
-    return row_forces(problem.model, problem.layout, z, inputs, problem.rows.run)
-
-
 def _forces_at(
     problem: FitProblem, z: Float[Values, " p"], slip: str, slips: Float[Array, "n q"]
 ) -> dict[str, Float[Array, "n q"]]:
@@ -208,7 +200,8 @@ def _forces_at(
     names = [c.name for c in problem.channels if c.slip == slip]
 
     def at(slips: Float[Array, " n"]) -> dict[str, Array]:
-        forces = predict(problem, z, rows.inputs._replace(**{slip: slips}))
+        inputs = rows.inputs._replace(**{slip: slips})
+        forces = row_forces(problem.model, problem.layout, z, inputs, rows.run)
         return {name: jnp.asarray(forces[name]) for name in names}
 
     return jax.vmap(at, in_axes=1, out_axes=1)(slips)
@@ -216,11 +209,11 @@ def _forces_at(
 
 def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Array]:
     """Forces by channel: (n,), or (n, q) at the latent slips where there are some."""
-    nodes = problem.rows.nodes
-    plain = [c.name for c in problem.channels if c.slip not in nodes]
-    predicted = predict(problem, z) if plain else {}
-    # Channels are always forces that the model computes.
-    forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
+    rows, nodes, forces = problem.rows, problem.rows.nodes, {}
+    if plain := [c.name for c in problem.channels if c.slip not in nodes]:
+        predicted = row_forces(problem.model, problem.layout, z, rows.inputs, rows.run)
+        # Channels are always forces that the model computes.
+        forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
     for slip in nodes:
         forces |= _forces_at(problem, z, slip, nodes[slip].slip)
     return forces

@@ -193,25 +193,20 @@ def effective_inflation(scores: np.ndarray, run: np.ndarray, time: np.ndarray | 
     directions = np.concatenate([left[:, known], scores], axis=1)
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]
-    return max(
-        (_inflation([column[part] for part in parts]) for column in directions.T), default=1.0
-    )
-
-
-def _inflation(parts: list[np.ndarray]) -> float:
-    """Autocorrelation time within the runs, raised if the runs differ by more.
-
-    Runs measured on different days or floors differ as a whole, which the
-    autocorrelation within a run does not show. Their sums then scatter more than
-    chi-squared allows (0.1 %).
-    """
-    time = autocorrelation_time(parts)
-    freedom = len(parts) - 1
-    if freedom < _LEAST_RUNS - 1:
-        return time
-    scatter = sum(float(part.sum()) ** 2 for part in parts)
-    scatter /= time * sum(float(part @ part) for part in parts) / len(parts)
-    return time * scatter / freedom if chdtrc(freedom, scatter) < 1e-3 else time
+    freedom, found = len(parts) - 1, 1.0
+    for column in directions.T:
+        within = [column[part] for part in parts]
+        inflation = autocorrelation_time(within)
+        if freedom >= _LEAST_RUNS - 1:
+            # Runs measured on different days or floors differ as a whole, which the
+            # autocorrelation within a run does not show: their sums then scatter more than
+            # chi-squared allows (0.1 %).
+            square = inflation * sum(float(run @ run) for run in within) / len(within)
+            scatter = sum(float(run.sum()) ** 2 for run in within) / square
+            if chdtrc(freedom, scatter) < 1e-3:
+                inflation *= scatter / freedom
+        found = max(found, inflation)
+    return found
 
 
 def design_effect(residual: np.ndarray, slopes: np.ndarray, setting: np.ndarray) -> float:
