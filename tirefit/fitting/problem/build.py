@@ -270,9 +270,9 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
     forces, notes = _chosen_forces(data, config)
     low, high = config.data.slip_min, config.data.slip_max
     if low is not None or high is not None:
-        slip = data[CHANNEL_SLIP[forces[0]]]
-        above = slip >= (-np.inf if low is None else low)
-        data = data.where(above & (slip <= (np.inf if high is None else high)))
+        values = data[CHANNEL_SLIP[forces[0]]]
+        above = values >= (-np.inf if low is None else low)
+        data = data.where(above & (values <= (np.inf if high is None else high)))
     _check_inputs(data, name, template, forces, config)
     config, messages = _with_reference_load(data, template, config)
     model, layout, narrowed = _settled(data, template, forces, config)

@@ -187,7 +187,8 @@ def choose_layout(
     tied, fixed, unknowns = {tie.name for tie in ties}, {}, []
     for name, settings in asked.items():
         if name in free:
-            prior = settings.prior and (settings.prior.mean, settings.prior.std)
+            given = settings.prior
+            prior = None if given is None else (given.mean, given.std)
             per_run = settings.per_run and len(runs) > 1
             unknowns.append(FreeParameter(name, bounded[name], per_run, prior))
         elif name not in tied:

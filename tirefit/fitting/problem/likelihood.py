@@ -10,7 +10,7 @@ of a row is latent, and its likelihood an integral over the true slip, see
 the limit of no slip noise, so Gauss-Newton steps carry over.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -44,7 +44,7 @@ def _huber(square: Array) -> Array:
     return jnp.where(inside, square, 2 * k * size - k**2)
 
 
-LOSSES = {
+LOSSES: dict[str, Callable[[Array], Array]] = {
     "squares": lambda square: square,
     "huber": _huber,
     "soft-l1": lambda square: 2 * (jnp.sqrt(1 + square) - 1),
