@@ -250,8 +250,8 @@ def problem_from(
         prior = usual[name]
         if asked.prior is not None:
             mean, std = asked.prior.mean, asked.prior.std
-            log = name in LOGARITHMIC and mean > 0
-            prior = Prior(mean, std / mean if log else std, log)
+            is_log = name in LOGARITHMIC and mean > 0
+            prior = Prior(mean, std / mean if is_log else std, is_log)
         elif asked.value is not None:
             prior = prior._replace(centre=asked.value, log=False)
         priors[name] = prior

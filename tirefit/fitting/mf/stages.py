@@ -181,11 +181,11 @@ def _one_stage(work: Search, group: Group, is_last: bool) -> None:
     work.u, work.moved = end.z, work.moved | set(names)
     # The covariance includes the held coefficients: the rows may determine them at this end.
     work.covariance = _covariance(work.covariance, problem, end.z)
-    rows, cells = int(np.sum(group.cells.count)), len(group.cells.count)
+    counts = int(np.sum(group.cells.count)), len(group.cells.count)
     chi2, rmse = end.cost - float(end.z @ end.z), work.rmse(group)
     work.stages.append(
         Stage(
-            group.title, group.force, group.pure, rows, cells,
+            group.title, group.force, group.pure, *counts,
             int(np.count_nonzero(moved.free)), chi2, end.steps, end.converged, rmse, rmse,
         )
     )  # fmt: skip

@@ -216,8 +216,8 @@ def _judge(
         if problem.block_channels(channel.slip) == (channel,):
             # The density of the force at the measured slip is not normal where the curve
             # bends within the noise of the slip.
-            scale = problem.used(problem.rows.scale[channel.name])
-            unlikely = at.unlikely[channel.slip] - np.log(at.variance[channel.name] / scale**2)
+            std = problem.used(problem.rows.scale[channel.name])
+            unlikely = at.unlikely[channel.slip] - np.log(at.variance[channel.name] / std**2)
             residual = np.sign(residual) * np.sqrt(np.maximum(unlikely, 0.0))
         # A kept row pulls the fit towards itself, so its residual is too small.
         spread = np.where(kept, np.maximum(1 - share, _ROUNDING), 1 + share)

@@ -162,9 +162,10 @@ def peak_ranges(
         low, high = derived[label].ci95
         # That of all runs, if the peak of the model does not differ by run.
         found = {
-            name: peaks[name].get(label, peaks[name].get(quantity_of(label))) for name in as_good
+            name: peak
+            for name in as_good
+            if (peak := peaks[name].get(label, peaks[name].get(quantity_of(label))))
         }
-        found = {name: peak for name, peak in found.items() if peak}
         found = found or {task.name: derived[label]}
         inside = [(low or 0.0) <= peak.value <= (high or np.inf) for peak in found.values()]
         if share < NEAR_PEAK or not all(inside):
