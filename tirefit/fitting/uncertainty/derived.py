@@ -338,8 +338,8 @@ def _of_run(
         if name == "F_max":
             fz = reference_point(solved.problem, run)["fz"]
             ends_std = (*estimate.ci95, estimate.std)
-            low, high, std = (None if number is None else number / fz for number in ends_std)
-            share = replace(estimate, value=value / fz, std=std, unit="-", ci95=(low, high))
+            least, most, std = (None if number is None else number / fz for number in ends_std)
+            share = replace(estimate, value=value / fz, std=std, unit="-", ci95=(least, most))
             yield "F_max_over_fz", share
 
 

@@ -275,15 +275,15 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
         return judge(replace(result, interrupted=True))
     health, (ensembles, steps, walkers, _) = _health(samples, run.target), samples.shape
     numbers = (health.ess, health.rhat, health.tau)
-    by_label = [dict(zip(labels, values.tolist(), strict=True)) for values in numbers]
+    ess, rhat, tau = (dict(zip(labels, values.tolist(), strict=True)) for values in numbers)
     accepted = float(np.mean([sampler.acceptance_fraction for sampler in samplers]))
-    rejected = (None, "")
+    k_hat, note = None, ""
     if weighted is not None:
+        k_hat = weighted.k_hat
         note = f"importance sampling refused ({weighted.refused}): emcee instead"
-        rejected = weighted.k_hat, note
     summary = PosteriorSummary(
-        "emcee", run.seed, ensembles, walkers, steps, health.discarded, *by_label,
-        accepted, outcome, *rejected,
+        "emcee", run.seed, ensembles, walkers, steps, health.discarded, ess, rhat, tau,
+        accepted, outcome, k_hat, note,
     )  # fmt: skip
     # Nearly independent draws, the same ones for parameters and derived quantities.
     # A walker that never moved has no autocorrelation time: keep one draw of each.
@@ -295,7 +295,7 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
 def _draw(density: Density, size: int, run: _Run) -> tuple[list[Any], Outcome]:
     """Samplers that ran in chunks until the chain converged, reached its limit or was
     interrupted."""
-    outcome, samplers = Outcome.CHAIN_TOO_SHORT, []
+    outcome, samplers = Outcome.CHAIN_TOO_SHORT, list[Any]()
     try:
         samplers, states = _ensembles(density, size, *run.shape, run.seed)
         while True:
