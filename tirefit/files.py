@@ -5,6 +5,7 @@ import errno
 import json
 import math
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,7 +21,10 @@ except ImportError:  # Windows has no such locks: two processes may write at onc
     fcntl = None
 
 PART = ".tirefit-part"
-"""End of the name of a file that is not complete yet; the name begins with a dot."""
+"""End of the name of a file that is not complete yet, or of a folder with earlier files; the
+name begins with a dot."""
+
+_EARLIER = f".earlier{PART}"
 
 _ABANDONED = 86_400.0
 """Age [s] of a temporary file above which its process was killed: no command takes a day to
@@ -92,37 +96,89 @@ def _temporary(path: Path) -> Iterator[Path]:
 
 
 def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> None:
-    """Replace files that belong together, the last of ``made`` last.
+    """Replace files that belong together, so that a killed process leaves no mixture.
 
-    An earlier last file is removed first: whoever finds it, finds the others of the same
-    result, also after a killed process or a failed renaming.
+    All earlier files are renamed before the first new one takes its place, the last of
+    ``made`` first: whoever finds the last file, finds the others of the same result.
+    After a kill, :func:`remove_left` or the next replacement restores the earlier files.
 
     Args:
         made: path -> the new file that is renamed to it.
         gone: earlier files that have no successor.
 
     Raises:
-        OSError: a file could not be renamed or removed.
+        OSError: a file could not be renamed; then all are as before.
     """
     for path in made:
         if path.is_dir():  # found before the first file is replaced
             raise IsADirectoryError(errno.EISDIR, "there is a folder", str(path))
-    last = list(made)[-1:] if len(made) > 1 or gone else []
-    for path in [*last, *(path for path in gone if not path.is_dir())]:
-        path.unlink(missing_ok=True)
-    for path, new in made.items():
-        try:
+    places = list(dict.fromkeys([*(path for path in gone if not path.is_dir()), *made]))
+    lasts = {path.parent: path for path in places}.values()  # of each folder
+    asides = {last.parent: _aside(last) for last in lasts}
+    try:
+        for last in lasts:
+            _recover(last)  # of a process that was killed
+            asides[last.parent].mkdir()
+        for number, path in reversed([*enumerate(places)]):
+            kept = asides[path.parent] / f"{number}.{path.name}"
+            if os.path.lexists(path):
+                os.replace(path, kept)
+            else:
+                kept.mkdir()  # states that there was no such file
+        for path, new in made.items():
             os.replace(new, path)
-        except OSError as error:  # the user does not know the temporary name
-            raise _of(path, error) from None
+    except BaseException as error:  # Ctrl-C too
+        for aside in asides.values():
+            _put_back(aside)
+        if isinstance(error, OSError):  # the user does not know the names within ``aside``
+            raise _of(places[-1], error) from None
+        raise
+    for aside in asides.values():
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _aside(last: Path) -> Path:
+    """The folder in which earlier files wait until all new ones, ``last`` too, are in place."""
+    return last.with_name(f".{last.name}{_EARLIER}")
+
+
+def _recover(last: Path) -> None:
+    """Undo a replacement that was killed before ``last`` was in place; end a later one."""
+    if os.path.lexists(last):
+        shutil.rmtree(_aside(last), ignore_errors=True)
+    else:
+        _put_back(_aside(last))
+
+
+def _put_back(aside: Path) -> None:
+    """Rename the files in ``aside`` back, the last one last; but a file that was written
+    since they were moved there stays."""
+    if not aside.is_dir():
+        return
+    moved = aside.stat().st_mtime_ns
+    for kept in sorted(aside.iterdir(), key=lambda path: int(path.name.partition(".")[0])):
+        path = aside.with_name(kept.name.partition(".")[2])
+        later = os.path.lexists(path) and path.lstat().st_mtime_ns > moved
+        if not kept.is_dir():
+            kept.unlink() if later else os.replace(kept, path)
+            continue
+        if not later:
+            path.unlink(missing_ok=True)
+        kept.rmdir()
+    aside.rmdir()
 
 
 def remove_left(folder: Path) -> None:
-    """Remove the temporary files in a folder that were last written more than a day ago: no
-    living process needs them."""
+    """Remove what killed processes left in a folder.
+
+    Earlier files whose replacement did not end are restored. Temporary files that were last
+    written more than a day ago are removed: no living process needs them.
+    """
     for path in folder.glob(f".*{PART}"):
         with suppress(OSError):
-            if time.time() - path.lstat().st_mtime > _ABANDONED:
+            if path.name.endswith(_EARLIER):
+                _recover(path.with_name(path.name[1:].removesuffix(_EARLIER)))
+            elif time.time() - path.lstat().st_mtime > _ABANDONED:
                 path.unlink()
 
 
@@ -167,7 +223,11 @@ def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> 
             temporary.write_bytes(text if isinstance(text, bytes) else text.encode())
             os.chmod(temporary, _mode(path))
             made[path] = temporary
-        replace_together(dict(reversed(made.items())), list(gone))
+        gone = [path for path in gone if os.path.lexists(path)]
+        if len(made) + len(gone) > 1:
+            replace_together(dict(reversed(made.items())), gone)
+        for path, temporary in made.items() if len(made) + len(gone) == 1 else ():
+            os.replace(temporary, path)
 
 
 def took_lock(handle: int) -> bool:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 
 import pytest
 from test_cli_fit import FAST, content, write
@@ -97,11 +98,11 @@ def test_a_failed_write_keeps_the_earlier_result(
 
 
 def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
-    for name in ("fit.json", "corner.png", "notes.txt"):
+    for name in ("fit.json", "corner.png", "notes.txt", "chain.npz"):
         (tmp_path / name).write_text("old")
     (tmp_path / ".tirefit-writing").mkdir()  # of a process that was killed
     (tmp_path / ".tirefit-writing" / "trace.png").write_text("torn")
-    torn = tmp_path / ".posterior.nc.abc.tirefit-part"
+    torn = tmp_path / ".chain.npz.abc.tirefit-part"
     torn.write_text("torn")
     os.utime(torn, (0, 0))  # not of a living process
     with claimed(tmp_path):
@@ -110,11 +111,12 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     with staged(tmp_path, known, "") as folder:
         (folder / "fit.json").write_text("new")
         assert (tmp_path / "fit.json").read_text() == "old"
-    kept = {"fit.json": b"new", "notes.txt": b"old"}
+    kept = {"fit.json": b"new", "notes.txt": b"old", "chain.npz": b"old"}
     assert files_of(tmp_path) == kept
 
 
 def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
+    """The next command finds the earlier result or the new one, with its figures only."""
     old = ["fit.json", "fit.png", "corner.png", "posterior.nc"]
     new = ["fit.json", "fit.png", "trace.png"]
     known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]
@@ -135,10 +137,20 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
         with claimed(tmp_path):
             pass
         there = {name: text for name, text in files_of(tmp_path).items() if name[0] != "."}
-        if state := there.get("fit.json"):
-            assert there == dict.fromkeys(old if state == b"old" else new, state)
-            states.add(state)
-    assert b"old" in states
+        state = there["fit.json"]
+        assert there == dict.fromkeys(old if state == b"old" else new, state)
+        states.add(state)
+    assert states == {b"old", b"new"}
+
+
+def test_a_result_that_a_kill_left_in_parts_is_restored_before_it_is_judged(tmp_path):
+    """Killed while files were set aside: a figure has no document that shows whose it is."""
+    aside = tmp_path / ".fit.json.earlier.tirefit-part"
+    aside.mkdir()
+    (aside / "1.fit.json").write_text('{"schema": "tirefit.fit/1"}')
+    (tmp_path / "fit.png").write_bytes(b"figure")
+    check_results([tmp_path / "fit.png", tmp_path / "fit.json"])
+    assert set(files_of(tmp_path)) == {"fit.png", "fit.json"}
 
 
 def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
@@ -148,6 +160,32 @@ def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
             assert temporary.exists()
         temporary.write_text("new")
     assert files_of(tmp_path) == {"results.parquet": b"new"}
+
+
+def test_an_interrupt_while_files_are_moved_keeps_the_earlier_result(tmp_path, monkeypatch):
+    """At each step: the earlier files, or after the last the new ones."""
+    old, new = ["fit.json", "fit.png"], ["fit.json", "trace.png"]
+    replace, states = os.replace, []
+    for last in range(1, 6):
+        for path in tmp_path.iterdir():
+            path.unlink()
+        for name in old:
+            (tmp_path / name).write_text("old")
+        calls = []
+
+        def interrupted(*given, calls=calls, last=last):
+            calls.append(given)
+            if len(calls) == last:
+                raise KeyboardInterrupt
+            replace(*given)
+
+        with monkeypatch.context() as patch, suppress(KeyboardInterrupt):
+            patch.setattr(os, "replace", interrupted)
+            with staged(tmp_path, ["fit.png", "trace.png"], "") as folder:
+                for name in new:
+                    (folder / name).write_text("new")
+        states.append(files_of(tmp_path))
+    assert states == [dict.fromkeys(old, b"old")] * 4 + [dict.fromkeys(new, b"new")]
 
 
 def test_all_unwritable_directories_are_named(tmp_path, monkeypatch):

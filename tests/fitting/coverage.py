@@ -22,7 +22,7 @@ from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.inference import deviance, minima
 from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.uncertainty.importance import draw_weighted
-from tirefit.fitting.uncertainty.posterior import _density, _ensembles, _whitening
+from tirefit.fitting.uncertainty.posterior import _chunk, _density, _start, _whitening
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 
@@ -99,13 +99,11 @@ def _posterior_holds(solved, z_true, seed: int):
     ensembles of emcee, as in a fit."""
     density, (center, root) = _density(solved), _whitening(solved)
     weighted = draw_weighted(density, center, root, seed, 3000)
-    draws, parts = weighted.draws, []
+    draws = weighted.draws
     if weighted.refused:
-        ensembles = zip(*_ensembles(density, len(z_true), 4, 32, seed), strict=True)
-        for sampler, start in ensembles:
-            sampler.run_mcmc(start, 600, skip_initial_state_check=True)
-            parts.append(sampler.get_chain(discard=200, flat=True))
-        draws = np.concatenate(parts)
+        state = _start(density, len(z_true), 4, 32, seed)
+        *_, state = _chunk(density, state, 200)
+        draws = _chunk(density, state, 400)[0].reshape(-1, len(z_true))
     below = np.mean(center + draws @ root.T < z_true, axis=0)
     return (below > 0.025) & (below < 0.975)
 

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 import xarray as xr
+from recipes import GIVEN, STD, curve
 
+from tirefit.fitting.estimate import fit
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.store import posterior_content
 from tirefit.fitting.uncertainty import posterior
@@ -86,16 +88,18 @@ def interrupt_at(count):
     return progress
 
 
-def test_an_interrupted_run_keeps_its_steps(given, chunk):
-    """They are those of a run that is not interrupted."""
+def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path):
     settings = {"effective_samples": 10**9, "max_steps": 2 * chunk, "walkers": 16}
     whole = sample(given, **settings)
-    broken = sample(given, **settings, progress=interrupt_at(1))
+    path = tmp_path / "chain.npz"
+    broken = sample(given, **settings, checkpoint=path, progress=interrupt_at(1))
     assert broken.outcomes == (Outcome.INTERRUPTED,)
-    assert (broken.posterior.steps, whole.posterior.steps) == (chunk, 2 * chunk)
-    shorter = sample(given, **settings | {"max_steps": chunk})
-    assert np.array_equal(broken.walkers, shorter.walkers)
-    assert broken.posterior.acceptance == shorter.posterior.acceptance
+    assert broken.posterior.steps == chunk and path.exists()
+    resumed = sample(given, **settings, checkpoint=path, resume=True)
+    assert resumed.posterior.steps == 2 * chunk
+    assert np.array_equal(resumed.walkers, whole.walkers)
+    assert resumed.posterior == whole.posterior
+    assert [p.name for p in tmp_path.iterdir()] == ["chain.npz"]
 
 
 @pytest.mark.parametrize("stage", ["cells", "emcee", "importance"])
@@ -140,6 +144,28 @@ def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, chun
     result = sample(given, max_steps=chunk, walkers=16)
     assert all(ess == 0 for ess in result.posterior.ess.values())
     assert result.chains.shape[1] == result.posterior.walkers
+
+
+def test_checkpoint_of_another_fit_is_refused(given, chunk, tmp_path):
+    path = tmp_path / "chain.npz"
+    sample(given, effective_samples=10**9, max_steps=chunk, walkers=16, checkpoint=path)
+    # Twice the noise: the same best fit, but not the same posterior.
+    noisier = fit(given.table, config=GIVEN | {"noise": {"fx": 2 * STD}})
+    others = {
+        "other data": (fit(curve(seed=2), config=GIVEN), {}),
+        "other noise": (noisier, {}),
+        "other seed": (given, {"seed": 5}),
+        "other walkers": (given, {"walkers": 40}),
+    }
+    same, accepted = {"walkers": 16}, []
+    for name, (result, changes) in others.items():
+        try:
+            sample(result, max_steps=chunk, checkpoint=path, resume=True, **same | changes)
+        except UsageError as error:
+            assert "another fit" in str(error)
+        else:
+            accepted.append(name)
+    assert accepted == []
 
 
 @pytest.mark.parametrize(

@@ -162,10 +162,12 @@ def test_importance_agrees_with_emcee(given, sampled, weighted):
     assert weighted.status == sampled.status == "ok"
 
 
-def test_importance_is_reproduced_by_its_seed_alone(given, weighted):
-    again = sample(given, sampler="importance")
+def test_importance_is_reproduced_by_its_seed_alone(given, weighted, tmp_path):
+    settings = {"sampler": "importance", "checkpoint": tmp_path / "chain.npz"}
+    again = sample(given, **settings, resume=True)
     assert np.array_equal(again.walkers, weighted.walkers)
-    other = sample(given, sampler="importance", seed=1)
+    assert list(tmp_path.iterdir()) == []  # nothing to resume, nothing kept
+    other = sample(given, **settings, seed=1)
     assert not np.array_equal(other.walkers[:, :, :50], weighted.walkers[:, :, :50])
 
 

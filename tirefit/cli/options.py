@@ -81,7 +81,9 @@ Forces = Annotated[
         "--force", help="fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="skip finished files")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="skip finished files; continue interrupted chains")
+]
 
 Side = StrEnum("Side", "left right")
 

@@ -4,12 +4,15 @@ The only importer of emcee. Sampling happens in the whitened unconstrained space
 least-squares fit, where a well-identified posterior is nearly a unit Gaussian; the
 prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
 
-A chain is a sequence of chunks of steps. The same seed draws the same samples again.
+A chain is a sequence of chunks of steps. The record holds the random state after each
+chunk: a resumed run draws exactly the samples of an uninterrupted one.
 """
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -24,8 +27,9 @@ from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve.condense import apart, condensed
 from tirefit.fitting.solve.inference import REACH, deviance
 from tirefit.fitting.solve.multistart import Solved
+from tirefit.fitting.uncertainty.chains import Chain, Keeper, extended, identity_of, load_chain
 from tirefit.fitting.uncertainty.derived import derived_from_draws
-from tirefit.fitting.uncertainty.importance import Density, draw_weighted
+from tirefit.fitting.uncertainty.importance import Density, Weighted, draw_weighted
 from tirefit.fitting.verdict.judge import judge
 from tirefit.params import Values
 from tirefit.precision import require_x64
@@ -84,32 +88,60 @@ def _density(solved: Solved) -> Density:
     return partial(_log_density, problem=problem, center=center, root=root, base=base)
 
 
-def _ensembles(
+def _pack(state: Any) -> np.ndarray:
+    """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
+    return np.concatenate([state[1].astype(float), state[2:]])
+
+
+def _start(
     density: Density, size: int, ensembles: int, walkers: int, seed: int
-) -> tuple[list[Any], list[Any]]:
-    """Samplers of emcee, one for each ensemble, and their first states."""
-    import emcee  # here, because importance sampling does not need it
-
-    # Differential evolution, with a full jump between modes in one step of ten (ter
-    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
-    # over walkers in Python as in the snooker move.
-    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
-    samplers, states = [], []
-
-    def log_prob(u: np.ndarray) -> np.ndarray:
-        return np.asarray(density(u))
-
+) -> dict[str, np.ndarray]:
+    state: dict[str, list[np.ndarray]] = {"coordinates": [], "values": [], "random": []}
     # Full generator states: emcee silently ignores an integer seed.
     for child in np.random.SeedSequence(seed).spawn(ensembles):
         generator = np.random.RandomState(np.random.MT19937(child))
         # Wider than the posterior, so that R-hat can see ensembles that disagree.
         start = 1.3 * generator.standard_normal((walkers, size))
-        values = np.concatenate([log_prob(half) for half in np.split(start, 2)])
-        random = generator.get_state()
-        states.append(emcee.State(start, log_prob=values, random_state=random))
-        samplers.append(emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True))
-        samplers[-1].log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
-    return samplers, states
+        state["coordinates"].append(start)
+        halves = [np.asarray(density(half)) for half in np.split(start, 2)]
+        state["values"].append(np.concatenate(halves))
+        state["random"].append(_pack(generator.get_state()))
+    return {key: np.array(parts) for key, parts in state.items()}
+
+
+def _chunk(
+    density: Density, state: dict[str, np.ndarray], steps: int
+) -> tuple[np.ndarray, np.ndarray, float, dict[str, np.ndarray]]:
+    """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
+    import emcee  # here, because importance sampling does not need it
+
+    ensembles, walkers, size = state["coordinates"].shape
+    # Differential evolution, with a full jump between modes in one step of ten (ter
+    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
+    # over walkers in Python as in the snooker move.
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    samples = np.empty((ensembles, steps, walkers, size))
+    values = np.empty((ensembles, steps, walkers))
+    accepted, after = 0.0, {key: value.copy() for key, value in state.items()}
+
+    def log_prob(u: np.ndarray) -> np.ndarray:
+        return np.asarray(density(u))
+
+    for e in range(ensembles):
+        sampler = emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True)
+        sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
+        *keys, position, has_gauss, cached = state["random"][e]
+        random = "MT19937", np.array(keys, np.uint32), int(position), int(has_gauss), float(cached)
+        start = emcee.State(
+            state["coordinates"][e], log_prob=state["values"][e], random_state=random
+        )
+        run = sampler.sample(start, iterations=steps, skip_initial_state_check=True)
+        for step, now in enumerate(run):
+            samples[e, step], values[e, step] = now.coords, now.log_prob
+        after["coordinates"][e], after["values"][e] = now.coords, now.log_prob
+        after["random"][e] = _pack(sampler.random_state)
+        accepted += float(np.mean(sampler.acceptance_fraction)) / ensembles
+    return samples, values, accepted, after
 
 
 SAMPLERS = ("emcee", "importance")
@@ -174,6 +206,8 @@ def sample(
     effective_samples: int | None = None,
     max_steps: int = 5000,
     seed: int | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> FitResult:
     """Return the same fit with samples of its posterior.
@@ -193,6 +227,9 @@ def sample(
             standard deviation.
         max_steps: stop here even without convergence, and report it.
         seed: of the sampling; by default that of the fit.
+        checkpoint: file that stores the chain during sampling.
+        resume: continue from ``checkpoint`` if it exists. Importance sampling has
+            nothing to continue: the same seed draws the same samples again.
         progress: called with (share done, message).
 
     Returns:
@@ -200,8 +237,8 @@ def sample(
         ``chains`` and ``posterior``, the quality of the sampling.
 
     Raises:
-        UsageError: an unknown sampler, too few ensembles, odd walkers; or 32-bit floats in
-            use.
+        UsageError: an unknown sampler, too few ensembles, odd walkers, or a checkpoint
+            of another fit; or 32-bit floats in use.
 
     Example:
         >>> found = sample(fit(samples / "circles.csv", "brush"), sampler="importance")
@@ -211,19 +248,15 @@ def sample(
     require_x64("sampling")
     if sampler not in (None, *SAMPLERS):
         raise UsageError(f"sampler {sampler!r}: one of {', '.join(SAMPLERS)}")
-    solved = result.solved
+    solved: Solved = result.solved
     seed = result.seed if seed is None else seed
     size = solved.problem.layout.size
     if sampler is None:
         sampler = "importance" if solved.problem.slip_noise or size > _MANY else "emcee"
     target = effective_samples or _TARGETS[bool(solved.problem.slip_noise)]
-    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
-    if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
-        raise UsageError(
-            f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
-            f" even number of walkers, at least {2 * size + 2}, are needed"
-        )
-    run = _Run(sampler, seed, (ensembles, walkers), target, max_steps, progress)
+    shape = _shape(size, ensembles, walkers)
+    path = None if checkpoint is None else Path(checkpoint)
+    run = _Run(sampler, seed, shape, target, max_steps, path, resume, progress)
     try:
         cells = condensed(solved, _whitening(solved)[1])
     except KeyboardInterrupt:
@@ -235,7 +268,7 @@ def sample(
         return done
     off = apart(done, cells)
     if off > _ALIKE and Outcome.INTERRUPTED not in done.outcomes:
-        return _sampled(result, solved.problem, run)
+        return _sampled(result, solved.problem, run._replace(resume=False))
     text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
     text += f" {off:.2g} in the log density"
     note = "; ".join(filter(None, (done.posterior.note, text)))
@@ -250,40 +283,94 @@ class _Run(NamedTuple):
     shape: tuple[int, int]
     target: int
     max_steps: int
+    path: Path | None
+    resume: bool
     progress: Callable[[float, str], None] | None
 
 
 def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     """The fit with the posterior of this problem: its own, or one made of cells."""
-    solved, labels, weighted = result.solved, result.labels, None
-    density = _density(solved._replace(problem=problem))
+    solved: Solved = result.solved
+    density, weighted = _density(solved._replace(problem=problem)), None
+    size = solved.problem.layout.size
     if run.sampler == "importance":
         weighted = draw_weighted(density, *_whitening(solved), run.seed, run.target, run.progress)
-        if not weighted.refused:
-            count = len(weighted.draws)
-            summary = PosteriorSummary(
-                "importance", run.seed, 1, 1, weighted.points, 0,
-                dict.fromkeys(labels, float(count)), {}, {}, count / weighted.points,
-                Outcome.INTERRUPTED if weighted.interrupted else Outcome.CONVERGED,
-                weighted.k_hat,
-            )  # fmt: skip
-            return _with_posterior(result, weighted.draws[None, :, None], summary)
-    interrupted = weighted is not None and weighted.interrupted
-    samplers, outcome = ([], None) if interrupted else _draw(density, len(labels), run)
-    samples = _samples(samplers)
-    if outcome is None or not len(samples):
+        if weighted.interrupted or not weighted.refused:
+            return _of_weighted(result, weighted, run.seed)
+    identity = identity_of(result, "emcee", run.seed, run.shape)
+    chain, keeper = None, Keeper(run.path, identity)
+    if run.resume and run.path is not None:
+        chain = load_chain(run.path, identity)
+    chain, outcome = _draw(density, size, run, chain, keeper)
+    if chain is None:
         return judge(replace(result, interrupted=True))
-    health, (ensembles, steps, walkers, _) = _health(samples, run.target), samples.shape
-    numbers = (health.ess, health.rhat, health.tau)
-    ess, rhat, tau = (dict(zip(labels, values.tolist(), strict=True)) for values in numbers)
-    accepted = float(np.mean([sampler.acceptance_fraction for sampler in samplers]))
-    k_hat, note = None, ""
+    notes = []
     if weighted is not None:
-        k_hat = weighted.k_hat
-        note = f"importance sampling refused ({weighted.refused}): emcee instead"
+        refused = f"importance sampling refused ({weighted.refused})"
+        notes.append(f"{refused}: emcee instead")
+    if keeper.fault:
+        notes.append(f"the chain was not kept for --resume: {keeper.fault}")
+    return _of_chain(result, chain, outcome, run, weighted, notes)
+
+
+def _shape(size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
+    """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
+    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
+    if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
+        raise UsageError(
+            f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
+            f" even number of walkers, at least {2 * size + 2}, are needed"
+        )
+    return ensembles, walkers
+
+
+def _draw(
+    density: Density, size: int, run: _Run, chain: Chain | None, keeper: Keeper
+) -> tuple[Chain | None, Outcome]:
+    """Sample chunks until the chain converged, reached its limit or was interrupted."""
+    outcome = Outcome.CHAIN_TOO_SHORT
+    try:
+        state = _start(density, size, *run.shape, run.seed) if chain is None else chain.state
+        while True:
+            if chain is not None:
+                health = _health(chain.samples, run.target)
+                if health.enough:
+                    outcome = Outcome.CONVERGED
+                    break
+                if chain.samples.shape[1] >= run.max_steps:
+                    break
+                if run.progress is not None:
+                    steps, least = chain.samples.shape[1], float(health.ess.min())
+                    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
+                    share = min(steps / needed, least / run.target, 0.99)
+                    run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
+            chain = extended(chain, *_chunk(density, state, CHUNK))
+            state = chain.state
+            keeper.now_and_then(chain)
+    except KeyboardInterrupt:
+        outcome = Outcome.INTERRUPTED
+    if chain is not None:
+        keeper.keep(chain)
+    return chain, outcome
+
+
+def _of_chain(
+    result: FitResult,
+    chain: Chain,
+    outcome: Outcome,
+    run: _Run,
+    weighted: Weighted | None,
+    notes: list[str],
+) -> FitResult:
+    """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
+    health = _health(chain.samples, run.target)
+    ensembles, steps, walkers, _ = chain.samples.shape
+    numbers = (health.ess, health.rhat, health.tau)
+    ess, rhat, tau = (dict(zip(result.labels, x.tolist(), strict=True)) for x in numbers)
+    k_hat = None if weighted is None else weighted.k_hat
     summary = PosteriorSummary(
-        "emcee", run.seed, ensembles, walkers, steps, health.discarded, ess, rhat, tau,
-        accepted, outcome, k_hat, note,
+        "emcee", run.seed, ensembles, walkers, steps, health.discarded, ess, rhat,
+        tau, chain.accepted, outcome, k_hat, "; ".join(notes),
     )  # fmt: skip
     # Nearly independent draws, the same ones for parameters and derived quantities.
     # A walker that never moved has no autocorrelation time: keep one draw of each.
@@ -292,38 +379,23 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     return _with_posterior(result, health.kept[:, ::thin], summary)
 
 
-def _draw(density: Density, size: int, run: _Run) -> tuple[list[Any], Outcome]:
-    """Samplers that ran in chunks until the chain converged, reached its limit or was
-    interrupted."""
-    outcome, samplers = Outcome.CHAIN_TOO_SHORT, list[Any]()
-    try:
-        samplers, states = _ensembles(density, size, *run.shape, run.seed)
-        while True:
-            for e, sampler in enumerate(samplers):
-                states[e] = sampler.run_mcmc(states[e], CHUNK, skip_initial_state_check=True)
-            health, steps = _health(_samples(samplers), run.target), samplers[0].iteration
-            if health.enough:
-                outcome = Outcome.CONVERGED
-            if health.enough or steps >= run.max_steps:
-                break
-            if run.progress is not None:
-                needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
-                share = min(steps / needed, float(health.ess.min()) / run.target, 0.99)
-                run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
-    except KeyboardInterrupt:
-        outcome = Outcome.INTERRUPTED
-    return samplers, outcome
-
-
-def _samples(samplers: Sequence[Any]) -> np.ndarray:
-    """Samples (ensembles, steps, walkers, p), of the steps that every ensemble has made."""
-    steps = min((sampler.iteration for sampler in samplers), default=0)
-    return np.array([sampler.get_chain()[:steps] for sampler in samplers if steps])
+def _of_weighted(result: FitResult, weighted: Weighted, seed: int) -> FitResult:
+    """The posterior of weighted points: one chain of independent draws."""
+    if weighted.refused:
+        return judge(replace(result, interrupted=True))
+    count = len(weighted.draws)
+    summary = PosteriorSummary(
+        "importance", seed, 1, 1, weighted.points, 0,
+        dict.fromkeys(result.labels, float(count)), {}, {}, count / weighted.points,
+        Outcome.INTERRUPTED if weighted.interrupted else Outcome.CONVERGED,
+        weighted.k_hat,
+    )  # fmt: skip
+    return _with_posterior(result, weighted.draws[None, :, None], summary)
 
 
 def _with_posterior(result: FitResult, u: np.ndarray, summary: PosteriorSummary) -> FitResult:
     """The fit with draws u (ensembles, steps, walkers, p) of the whitened space."""
-    solved = result.solved
+    solved: Solved = result.solved
     center, root = _whitening(solved)
     z = center + u @ root.T
     flat = z.reshape(-1, z.shape[-1])
