@@ -11,7 +11,7 @@ import pytest
 from fits.fuzz import COMMANDS, KINDS, damaged, failures
 from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.door import (
-    CHAIN,
+    RECORD,
     content_of,
     control_character,
     outrageous,
@@ -140,9 +140,9 @@ def test_too_large_a_file_is_not_read(tmp_path):
     with pytest.raises(UsageError, match="more than 1 MiB"):
         read_toml(path)
     with pytest.raises(DataError, match="cannot read it: No such file"):
-        content_of(tmp_path / "none", CHAIN)
+        content_of(tmp_path / "none", RECORD)
     with pytest.raises(DataError, match="cannot read it"):
-        content_of("a\0b", CHAIN)
+        content_of("a\0b", RECORD)
 
 
 def test_infinities_are_not_refused_in_general():

@@ -50,7 +50,6 @@ OWNERS = {
     "optimistix": "fitting/solve/least_squares.py",
     "jaxopt": "fitting/solve/least_squares.py",
     "emcee": "fitting/uncertainty/posterior.py",
-    "blackjax": "fitting/uncertainty/nuts.py",
     "matplotlib": "report/",
     "corner": "report/",
     "jinja2": "report/",

@@ -6,7 +6,7 @@ import pytest
 
 import tirefit
 from tirefit.data.table import TireData
-from tirefit.fitting.convert import curve
+from tirefit.fitting.predict import curve
 from tirefit.fitting.result import FitResult
 from tirefit.precision import require_x64
 from tirefit.results import UsageError

@@ -77,28 +77,20 @@ def par(
     return eqx.field(default=default, metadata={"spec": spec})
 
 
-def _fields(model: eqx.Module) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
+def _parameters(model: eqx.Module) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
+    """(field, value) of each parameter, in the order of the fields, parts included."""
     for field in dataclasses.fields(model):
-        yield field, getattr(model, field.name)
-
-
-def _parts(value: Any) -> tuple[eqx.Module, ...]:
-    if isinstance(value, eqx.Module):
-        return (value,)
-    if isinstance(value, tuple):
-        return tuple(part for part in value if isinstance(part, eqx.Module))
-    return ()
+        value = getattr(model, field.name)
+        if "spec" in field.metadata:
+            yield field, value
+        for part in value if isinstance(value, tuple) else (value,):
+            if isinstance(part, eqx.Module):
+                yield from _parameters(part)
 
 
 def specs(model: eqx.Module) -> dict[str, Spec]:
     """Parameter name -> :class:`Spec`, in the order of the fields, parts included."""
-    declared: dict[str, Spec] = {}
-    for field, value in _fields(model):
-        if "spec" in field.metadata:
-            declared[field.name] = field.metadata["spec"]
-        for part in _parts(value):
-            declared.update(specs(part))
-    return declared
+    return {field.name: field.metadata["spec"] for field, _ in _parameters(model)}
 
 
 def parameter_values(model: eqx.Module) -> dict[str, float]:
@@ -114,13 +106,7 @@ def parameter_values(model: eqx.Module) -> dict[str, float]:
         >>> parameter_values(MODELS["brush"])
         {'cpa2': 50000.0, 'mu': 1.0, 'half_length': 0.1}
     """
-    values: dict[str, float] = {}
-    for field, value in _fields(model):
-        if "spec" in field.metadata:
-            values[field.name] = value
-        for part in _parts(value):
-            values.update(parameter_values(part))
-    return values
+    return {field.name: value for field, value in _parameters(model)}
 
 
 def check_values(
@@ -241,12 +227,13 @@ def with_values(model: Model, values: Mapping[str, Numbers]) -> Model:
 
 def _replace(model: Model, values: Mapping[str, Any]) -> Model:
     changes = {}
-    for field, value in _fields(model):
+    for field in dataclasses.fields(model):
+        value = getattr(model, field.name)
         if "spec" in field.metadata and field.name in values:
             changes[field.name] = values[field.name]
         elif isinstance(value, eqx.Module):
             changes[field.name] = _replace(value, values)
-        elif isinstance(value, tuple) and _parts(value):
+        elif isinstance(value, tuple) and any(isinstance(part, eqx.Module) for part in value):
             changes[field.name] = tuple(_replace(part, values) for part in value)
     return dataclasses.replace(model, **changes)
 

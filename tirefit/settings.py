@@ -74,9 +74,17 @@ def parse_settings(kind: type[S], content: dict[str, Any], source: str) -> S:
     # Contradictions are checked only if all keys of a section are right: remove the wrong
     # keys and check again.
     seen = [detail["loc"] for detail in details if detail["type"] == "value_error"]
-    wrong = [detail["loc"] for detail in details if detail["type"] != "value_error"]
+    content = copy.deepcopy(content)
+    for detail in details:
+        # A list is removed as a whole.
+        path = [*itertools.takewhile(lambda part: isinstance(part, str), detail["loc"])]
+        place: Any = content
+        for part in path[:-1]:
+            place = place.get(part) if isinstance(place, dict) else None
+        if path and isinstance(place, dict) and detail["type"] != "value_error":
+            place.pop(path[-1], None)
     try:
-        kind.model_validate(_without(content, wrong))
+        kind.model_validate(content)
     except ValidationError as error:
         details += [
             detail
@@ -86,19 +94,6 @@ def parse_settings(kind: type[S], content: dict[str, Any], source: str) -> S:
     raise UsageError(
         [replace(problem, file=source) for detail in details for problem in _problems(kind, detail)]
     )
-
-
-def _without(content: dict[str, Any], locations: Iterable[tuple[Any, ...]]) -> dict[str, Any]:
-    """The content without the keys at the locations; a list is removed as a whole."""
-    rest = copy.deepcopy(content)
-    for location in locations:
-        path = [*itertools.takewhile(lambda part: isinstance(part, str), location)]
-        place: Any = rest
-        for part in path[:-1]:
-            place = place.get(part) if isinstance(place, dict) else None
-        if path and isinstance(place, dict):
-            place.pop(path[-1], None)
-    return rest
 
 
 def _section_at(kind: type[Section], path: tuple[str, ...]) -> type[Section]:

@@ -278,7 +278,7 @@ def posterior() -> None:
         ess = min(drawn.ess.values())
         return ess / (time.perf_counter() - start)
 
-    for name in ("importance", "nuts", "emcee"):
+    for name in ("importance", "emcee"):
         ours(name)
         pairs = [(ours(name), peer()) for _ in range(3)]
         label = f"posterior, {name} (peer: emcee on NumPy)"

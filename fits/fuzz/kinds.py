@@ -52,7 +52,7 @@ upper = 2.0
 mean = 0.9
 std = 0.1
 [posterior]
-sampler = "nuts"
+sampler = "importance"
 max_steps = 100
 """
     return [*_files("fits/*/fit.toml"), whole]

@@ -102,7 +102,7 @@ def _lines(method: str, case: Case, results, intervals, notes) -> list[dict]:
     ]
 
 
-METHODS_TIMED = ("fit", "importance", "emcee", "nuts", "mean-field", "full-rank", "lmfit")
+METHODS_TIMED = ("fit", "importance", "emcee", "mean-field", "full-rank", "lmfit")
 
 
 def timed(method: str, name: str = "magic-formula") -> dict:

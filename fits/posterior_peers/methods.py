@@ -11,8 +11,8 @@ from tirefit.results import Outcome
 
 __all__ = ["CHAINS", "METHODS", "fits_of", "intervals_of"]
 
-CHAINS = ("emcee", "nuts")
-WALKERS = {"emcee": 16, "nuts": 8, "importance": 16}
+CHAINS = ("emcee",)
+WALKERS = {"emcee": 16, "importance": 16}
 """Walkers of an ensemble (importance sampling may switch to emcee): fewer than the default
 of a fit, to save time."""
 
@@ -27,7 +27,6 @@ METHODS = (
     "full-rank",
     "importance",
     "emcee",
-    "nuts",
 )
 """The slow methods are last, so that the other results can be read earlier."""
 

@@ -14,7 +14,6 @@ METHODS = {
     "profile": "tirefit, profile",
     "importance": "tirefit, importance",
     "emcee": "tirefit, emcee",
-    "nuts": "tirefit, NUTS",
     "full-rank": "NumPyro SVI, full rank",
     "mean-field": "NumPyro SVI, mean field",
     "covariance": "tirefit, covariance",
@@ -104,7 +103,7 @@ def _of_case(name: str, lines: list[dict[str, str]]) -> list[str]:
         for method in ("full-rank", "mean-field")
         if (f"{method}, 3 x", parameters[0]) in rows
     ]
-    for method in ("importance", "emcee", "nuts"):
+    for method in ("importance", "emcee"):
         said = rows.get((method, parameters[0]), {"said": []})["said"]
         for word in sorted({one for one in said if one}):
             text.append(f"- {METHODS[method]}: {said.count(word)} of {len(said)} {word}")

@@ -269,7 +269,7 @@ COMPLETED = {
     "fit d.csv --convention i": {"iso-w"},
     "inspect d.csv --convention s": {"sae"},
     "fit d.csv --slip ka": {"kappa"},
-    "fit d.csv --sampler n": {"nuts"},
+    "fit d.csv --sampler im": {"importance"},
     "diagnose d.csv --without yaw": {"yaw_inertia"},
     "--vers": {"--version"},
 }

@@ -5,10 +5,15 @@ import pytest
 from recipes import solved, table
 
 from tirefit import fit_many, predict
+from tirefit.params import log_jacobian
 from tirefit.results import DataError
 
 SLIP = np.linspace(-0.12, 0.12, 60)
 MU = (0.7, 0.9)
+
+
+def specs_of(alone):
+    return [parameter.spec for _, parameter in alone.problem.layout.elements]
 
 
 @pytest.mark.parametrize(("slip", "force"), [("sigma_x", "fx"), ("alpha", "fy")])
@@ -23,6 +28,9 @@ def test_many_fits_are_those_of_each_data_set(slip, force):
         values = alone.problem.layout.natural(alone.z)
         for name, value in zip(many.names, many.values[k], strict=True):
             assert value == pytest.approx(float(values[name]), rel=1e-3)
+        slopes = [np.exp(log_jacobian(z, s)) for z, s in zip(alone.z, specs_of(alone), strict=True)]
+        std = slopes * np.sqrt(np.diag(alone.covariance))
+        np.testing.assert_allclose(many.std[k], std, rtol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,7 @@ import pytest
 from recipes import FZ, solved, table
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.problem.build import build
-from tirefit.fitting.problem.combined_slip import slip_of_forces
+from tirefit.fitting.problem.build import build, slip_of_forces
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.likelihood import root_deviance, row_moments
 from tirefit.fitting.solve.multistart import with_densities

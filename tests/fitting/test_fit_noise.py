@@ -162,3 +162,16 @@ def test_evenly_spread_slips_have_no_set_point():
     mean, spread, _ = found.moments(slip, 0 * std)
     np.testing.assert_array_equal(mean, slip)
     np.testing.assert_array_equal(spread, 0.0)
+
+
+def test_runs_that_differ_as_a_whole_count_by_the_scatter_of_their_sums():
+    """By less than the autocorrelation within a run shows."""
+    generator = np.random.default_rng(4)
+    run = np.repeat(np.arange(10), 100)
+    scores = generator.standard_normal(1000) + 0.3 * np.tile([1.0, -1.0], 5)[run]
+    sums = np.bincount(run, scores)
+    assert autocorrelation_time([scores[run == k] for k in range(10)]) == 1
+    expected = np.sum(sums**2) / 9 / np.mean(scores**2) / 100
+    found = effective_inflation(scores[:, None], run, None)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert expected > 5

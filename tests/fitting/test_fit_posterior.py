@@ -88,10 +88,8 @@ def interrupt_at(count):
     return progress
 
 
-@pytest.mark.parametrize("sampler", ["emcee", "nuts"])
-def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path, sampler):
-    settings = {"sampler": sampler, "effective_samples": 10**9, "max_steps": 2 * chunk}
-    settings["walkers"] = 16 if sampler == "emcee" else 2
+def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path):
+    settings = {"effective_samples": 10**9, "max_steps": 2 * chunk, "walkers": 16}
     whole = sample(given, **settings)
     path = tmp_path / "chain.npz"
     broken = sample(given, **settings, checkpoint=path, progress=interrupt_at(1))
@@ -157,7 +155,6 @@ def test_checkpoint_of_another_fit_is_refused(given, chunk, tmp_path):
         "other data": (fit(curve(seed=2), config=GIVEN), {}),
         "other noise": (noisier, {}),
         "other seed": (given, {"seed": 5}),
-        "other sampler": (given, {"sampler": "nuts"}),
         "other walkers": (given, {"walkers": 40}),
     }
     same, accepted = {"walkers": 16}, []
@@ -179,13 +176,10 @@ def test_checkpoint_of_another_fit_is_refused(given, chunk, tmp_path):
 def test_unsuitable_ensembles_are_refused(given, settings):
     with pytest.raises(UsageError, match="at least 4 ensembles and an even number"):
         sample(given, **settings)
-    if settings.get("ensembles"):
-        with pytest.raises(UsageError, match="at least 4"):
-            sample(given, sampler="nuts", **settings)
 
 
 def test_an_unknown_sampler_is_refused(given):
-    with pytest.raises(UsageError, match="emcee, nuts, importance"):
+    with pytest.raises(UsageError, match="emcee, importance"):
         sample(given, sampler="hmc")
 
 

@@ -1,10 +1,14 @@
 """Residuals by groups and in order, and densities of draws, checked independently."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from recipes import FZ
 from scipy.stats import norm
 
 from tirefit.fitting.problem.noise import autocorrelation
+from tirefit.fitting.uncertainty.bands import force_band
 from tirefit.fitting.uncertainty.marginals import (
     bin_edges,
     dense_profile,
@@ -14,6 +18,7 @@ from tirefit.fitting.uncertainty.marginals import (
     near_level,
 )
 from tirefit.fitting.verdict.residuals import means_by, means_over, ordered_correlation
+from tirefit.models import TireInputs
 
 
 def test_autocorrelation_of_a_known_series_is_right():
@@ -111,3 +116,16 @@ def test_profile_is_dense_and_ends_above_its_level():
     np.testing.assert_allclose(dense, (grid - 4.0) ** 2, atol=1e-12)
     assert (grid[0], grid[-1]) == (2, 6)
     assert not near_level(np.array([0.0, 0.5, np.inf]), 1.0)[-1]
+
+
+def test_the_band_of_a_measurement_holds_the_noise_of_its_slip(given):
+    """As the slope of the curve times it: 0.003 at slips of 0 and of full sliding."""
+    std = np.full(len(given.problem.rows.weight), 0.003)
+    noisy = replace(given, problem=given.problem.with_rows(slip_std={"sigma_x": std}))
+    inputs = TireInputs(*np.zeros((7, 2)))._replace(sigma_x=np.array([0.0, 0.5]), fz=np.full(2, FZ))
+    band = force_band(noisy, "fx", inputs, np.zeros(2, int), np.zeros(2))
+    slope = np.array([given.derived["C_x"].value, 0.0])
+    half = np.hypot(band.high - band.force, 1.96 * 0.003 * slope)
+    np.testing.assert_allclose(band.noise_high - band.force, half, rtol=1e-3)
+    np.testing.assert_allclose(band.force - band.noise_low, half, rtol=1e-3)
+    assert half[0] > 100

@@ -1,8 +1,5 @@
-"""NUTS and importance sampling compared with known posteriors, ArviZ and emcee."""
+"""Importance sampling compared with known posteriors, ArviZ and emcee."""
 
-from functools import partial
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +7,6 @@ from recipes import brush_force
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.uncertainty.importance import draw_weighted, smoothed
-from tirefit.fitting.uncertainty.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
 from tirefit.report.fit_figures import save_figures
 from tirefit.report.fit_report import fit_report
@@ -160,7 +156,7 @@ def test_importance_agrees_with_emcee(given, sampled, weighted):
     summary = weighted.posterior
     assert summary.sampler == "importance" and summary.outcome is Outcome.CONVERGED
     assert summary.k_hat < 0.7 and summary.rhat == {} and summary.tau == {}
-    assert summary.note == "" and summary.divergences is None
+    assert summary.note == ""
     assert len(flat(weighted)) == min(summary.ess.values()) >= 4000
     agree(flat(weighted), flat(sampled), stds(given), min(sampled.posterior.ess.values()))
     assert weighted.status == sampled.status == "ok"
@@ -195,6 +191,12 @@ def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, chun
     assert content["k_hat"] == summary.k_hat and content["note"] == summary.note
 
 
+def test_importance_is_the_default_for_many_parameters(given, monkeypatch):
+    monkeypatch.setattr("tirefit.fitting.uncertainty.posterior._MANY", 1)
+    drawn = sample(given, effective_samples=500).posterior
+    assert (drawn.sampler, drawn.note) == ("importance", "")
+
+
 def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
     written = {path.name for path in save_figures(weighted, tmp_path)}
     assert "corner.png" in written and "trace.png" not in written
@@ -202,61 +204,6 @@ def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
         weighted.plot("trace")
     text = " ".join(fit_report(weighted).split())
     assert "k-hat" in text and "no chain" in text and "R-hat" not in text
-
-
-@pytest.mark.long
-def test_nuts_agrees_with_emcee(given, sampled):
-    result = sample(given, sampler="nuts", effective_samples=1000)
-    summary = result.posterior
-    assert summary.outcome is Outcome.CONVERGED and summary.divergences == 0
-    assert (summary.ensembles, summary.walkers) == (4, 8)
-    assert 0.6 < summary.acceptance < 0.95
-    fewer = min(sampled.posterior.ess.values())
-    agree(flat(result), flat(sampled), stds(given), fewer)
-    text = " ".join(fit_report(result).split())
-    assert "4 ensembles × 8 chains" in text and "0 divergences" in text
-
-
-ROOT = np.array([[0.02, 0.0], [4.0, 3.0]])
-INVERSE = np.linalg.inv(ROOT)
-
-
-def gaussian_or_funnel(u, funnel):
-    """Spreads of 0.02 and 5 and a correlation, without any whitening; or a funnel, whose
-    neck is narrower than any one step size reaches (Neal 2003). One program for both."""
-    neck = 3 * u[..., 0]
-    of_funnel = u[..., 0] ** 2 + u[..., 1] ** 2 * jnp.exp(-neck) + neck
-    return -jnp.where(funnel, of_funnel, jnp.sum((u @ INVERSE.T) ** 2, axis=-1)) / 2
-
-
-@pytest.mark.long
-def test_nuts_adapts_a_mass():
-    density = partial(gaussian_or_funnel, funnel=np.array(False))
-    state = nuts_start(density, 2, 4, 8, 0)
-    samples, values, accepted, state = nuts_chunk(density, state, 50)
-    *_, state = nuts_chunk(density, state, 50)
-    assert samples.shape == (4, 50, 8, 2) and values.shape == (4, 50, 8)
-    np.testing.assert_allclose(values, density(samples), rtol=1e-9)
-    assert 0.6 < accepted < 0.95 and state["divergences"] == 0
-    covariance = np.cov(samples.reshape(-1, 2).T)
-    np.testing.assert_allclose(covariance, ROOT @ ROOT.T, rtol=0.25)
-
-
-def test_nuts_counts_divergences():
-    density = partial(gaussian_or_funnel, funnel=np.array(True))
-    *_, state = nuts_chunk(density, nuts_start(density, 2, 4, 8, 0), 50)
-    assert state["divergences"] > 0
-
-
-def test_a_density_is_differentiable_and_batched(given):
-    """Everything that the samplers need of a fit."""
-    density = _density(given.solved)
-    u = np.random.default_rng(0).standard_normal((5, 2))
-    values = density(u)
-    assert values.shape == (5,)
-    slope = jax.jacfwd(density)(u)
-    assert np.all(np.isfinite(slope))
-    assert np.count_nonzero(np.abs(slope) > 0) == 10  # each point its own
 
 
 def test_slips_with_noise_are_sampled_by_points_like_a_grid():

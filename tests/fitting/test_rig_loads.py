@@ -5,6 +5,7 @@ import pytest
 
 from fits.rig_test.generate import LOADS
 from fits.rig_test.loads import CASES, CHOSEN, LAWS, shares
+from tirefit.fitting.mf.left_out import _band, _Sample, beyond_of
 
 
 def test_no_tire_that_judges_the_bands_had_a_part_in_their_choice():
@@ -36,3 +37,20 @@ def test_bands_hold_at_the_outer_loads_of_a_tire_that_no_formula_follows():
         for force in ("fx", "fy", "mz", "mx"):
             widths = [found[load, seed][force].width for seed in (21, 22)]
             assert max(widths) / min(widths) < 1.5, (load, force)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.15])
+def test_the_error_beyond_the_loads_is_that_beside_the_noise(error):
+    """Noise of 30 N in the fitted rows and in those of an outer load, which the formula
+    misses by ``error`` of the force, for e times the largest load."""
+    sign = np.tile([1.0, -1.0], 100)
+    fz, force = np.linspace(2e3, 6e3, 200), np.linspace(-4e3, 4e3, 200)
+    nothing, loads = np.zeros(200), (2e3, 6e3)
+    fitted = _Sample(30 * sign, fz, force, nothing, 200, 1.0, loads)
+    outer = _Sample(nothing, np.full(200, 9e3), 1.5 * force, nothing, 200, 1.0, loads)
+    assert np.all(outer.beyond == pytest.approx(np.log(1.5)))
+    missed = error**2 * outer.beyond * outer.predicted**2
+    band = _band([outer._replace(residual=sign * np.sqrt(30**2 + missed))], fitted)
+    np.testing.assert_allclose(band.law.constant, 30, rtol=1e-6)
+    np.testing.assert_allclose(band.law.beyond, beyond_of([error**2]), rtol=1e-4)
+    assert band.wider == 1

@@ -161,7 +161,7 @@ def _refit(
     tir = None if file is None else read_tir(file)
     start_jax()
     from tirefit.data.table import Source
-    from tirefit.fitting.convert import curve, misfit_by_load
+    from tirefit.fitting.predict import curve, misfit_by_load
     from tirefit.fitting.problem.build import find_model
     from tirefit.fitting.problem.config import FitConfig, NoiseConfig
     from tirefit.fitting.problem.likelihood import CHANNEL_SLIP

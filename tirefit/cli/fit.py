@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
 Solver = StrEnum(
     "Solver", {"optimistix": "optimistix", "jaxopt": "jaxopt", "gauss_newton": "gauss-newton"}
 )
-Sampler = StrEnum("Sampler", "emcee nuts importance")
+Sampler = StrEnum("Sampler", "emcee importance")
 
 PAGE_OF_ALL = "fits.html"
 

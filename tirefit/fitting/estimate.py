@@ -11,7 +11,6 @@ from tirefit.compiled import release_programs
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.problem.config import FitConfig, parse_config
-from tirefit.fitting.problem.layout import Tie
 from tirefit.fitting.problem.likelihood import FitProblem
 from tirefit.fitting.problem.noise import noise_by_row
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
@@ -78,24 +77,15 @@ def _slip_structure(problem: FitProblem, residual: np.ndarray) -> float:
     run, load = problem.used(problem.rows.run), problem.used(inputs.fz)
     # Neighbours within a run and a load: otherwise a misfit that alternates between
     # conditions would resemble noise.
-    orders = [
-        np.argsort(slip, kind="stable"),
-        np.lexsort((slip, np.round(np.log(load) / 0.1), run)),
-    ]
-    return max(_neighbours(residual[order]) for order in orders)
+    residual = residual - residual.mean()
+    power = float(residual @ residual)
+    orders = np.argsort(slip, kind="stable"), np.lexsort((slip, np.round(np.log(load) / 0.1), run))
+    ordered = [residual[order] for order in orders]
+    return max(float(one[1:] @ one[:-1]) / power if power > 0 else 0.0 for one in ordered)
 
 
-def _neighbours(ordered: np.ndarray) -> float:
-    ordered = ordered - ordered.mean()
-    power = float(ordered @ ordered)
-    return float(ordered[1:] @ ordered[:-1]) / power if power > 0 else 0.0
-
-
-def _versions() -> dict[str, str]:
-    packages = ("jax", "optimistix", "jaxopt", "emcee", "blackjax", "numpy", "scipy")
-    return {"python": platform.python_version()} | {
-        name: importlib.metadata.version(name) for name in packages
-    }
+_PACKAGES = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
+"""Packages whose versions a result states."""
 
 
 def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str, Any]:
@@ -115,76 +105,54 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
         "units": dict(source.units),
         "assumptions": list(source.notes),
         "constants": dict(source.constants),
-        "range": _ranges(data),
+        "range": {
+            name: (float(np.min(values)), float(np.max(values)))
+            for name in TireInputs._fields
+            if name != "time" and name in data and len(values := data.usable(name))
+        },
         "slip_check": None if source.slip_check is None else asdict(source.slip_check),
     }
 
 
-def _ranges(data: TireData) -> dict[str, tuple[float, float]]:
-    """Smallest and largest value of each input of the used rows, canonical."""
-    found = {}
-    for name in TireInputs._fields:
-        values = data.usable(name) if name in data else np.zeros(0)
-        if name != "time" and len(values):
-            found[name] = (float(np.min(values)), float(np.max(values)))
-    return found
-
-
-def _follows_load(problem: FitProblem, scale: np.ndarray) -> bool:
-    """Whether the noise is a fixed share of a load that varies."""
-    ratio = scale / problem.used(problem.rows.inputs.fz)
-    return bool(np.ptp(scale) > 1e-9 * scale.max() and np.ptp(ratio) < 1e-9 * ratio.max())
-
-
-def _shares_of_slip(solved: Solved, slip: str) -> dict[str, float]:
-    """Share of the variance of each force about its prediction that the noise of its slip
-    makes, over all rows."""
-    shares = {}
-    for name in (c.name for c in solved.problem.channels if c.slip == slip):
-        of_force = solved.problem.used(solved.problem.rows.scale[name]) ** 2
-        shares[name] = float(1 - np.sum(of_force) / np.sum(solved.at.variance[name]))
-    return shares
-
-
 def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
-    problem = settled.solved.problem
+    problem, at = settled.solved.problem, settled.solved.at
+    fz = problem.used(problem.rows.inputs.fz)
     record: dict[str, Any] = {"loss": config.noise.loss}
     if config.noise.loss == "trimmed":
         record |= {"limit": settled.limit, "too_many": settled.note}
     for channel in problem.channels:
         scale = problem.used(problem.rows.scale[channel.name])
+        varies, ratio = np.ptp(scale) > 1e-9 * scale.max(), scale / fz
         record[channel.name] = {
             "median_std": float(np.median(scale)),
-            "proportional_to_load": _follows_load(problem, scale),
+            "proportional_to_load": bool(varies and np.ptp(ratio) < 1e-9 * ratio.max()),
             "source": "estimated" if channel.noise_estimated else "given",
         }
         one_std = channel.noise_estimated and np.ptp(scale) == 0
         if one_std and problem.loss == "squares" and not problem.rows.nodes:
-            force = np.asarray(settled.solved.at.mean[channel.name])
+            force = np.asarray(at.mean[channel.name])
             record[channel.name] |= noise_by_row(
                 problem.used(problem.rows.observed[channel.name]) - force,
-                problem.used(problem.rows.inputs.fz),
+                fz,
                 force,
                 problem.used(problem.rows.run),
                 problem.layout.runs,
             )
     for slip, std in problem.slip_noise.items():
+        # The share of the variance of each force about its prediction, over all rows.
+        shares = {
+            c.name: float(
+                1
+                - np.sum(problem.used(problem.rows.scale[c.name]) ** 2)
+                / np.sum(at.variance[c.name])
+            )
+            for c in problem.channels
+            if c.slip == slip
+        }
         record[slip] = {"median_std": float(np.median(std)), "source": "given"}
-        record[slip]["share_of_variance"] = _shares_of_slip(settled.solved, slip)
+        record[slip]["share_of_variance"] = shares
     record["inflation"] = {k: float(rule.inflation) for k, rule in problem.rules.items()}
     return record
-
-
-def _config(config: FitConfig | dict[str, Any] | None, **changes: Any) -> FitConfig:
-    if config is None:
-        config = FitConfig()
-    elif isinstance(config, dict):
-        config = parse_config(config)
-    given = {key: value for key, value in changes.items() if value is not None}
-    written = {k: v for k, v in given.items() if k != "solver" or isinstance(v, str)}
-    parse_config(written, "fit()")
-    solver_name(given.get("solver", config.solver))
-    return config.model_copy(update=given)
 
 
 def fit(
@@ -230,7 +198,12 @@ def fit(
     require_x64("a fit")
     release_programs()
     data = as_data(data)
-    config = _config(config, solver=solver, seed=seed, model=model)
+    config = parse_config(config or {}) if not isinstance(config, FitConfig) else config
+    given = {"solver": solver, "seed": seed, "model": model}
+    given = {key: value for key, value in given.items() if value is not None}
+    parse_config({k: v for k, v in given.items() if k != "solver" or isinstance(v, str)}, "fit()")
+    solver_name(given.get("solver", config.solver))
+    config = config.model_copy(update=given)
     settled = settle(data, config.model or "brush", config)
     return _summarise(settled, data, config)
 
@@ -263,7 +236,8 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
         solver=solver_name(config.solver),
         seed=config.seed,
         version=importlib.metadata.version("tirefit"),
-        versions=_versions(),
+        versions={"python": platform.python_version()}
+        | {name: importlib.metadata.version(name) for name in _PACKAGES},
         z=solved.z,
         covariance=solved.covariance,
         profiles={
@@ -286,32 +260,20 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
 
 def with_fixed(estimates: dict[str, Estimate], problem: FitProblem) -> dict[str, Estimate]:
     """Estimates plus the fixed and tied parameters, in the model's order."""
-    everything = dict(estimates)
-    free = {p.name for p in problem.layout.free}
+    everything, free = dict(estimates), {p.name for p in problem.layout.free}
     ties = {tie.name: tie for tie in problem.layout.ties}
+    ends = ("", *(f"[{run}]" for run in problem.layout.runs))
     for name, spec in specs(problem.model).items():
         if name in ties:
-            everything |= _tied(ties[name], spec.unit, estimates, problem.layout.runs)
+            factor, of = ties[name].factor, ties[name].other
+            # One for each run, if the other one is per run.
+            for end, other in ((e, estimates[of + e]) for e in ends if of + e in estimates):
+                low, high = (None if x is None else factor * x for x in other.ci95)
+                ci95 = (low, high) if factor > 0 else (high, low)
+                std = None if other.std is None else abs(factor) * other.std
+                tied = Estimate(factor * other.value, std, spec.unit, ci95, other.identified)
+                everything[name + end] = tied
         elif name not in free and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
             everything[name] = Estimate(value, None, spec.unit, (None, None), fixed=True)
     return everything
-
-
-def _tied(
-    tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, ...]
-) -> dict[str, Estimate]:
-    """Estimates of a tied parameter by label; one per run if the other one is per run."""
-    tied = {}
-    for end in ("", *(f"[{run}]" for run in runs)):
-        if f"{tie.other}{end}" in estimates:
-            other = estimates[f"{tie.other}{end}"]
-            low, high = (None if end is None else tie.factor * end for end in other.ci95)
-            tied[f"{tie.name}{end}"] = Estimate(
-                tie.factor * other.value,
-                None if other.std is None else abs(tie.factor) * other.std,
-                unit,
-                (low, high) if tie.factor > 0 else (high, low),
-                other.identified,
-            )
-    return tied

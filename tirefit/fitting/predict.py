@@ -1,7 +1,8 @@
 """Forces that a fit or a model predicts, row by row, with standard deviations."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,14 +14,14 @@ from jaxtyping import Array, Float, Int
 from tirefit.compiled import BRIEF
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
-from tirefit.data.table import CANONICAL, TireData
+from tirefit.data.table import CANONICAL, Source, TireData
 from tirefit.data.tir.tir import read_tir
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.result import MagicFormulaFit, TireLike, magic_formula_forces
 from tirefit.fitting.problem.build import find_model
 from tirefit.fitting.problem.layout import Layout
-from tirefit.fitting.problem.likelihood import row_forces
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, row_forces, row_moments
 from tirefit.fitting.problem.noise import noise_std
 from tirefit.fitting.problem.time_series import check_time_series
 from tirefit.fitting.result import FitResult
@@ -28,28 +29,12 @@ from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, beyond, tire_of
 from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire
-from tirefit.params import Values, check_values, parameter_values, with_values
+from tirefit.params import Values, check_values, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, UsageError
 
 
 @partial(jax.jit, static_argnames=("layout",), compiler_options=BRIEF)
-def _linearised(
-    model: AbstractTire,
-    layout: Layout,
-    z: Float[Values, " p"],
-    covariance: Float[Values, "p p"],
-    inputs: TireInputs,
-    run: Values,
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    def force(z: Values) -> dict[str, Array]:
-        each = row_forces(model, layout, z, inputs, run)
-        return {name: value for name, value in each.items() if value is not None}
-
-    slope = jax.jacfwd(force)(z)
-    return force(z), {k: jnp.sum(g @ covariance * g, axis=1) for k, g in slope.items()}
-
-
 def predict_forces(
     model: AbstractTire,
     layout: Layout,
@@ -57,7 +42,7 @@ def predict_forces(
     covariance: Float[Values, "p p"],
     inputs: TireInputs,
     run: Int[Values, " n"],
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """Forces and their variance due to the uncertainty of the parameters.
 
     Args:
@@ -69,9 +54,13 @@ def predict_forces(
     Returns:
         (force, variance): dicts of arrays (n,) for each force that is modelled.
     """
-    at = np.asarray(z), np.asarray(covariance), inputs, np.asarray(run)
-    force, variance = jax.tree.map(np.asarray, _linearised(model, layout, *at))
-    return force, variance
+
+    def force(z: Values) -> dict[str, Array]:
+        each = row_forces(model, layout, z, inputs, run)
+        return {name: value for name, value in each.items() if value is not None}
+
+    slope = jax.jacfwd(force)(z)
+    return force(z), {k: jnp.sum(g @ covariance * g, axis=1) for k, g in slope.items()}
 
 
 def _inputs(data: TireData) -> TireInputs:
@@ -81,17 +70,11 @@ def _inputs(data: TireData) -> TireInputs:
     return TireInputs(*(np.nan_to_num(c[data.used].astype(float)) for c in columns))
 
 
-def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
-    if not layout.is_sparse:
-        return data.run[data.used]
-    unknown = [run for run in data.runs if run not in layout.runs]
-    if unknown:
-        raise DataError(
-            f"the fit has no parameters for the runs {', '.join(unknown)}",
-            f"it knows {', '.join(layout.runs)}",
-            data.file,
-        )
-    return np.array([layout.runs.index(run) for run in data.runs])[data.run[data.used]]
+def _check_needs(data: TireData, tire: AbstractTire, name: str) -> None:
+    """Raises DataError if the data lack an input of the tire."""
+    require(data, ("fz", *tire.needs), f"the model {name}")
+    if tire.transient:
+        check_time_series(data, name)
 
 
 def predict(
@@ -132,28 +115,23 @@ def predict(
         return _of_model(given, name, data, values or {})
     if values:
         raise UsageError("values together with a fit, which has its own", "leave them out")
-    if isinstance(given, MagicFormulaFit):
-        given = given.stored
-    noise: Mapping[str, Mapping[str, Any]]
-    if isinstance(given, FitResult):
-        problem = given.problem
-        tire, layout, name = problem.model, problem.layout, given.model
-        noise = {force: given.noise[force] for force in given.forces}
-        reference = given.reference
+    fit = given if isinstance(given, StoredFit) else given.stored
+    tire, layout, noise = fit.tire, fit.layout, fit.noise
+    _check_needs(data, tire, name)
+    force: Mapping[str, Any]
+    variance: Mapping[str, Any]
+    if isinstance(tire, MFTire):
+        force, variance = magic_formula_forces(fit, tuple(noise), _inputs(data))
     else:
-        tire, layout, name, noise = (given.tire, given.layout, given.model, given.noise)
-        reference = given.content["reference"]
-    require(data, ("fz", *tire.needs), f"the model {name}")
-    if tire.transient:
-        check_time_series(data, name)
-    if isinstance(tire, MFTire) and isinstance(given, StoredFit):
-        force, variance = magic_formula_forces(given, tuple(noise), _inputs(data))
-    else:
-        force, variance = predict_forces(
-            tire, layout, given.z, given.covariance, _inputs(data), _run_codes(data, layout)
-        )
+        codes = data.run[data.used]
+        if layout.is_sparse:
+            if unknown := [run for run in data.runs if run not in layout.runs]:
+                reason = f"the fit has no parameters for the runs {', '.join(unknown)}"
+                raise DataError(reason, f"it knows {', '.join(layout.runs)}", data.file)
+            codes = np.array([layout.runs.index(run) for run in data.runs])[codes]
+        force, variance = predict_forces(tire, layout, fit.z, fit.covariance, _inputs(data), codes)
     force, variance = _all_rows(data, force), _all_rows(data, variance)
-    out = {}
+    out, names = {}, np.array(data.runs)[data.run]
     fitted = [channel for channel in _channels(data, force) if channel in noise]
     if not fitted:
         needs = " and ".join(dict.fromkeys(SLIPS_OF[channel][0] for channel in noise))
@@ -164,7 +142,11 @@ def predict(
         )
     for channel in fitted:
         out[channel] = force[channel]
-        std = _noise_std(data, channel, noise[channel], force[channel], reference)
+        if f"{channel}_std" in data:
+            std = data[f"{channel}_std"]
+        else:
+            at = data["fz"], force[channel], names, fit.content["reference"]["fz"]
+            std = noise_std(noise[channel], *at)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
@@ -185,8 +167,8 @@ def _opened(
         source = load_fit(text)
     if isinstance(source, AbstractTire):
         return source, type(source).__name__, None
-    content = source.content if isinstance(source, StoredFit) else vars(source)
-    return source, source.model, (content["data"]["convention"], "the fit's data")
+    data = source.content["data"] if isinstance(source, StoredFit) else source.data
+    return source, source.model, (data["convention"], "the fit's data")
 
 
 def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
@@ -202,20 +184,6 @@ def outside_fit(fit: StoredFit, data: TireData) -> list[str]:
     return messages
 
 
-def _noise_std(
-    data: TireData,
-    channel: str,
-    record: Mapping[str, Any],
-    force: np.ndarray,
-    reference: Mapping[str, float],
-) -> np.ndarray:
-    """Noise of one measurement, from a column of the data or from the fit."""
-    if f"{channel}_std" in data:
-        return data[f"{channel}_std"]
-    names = np.array(data.runs)[data.run]
-    return noise_std(record, data["fz"], force, names, reference["fz"])
-
-
 def _channels(data: TireData, force: Mapping[str, Any]) -> list[str]:
     return [
         channel
@@ -226,29 +194,17 @@ def _channels(data: TireData, force: Mapping[str, Any]) -> list[str]:
 
 def _all_rows(data: TireData, out: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Arrays over the used rows as arrays over all rows, NaN where masked."""
-    full = {name: np.full(len(data), np.nan) for name in out}
-    for name, values in out.items():
-        full[name][data.used] = values
-    return full
-
-
-def tire_with(template: AbstractTire, name: str, values: Mapping[str, float]) -> AbstractTire:
-    """The tire with other values of its parameters.
-
-    Raises:
-        UsageError: lists all unknown parameters and values outside their bounds.
-    """
-    check_values(template, name, values)
-    return with_values(template, parameter_values(template) | dict(values))
+    full = np.full((len(out), len(data)), np.nan)
+    full[:, data.used] = list(out.values())
+    return dict(zip(out, full, strict=True))
 
 
 def _of_model(
     template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
 ) -> dict[str, np.ndarray]:
-    tire = tire_with(template, name, values)
-    require(data, ("fz", *tire.needs), f"the model {name}")
-    if tire.transient:
-        check_time_series(data, name)
+    check_values(template, name, values)
+    tire = with_values(template, values)
+    _check_needs(data, tire, name)
     given = forces(tire, _inputs(data), data.run[data.used])._asdict()
     channels = _channels(data, given)
     if not channels:
@@ -257,3 +213,63 @@ def _of_model(
         remedy = "name the column with --column, or choose another tire"
         raise DataError(reason, remedy, data.file)
     return _all_rows(data, {c: given[c] for c in channels})
+
+
+def curve(
+    tire: AbstractTire | str,
+    force: str,
+    slips: np.ndarray,
+    loads: Sequence[float],
+    *,
+    values: Mapping[str, float] | None = None,
+    v: float | None = None,
+    source: Source | None = None,
+) -> TireData:
+    """The pure-slip curve of a tire over slip and load, as if measured.
+
+    The loads are the runs and the slips of each are ascending: the misfit of another model is then
+    an autocorrelated residual, which reduces the effective number of rows.
+
+    Args:
+        tire: the tire, or the name of a model.
+        force: ``fx`` or ``fy``.
+        slips: sigma_x or alpha [rad], shape (n,), ascending.
+        loads: F_z [N].
+        values: parameter values that replace those of the tire.
+        v: forward speed [m/s]; None: the data have none.
+        source: the origin of the curve.
+
+    Returns:
+        Data of len(loads) n rows.
+
+    Raises:
+        UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
+        DataError: the tire needs a speed.
+    """
+    columns = {
+        CHANNEL_SLIP[force]: np.tile(np.asarray(slips, float), len(loads)),
+        "fz": np.repeat(np.asarray(loads, float), len(slips)),
+    }
+    if v is not None:
+        columns["v"] = np.full(len(columns["fz"]), float(v))
+    rows = TireData(
+        "curve",
+        columns,
+        np.full(len(columns["fz"]), True),
+        np.repeat(np.arange(len(loads)), len(slips)),
+        tuple(f"F_z {load:g} N" for load in loads),
+        source or Source(),
+    )
+    return replace(rows, columns=columns | {force: predict(tire, rows, values)[force]})
+
+
+def misfit_by_load(result: FitResult) -> dict[float, float]:
+    """Load [N] -> rms misfit of the fitted curve [N]."""
+    problem = result.problem
+    (force,) = result.forces
+    mean, _ = row_moments(problem, result.z)
+    residual = problem.used(problem.rows.observed[force]) - mean[force]
+    fz = problem.used(problem.rows.inputs.fz)
+    return {
+        float(load): float(np.sqrt(np.mean(residual[fz == load] ** 2))) for load in np.unique(fz)
+    }

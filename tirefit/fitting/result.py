@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from tirefit.fitting.store import StoredFit
+
 
 SCHEMA = "tirefit.fit/1"
 TRAJECTORY = "tirefit.trajectory/1"  # of tires fitted to trajectories of a car
@@ -116,7 +118,6 @@ class PosteriorSummary:
     acceptance: float  # ``importance``: effective samples per point evaluated
     outcome: Outcome
     k_hat: float | None = None  # of the weights; ``emcee``: of the weights it replaced
-    divergences: int | None = None  # of ``nuts``
     note: str = ""  # a further remark for the report
 
 
@@ -281,6 +282,16 @@ class FitResult(Record):
         from tirefit.fitting.predict import predict  # it imports this module
 
         return predict(self, data)
+
+    @property
+    def stored(self) -> "StoredFit":
+        """The fit in the form of one read from a file, for predictions."""
+        from tirefit.fitting.store import StoredFit  # it imports this module
+
+        noise = {force: self.noise[force] for force in self.forces}
+        content = {"reference": self.reference, "data": self.data}
+        tire, layout = self.problem.model, self.problem.layout
+        return StoredFit(self.model, tire, layout, self.z, self.covariance, noise, content)
 
     def to_frame(self) -> "pandas.DataFrame":
         """The parameters, derived values and statistics as a pandas data frame: columns kind,

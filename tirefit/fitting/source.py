@@ -107,18 +107,12 @@ def given_tire(
 def _of_fit(fit: "Fit") -> GivenTire:
     """The tire of a fit."""
     from tirefit.fitting.mf.result import MagicFormulaFit
-    from tirefit.fitting.store import StoredFit, at_estimate
+    from tirefit.fitting.store import StoredFit
 
-    if isinstance(fit, MagicFormulaFit):
-        stored = fit.stored
-        known = stored.layout, stored.z, stored.covariance
-        return GivenTire(fit.model, fit.tire, known, fit.to_dict())
-    if isinstance(fit, StoredFit):
-        known = fit.layout, fit.z, fit.covariance
-        return GivenTire(fit.model, fit.at_estimate(), known, fit.content)
-    known = fit.problem.layout, fit.z, fit.covariance
-    tire = at_estimate(fit.problem.model, *known[:2])
-    return GivenTire(fit.model, tire, known, fit.to_dict())
+    stored = fit if isinstance(fit, StoredFit) else fit.stored
+    tire = fit.tire if isinstance(fit, MagicFormulaFit) else stored.at_estimate()
+    content = fit.content if isinstance(fit, StoredFit) else fit.to_dict()
+    return GivenTire(fit.model, tire, (stored.layout, stored.z, stored.covariance), content)
 
 
 def axle_tire(source: "Fit | GivenTire | AbstractTire | str | os.PathLike[str]") -> GivenTire:

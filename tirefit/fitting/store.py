@@ -220,21 +220,14 @@ def load_fit(path: str | os.PathLike[str]) -> StoredFit:
         if odd is not None:
             raise ValueError(f"prediction.{odd[0]}: {odd[1]}")
         template = MAGIC_FORMULAS.get(record.model) or find_model(record.model)
-        stored, known = record.prediction.layout, specs(template)
-        free = tuple(
-            FreeParameter(
-                item.name,
-                known[item.name]._replace(lower=item.lower, upper=item.upper),
-                item.per_run,
-            )
-            for item in stored.free
-        )
-        for item in free:
-            least = 0.0 if item.spec.scale == "log" else -_LARGEST
-            if not least < item.spec.lower < item.spec.upper:
+        stored, known, free = record.prediction.layout, specs(template), []
+        for item in stored.free:
+            spec = known[item.name]._replace(lower=item.lower, upper=item.upper)
+            if not (0.0 if spec.scale == "log" else -_LARGEST) < spec.lower < spec.upper:
                 raise ValueError(f"the bounds of {item.name} are not in order")
-        ties = tuple(Tie(tie.name, tie.other, tie.factor) for tie in stored.ties)
-        layout = Layout(free, ties, tuple(stored.runs))
+            free.append(FreeParameter(item.name, spec, item.per_run))
+        ties = tuple(Tie(**tie.model_dump()) for tie in stored.ties)
+        layout = Layout(tuple(free), ties, tuple(stored.runs))
         tire = with_values(template, stored.fixed)
         noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}
         for given in noise.values():
@@ -245,15 +238,8 @@ def load_fit(path: str | os.PathLike[str]) -> StoredFit:
         # The checksum is right, so another version wrote the file, or somebody by hand.
         reason = f"it does not hold a fit: {faults_in(error)}"
         raise DataError(reason, remedy, str(path)) from None
-    return StoredFit(
-        record.model,
-        tire,
-        layout,
-        np.array(record.prediction.z),
-        np.array(record.prediction.covariance),
-        noise,
-        content,
-    )
+    z, covariance = (np.array(part) for part in (record.prediction.z, record.prediction.covariance))
+    return StoredFit(record.model, tire, layout, z, covariance, noise, content)
 
 
 def posterior_tree(result: FitResult) -> "xarray.DataTree":
@@ -286,16 +272,14 @@ def posterior_tree(result: FitResult) -> "xarray.DataTree":
         },
     )
     problem = result.problem
-    rows = {"row": np.arange(problem.n)}
-    observed = xr.Dataset(
-        {k: ("row", problem.used(v)) for k, v in problem.rows.observed.items()}, rows
-    )
-    constant = xr.Dataset(
-        {k: ("row", problem.used(v)) for k, v in problem.rows.inputs._asdict().items()}, rows
-    )
-    return xr.DataTree.from_dict(
-        {"posterior": posterior, "observed_data": observed, "constant_data": constant}
-    )
+    parts = {"observed_data": problem.rows.observed, "constant_data": problem.rows.inputs._asdict()}
+    of_rows = {
+        part: xr.Dataset(
+            {k: ("row", problem.used(v)) for k, v in columns.items()}, {"row": np.arange(problem.n)}
+        )
+        for part, columns in parts.items()
+    }
+    return xr.DataTree.from_dict({"posterior": posterior, **of_rows})
 
 
 def posterior_content(result: FitResult) -> bytes:

@@ -139,9 +139,19 @@ def remarks(
     slips = [np.nan_to_num(_used(data, name)) for name in ("sigma_x", "alpha")]
     if both := np.count_nonzero(slips[0] * slips[1]):
         messages += _combination(mounted, f"{both} of {data.n} rows with both slips")
+    camber, pressure = (np.nan_to_num(_used(data, k)) for k in ("gamma", "pressure"))
+    varied = {"camber": camber, "pressure": pressure - pressure[:1]}
+    for name, keys in _NEEDED.items():
+        acting = any(tir.numbers.get(key) for key in keys.split())
+        acting |= name == "camber" and "F_y" in tir.lacks
+        if (count := np.count_nonzero(varied[name])) and not acting:
+            force = "F_y" if name == "camber" else "force"
+            messages.append(
+                f"{count} of {data.n} rows with {name}, which changes no {force}: the"
+                " file has no coefficient of it"
+            )
     turned = tire.turned if isinstance(tire, Mirrored) else frozenset()
-    limited = _limited(mounted, data, turned)
-    return messages + _unused(tir, data) + limited + _outside(tir, data, turned_by(signs))
+    return [*messages, *_limited(mounted, data, turned), *_outside(tir, data, turned_by(signs))]
 
 
 def _combination(tire: MFTire, where: str) -> list[str]:
@@ -177,24 +187,6 @@ def _combination(tire: MFTire, where: str) -> list[str]:
 def _used(data: TireData, name: str) -> np.ndarray:
     """A column of the used rows, (n,); zero if the data do not have it."""
     return data.usable(name) if name in data else np.zeros(data.n)
-
-
-def _unused(tir: TirFile, data: TireData) -> list[str]:
-    """Sentences on camber and pressure that vary but change no force of the file."""
-    camber, pressure = (np.nan_to_num(_used(data, k)) for k in ("gamma", "pressure"))
-    values = {"camber": camber, "pressure": pressure - pressure[:1]}
-    messages = []
-    for name, keys in _NEEDED.items():
-        acting = any(tir.numbers.get(key) for key in keys.split())
-        acting |= name == "camber" and "F_y" in tir.lacks
-        count = np.count_nonzero(values[name])
-        if count and not acting:
-            force = "F_y" if name == "camber" else "force"
-            messages.append(
-                f"{count} of {data.n} rows with {name}, which changes no {force}: the"
-                " file has no coefficient of it"
-            )
-    return messages
 
 
 def _limited(tire: MFTire, data: TireData, turned: frozenset[str]) -> list[str]:

@@ -234,7 +234,10 @@ def save_pictures(
 
 def save_picture(picture: Picture, path: Path) -> Path:
     """Write a picture, PNG or SVG by the suffix, completely or not at all."""
-    metadata = {"Date": None} if path.suffix == ".svg" else None
+    # By its name in the file a later command knows that tirefit drew the figure.
+    metadata = (
+        {"Date": None, "Creator": "tirefit"} if path.suffix == ".svg" else {"Software": "tirefit"}
+    )
     with replacing(path) as temporary:
         picture.write(temporary, path.suffix[1:], metadata=metadata)
     return path

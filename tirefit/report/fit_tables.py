@@ -255,12 +255,10 @@ def _posterior_head(p: PosteriorSummary) -> str:
             f" draws; Pareto k-hat {p.k_hat:.2f} (below 0.7: to be trusted); no chain,"
             f" so no trace; seed {p.seed}"
         )
-    many = "chains" if p.sampler == "nuts" else "walkers"
-    text = (
-        f"{p.sampler}: {p.ensembles} ensembles × {p.walkers} {many} × {p.steps} steps"
+    return (
+        f"{p.sampler}: {p.ensembles} ensembles × {p.walkers} walkers × {p.steps} steps"
         f" ({p.discarded} discarded), acceptance {p.acceptance:.2f}, seed {p.seed}"
     )
-    return text if p.divergences is None else f"{text}, {p.divergences} divergences"
 
 
 def rows_text(result: FitResult) -> str:

@@ -105,7 +105,11 @@ def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
     values["held"] = np.where(is_alpha_swept, slips["sigma_x"], slips["alpha"])
     # A level of alpha and a level of kappa are different settings.
     code["held"] = 2 * level + is_alpha_swept
-    level_of = {name: _medians(values[name], codes) for name, codes in code.items()}
+    level_of = {}  # for each row, the median of the values of the rows with its code
+    for name, codes in code.items():
+        _, codes = np.unique(codes, return_inverse=True)
+        medians = [np.median(values[name][codes == k]) for k in range(codes.max() + 1)]
+        level_of[name] = np.array(medians)[codes]
     key = np.stack([*code.values(), rows.run], axis=1)
     _, first, of_row = np.unique(key, axis=0, return_index=True, return_inverse=True)
     settings = []
@@ -114,12 +118,6 @@ def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
         swept = "alpha" if is_alpha_swept[i] else "sigma_x"
         settings.append(Setting(**at, swept=swept, run=int(rows.run[i])))
     return tuple(settings), of_row.ravel()
-
-
-def _medians(values: np.ndarray, code: np.ndarray) -> np.ndarray:
-    """For each row (n,), the median of the values of the rows with its code."""
-    _, code = np.unique(code, return_inverse=True)
-    return np.array([np.median(values[code == k]) for k in range(code.max() + 1)])[code]
 
 
 def _held(
@@ -228,9 +226,7 @@ def binned(rows: ForceRows) -> tuple[SlipBins, ...]:
         members = [own[cell == c] for c in np.unique(cell)]
         spread = [np.percentile(rows.observed[at], [2.5, 50, 97.5]) for at in members]
         inputs = np.transpose([np.median(columns[:, at], axis=1) for at in members])
-        middle = np.array([np.median(slip[at]) for at in members])
+        middle, count = (np.array([of(slip[at]) for at in members]) for of in (np.median, len))
         low, force, high = np.transpose(spread)
-        count = np.array([len(at) for at in members])
-        medians = TireInputs(*inputs)
-        table.append(SlipBins(setting, middle, medians, force, low, high, count))
+        table.append(SlipBins(setting, middle, TireInputs(*inputs), force, low, high, count))
     return tuple(table)

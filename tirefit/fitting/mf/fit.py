@@ -31,10 +31,10 @@ from tirefit.fitting.mf.parts import (
     parts_named,
 )
 from tirefit.fitting.mf.priors import (
+    LOGARITHMIC,
     Prior,
     borrowed_from,
     normal_form,
-    prior_given,
     published_priors,
     with_dimensions,
 )
@@ -127,7 +127,12 @@ def fit_magic_formula(
     also = other.numbers if other else ()
     tire, assumed = nominal_of(model, rows, config, constants, also)
     borrowed, borrowing = borrowed_from(other, tire, rows, config) if other else ({}, [])
-    notes += [*assumed, *borrowing, *_unused_slip_noise(whole, config)]
+    notes += [*assumed, *borrowing]
+    of_slips = [f"{slip}_std" for slip in ("sigma_x", "alpha") if f"{slip}_std" in whole]
+    keys = ("sigma_x", "alpha", "sigma_x_speed", "alpha_speed")
+    if of_slips := of_slips + [f"noise.{key}" for key in keys if getattr(config.noise, key)]:
+        reason = "not used, a Magic Formula fit takes the slips as exact"
+        notes.append(f"{', '.join(of_slips)}: {reason}")
     problem, priors = problem_from(tire, config, borrowed)
     found = {force: rig_settings(of_force) for force, of_force in rows.items()}
     settings = {force: own for force, (own, _) in found.items()}
@@ -212,12 +217,9 @@ def nominal_of(
     pressures, speeds = pressures[pressures > 0], first.column("v")
     pressure = float(np.median(pressures)) if len(pressures) else 2.2e5
     speed = float(np.median(speeds)) if np.any(speeds > 0) else 16.7
-    assumed = {
-        "FNOMIN": _rounded(float(np.median(first.column("fz")))),
-        "NOMPRES": _rounded(pressure),
-        "LONGVL": _rounded(speed),
-        "UNLOADED_RADIUS": 0.3,
-    }
+    load = float(np.median(first.column("fz")))
+    rounded = {"FNOMIN": load, "NOMPRES": pressure, "LONGVL": speed, "UNLOADED_RADIUS": 0.3}
+    assumed = {name: float(f"{value:.3g}") for name, value in rounded.items()}
     stated = {k: v for k, v in (constants or {}).items() if k in assumed}
     assumed |= stated
     assumed["INFLPRES"] = given.get("NOMPRES", assumed["NOMPRES"])
@@ -234,10 +236,6 @@ def nominal_of(
     return with_values(empty, assumed | given), notes
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")
-
-
 def problem_from(
     tire: MFTire, config: FitConfig, borrowed: Mapping[str, Prior] | None = None
 ) -> tuple[Problem, dict[str, Prior]]:
@@ -251,7 +249,9 @@ def problem_from(
         asked = config.parameters.get(name) or ParameterConfig(free=False if name in HELD else None)
         prior = usual[name]
         if asked.prior is not None:
-            prior = prior_given(name, asked.prior.mean, asked.prior.std)
+            mean, std = asked.prior.mean, asked.prior.std
+            is_log = name in LOGARITHMIC and mean > 0
+            prior = Prior(mean, std / mean if is_log else std, is_log)
         elif asked.value is not None:
             prior = prior._replace(centre=asked.value, log=False)
         priors[name] = prior
@@ -261,15 +261,6 @@ def problem_from(
     log = np.array([prior.log for prior in priors.values()])
     tire = with_values(tire, dict(zip(names, centre.tolist(), strict=True)))
     return Problem(tire, names, centre, spread, log, np.array(free), ()), priors
-
-
-def _unused_slip_noise(data: TireData, config: FitConfig) -> list[str]:
-    """A note on stated noise of the slips, which this fit does not use."""
-    stated = [f"{slip}_std" for slip in ("sigma_x", "alpha") if f"{slip}_std" in data]
-    names = ("sigma_x", "alpha", "sigma_x_speed", "alpha_speed")
-    stated += [f"noise.{name}" for name in names if getattr(config.noise, name)]
-    reason = "not used, a Magic Formula fit takes the slips as exact"
-    return [f"{', '.join(stated)}: {reason}"] if stated else []
 
 
 def _coefficients(
@@ -296,14 +287,9 @@ def _coefficients(
             origin = "prior" if work.covariance[i, i] > 0.5 else "fitted"
         if origin != "fitted" and name in borrowed:
             origin = "borrowed"
-        found[name] = Coefficient(
-            values[name],
-            float(np.sqrt(covariance[i, i])),
-            origin,
-            of_part[name],
-            priors[name].centre,
-            priors[name].std,
-        )
+        std, prior = float(np.sqrt(covariance[i, i])), priors[name]
+        known = of_part[name], prior.centre, prior.std
+        found[name] = Coefficient(values[name], std, origin, *known)
     return found, covariance
 
 
@@ -343,7 +329,12 @@ def _result(
         wider={force: bands[force].wider for force in forces},
         inflation={force: work.rows_per_one(force) for force in forces},
         fitted={force: (_size(off), len(off)) for force, off in missed.items()},
-        stages=tuple(work.stages_at_end()),
+        stages=tuple(
+            stage._replace(rmse_at_end=work.rmse(group))
+            for stage in work.stages
+            for group in work.groups[stage.force]
+            if group.pure == stage.pure
+        ),
         guards=check_guards(tire, ranges, guarded) if guarded else (),
         ranges=ranges,
         reference=typical | {of.force: _size(of.observed) for of in every},

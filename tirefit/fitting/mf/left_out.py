@@ -83,11 +83,6 @@ class _Sample(NamedTuple):
         return beyond_loads(self.fz, self.loads)
 
     @property
-    def is_outer(self) -> bool:
-        """Whether its load lies beyond those of the other parts."""
-        return bool(np.median(self.beyond) > 0)
-
-    @property
     def rmse(self) -> float:
         return float(np.sqrt(np.mean(self.residual**2)))
 
@@ -214,26 +209,26 @@ def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     than the law. The error of the formula beyond the loads is estimated from the parts
     whose loads lie beyond those of the other parts.
     """
-    squares = sum(part.shift[0] for part in parts)
-    count = sum(part.shift[1] for part in parts)
-    is_clear = count > 0 and chdtrc(count, squares) < _CHANCE
-    wider = float(np.sqrt(squares / count)) if is_clear else 1.0
+    shift, count = (
+        sum(numbers) for numbers in zip((0.0, 0), *(p.shift for p in parts), strict=True)
+    )
+    is_clear = count > 0 and chdtrc(count, shift) < _CHANCE
+    wider = float(np.sqrt(shift / count)) if is_clear else 1.0
     known = wider**2 * fitted.variance
     law = noise_law(fitted.residual, fitted.fz, fitted.predicted, known, fitted.each)
-    beyond = beyond_of([_error_beyond(part, law) for part in parts if part.is_outer])
+    # In each outer part: mean square of the relative error of the formula over the distance
+    # of its load, without the noise and the standard errors of the coefficients.
+    squares = []
+    for part in (part for part in parts if np.median(part.beyond) > 0):
+        noise = law._replace(loads=part.loads).variance(part.fz, part.predicted)
+        excess = np.mean(part.residual**2 - part.variance - noise)
+        squares.append(max(float(excess / np.mean(part.beyond * part.predicted**2)), 0.0))
+    beyond = beyond_of(squares)
     needed = (fitted.residual / _IN_95) ** 2 - known
     needed = needed / np.maximum(law.variance(fitted.fz, fitted.predicted), 1e-200)
     raised = float(np.sqrt(max(np.quantile(needed, 0.95), 1.0)))
     constant, share, of_force = (raised * x for x in law[:3])
     return Band(NoiseLaw(constant, share, of_force, beyond, fitted.loads), wider)
-
-
-def _error_beyond(part: _Sample, law: NoiseLaw) -> float:
-    """Mean square of the relative error of the formula in an outer part, over the distance
-    of its load; without the noise and the standard errors of the coefficients."""
-    law = law._replace(loads=part.loads)
-    excess = part.residual**2 - part.variance - law.variance(part.fz, part.predicted)
-    return max(float(np.mean(excess) / np.mean(part.beyond * part.predicted**2)), 0.0)
 
 
 def beyond_of(squares: Sequence[float]) -> float:

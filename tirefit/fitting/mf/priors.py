@@ -42,12 +42,6 @@ class Prior(NamedTuple):
         return self.spread * self.centre if self.log else self.spread
 
 
-def prior_given(name: str, mean: float, std: float) -> Prior:
-    """A user's prior of a coefficient, with this mean and standard deviation."""
-    log = name in LOGARITHMIC and mean > 0
-    return Prior(mean, std / mean if log else std, log)
-
-
 LOGARITHMIC = ("RBX1", "RBX2", "RBY1", "RBY2", "RVY4", "QSX5", "QSX6")
 """Coefficients with a prior of their logarithm, as their sign has no effect (that of
 RBX1 and RBY1 changes together with RBX3 and RBY4)."""

@@ -191,7 +191,7 @@ def limit_of(force: str, inputs: Sequence[TireInputs]) -> list[Block]:
     return [Block(force, points, np.zeros(_LIMITED), np.ones(_LIMITED), is_limit=True)]
 
 
-def _passed(
+def normal_equations(
     problem: Problem, u: np.ndarray, moved: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Sum of squares of the rows at u, and half its curvature and half its gradient in
@@ -246,11 +246,6 @@ def propagated(
     return np.concatenate(values), np.concatenate(variances)
 
 
-def curvature_at(problem: Problem, u: np.ndarray) -> np.ndarray:
-    """Half the curvature (p, p) of the rows, without priors, in all coefficients."""
-    return _passed(problem, u, np.full(len(u), True))[1]
-
-
 def _between(size: Array) -> Array:
     """Damping by the geometric mean of that of the priors (Levenberg) and that of the rows
     (Marquardt). Of six starts of pure F_y, either one alone ended in another minimum, at a
@@ -265,7 +260,7 @@ def minimise(
     gain less than ``settled`` of deviance."""
 
     def normal(u: np.ndarray) -> Normal:
-        rows, curvature, slope = _passed(problem, u, problem.free)
+        rows, curvature, slope = normal_equations(problem, u, problem.free)
         downhill = np.where(problem.free, slope + u, 0.0)
         return Normal(rows + float(u @ u), curvature + np.eye(len(u)), downhill)
 

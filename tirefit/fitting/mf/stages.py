@@ -19,14 +19,13 @@ from tirefit.fitting.mf.solve import (
     Block,
     Problem,
     blocks_of,
-    curvature_at,
     limit_of,
     minimise,
+    normal_equations,
     row_gradients,
     row_values,
 )
 from tirefit.fitting.problem.noise import autocorrelation_time, design_effect, noise_law
-from tirefit.fitting.solve.least_squares import Solution
 
 _ENOUGH = 2048
 """Number of cells, evenly taken, by which the best of several starts is chosen."""
@@ -98,12 +97,6 @@ class Search:
             rows += int(np.sum(group.cells.count))
         return max(rows / ones, 1.0)
 
-    def stages_at_end(self) -> list[Stage]:
-        """The stages with their present ``rmse_at_end``."""
-        groups = [group for groups in self.groups.values() for group in groups]
-        rmse = {(group.force, group.pure): self.rmse(group) for group in groups}
-        return [s._replace(rmse_at_end=rmse[s.force, s.pure]) for s in self.stages]
-
 
 def search(
     problem: Problem,
@@ -152,10 +145,13 @@ def _one_stage(work: Search, group: Group, is_last: bool) -> None:
         is_last: whether it is the last group of the force.
     """
     groups = work.groups.setdefault(group.force, [])
-    starts = _starts(work, group) if group.rows else []
+    # In combined slip from the end of the stage of pure slip.
+    starts = [work.u] if groups or work.near else []
+    if not groups:
+        starts += [work.problem.started(work.u, values) for values in first_values(group)]
     groups.append(group)
     names = _to_move(work, group.force, is_last)
-    if starts:
+    if group.rows:
         few = problem_of(work, groups, names, _ENOUGH)
         ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts]
         work.u = min(ends, key=lambda end: end.cost).z
@@ -163,33 +159,36 @@ def _one_stage(work: Search, group: Group, is_last: bool) -> None:
         work.u = minimise(problem_of(work, groups, names), work.u, _TRIES, _ROUGHLY).z
         predicted = row_values(work.problem, work.u, group.force, group.cells.inputs)
         before = groups[-1].variance(predicted)
-        groups[-1] = group = _with_noise(work, group, predicted)
+        cells, rows = group.cells, group.rows
+        if rows and cells.estimated:
+            of_rows = row_values(work.problem, work.u, group.force, rows.inputs)
+            group = replace(group, white=group.white_law(rows, of_rows))
+        off, known = predicted - cells.observed, group.known(predicted)
+        group = replace(group, misfit=noise_law(off, cells.column("fz"), predicted, known))
+        groups[-1] = group
         if np.max(np.abs(np.sqrt(group.variance(predicted) / before) - 1)) < _SETTLED:
             break
     groups[-1] = group = replace(group, each=_cells_per_one(work, group, names))
     moved = problem = problem_of(work, groups, names)
     end = minimise(problem, work.u)
-    if is_last:
-        moved, end = _hold(work, problem, end)
+    if is_last:  # hold what the rows do not identify at the centre of its prior
+        left = np.diagonal(_covariance(work.covariance, problem, end.z))
+        held, every = problem.free & (left > _HELD), np.array(problem.names)
+        own = own_coefficients(problem.tire.version, group.force)
+        work.held = (work.held - set(own)) | set(every[held].tolist())
+        moved = problem.with_free(every[problem.free & ~held].tolist())
+        end = minimise(moved, np.where(held, 0.0, end.z))
     work.u, work.moved = end.z, work.moved | set(names)
     # The covariance includes the held coefficients: the rows may determine them at this end.
     work.covariance = _covariance(work.covariance, problem, end.z)
-    rmse = work.rmse(group)
+    counts = int(np.sum(group.cells.count)), len(group.cells.count)
+    chi2, rmse = end.cost - float(end.z @ end.z), work.rmse(group)
     work.stages.append(
         Stage(
-            name=group.title,
-            force=group.force,
-            pure=group.pure,
-            rows=int(np.sum(group.cells.count)),
-            cells=len(group.cells.count),
-            moved=int(np.count_nonzero(moved.free)),
-            chi2=end.cost - float(end.z @ end.z),
-            steps=end.steps,
-            converged=end.converged,
-            rmse=rmse,
-            rmse_at_end=rmse,
+            group.title, group.force, group.pure, *counts,
+            int(np.count_nonzero(moved.free)), chi2, end.steps, end.converged, rmse, rmse,
         )
-    )
+    )  # fmt: skip
 
 
 def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
@@ -224,16 +223,6 @@ def problem_of(
     return work.problem.with_free(names).with_blocks([*blocks, *limit])
 
 
-def _with_noise(work: Search, group: Group, predicted: np.ndarray) -> Group:
-    """The group with its noise and misfit estimated from the residuals."""
-    cells, rows = group.cells, group.rows
-    if rows and cells.estimated:
-        of_rows = row_values(work.problem, work.u, group.force, rows.inputs)
-        group = replace(group, white=group.white_law(rows, of_rows))
-    fz, known = cells.column("fz"), group.known(predicted)
-    return replace(group, misfit=noise_law(predicted - cells.observed, fz, predicted, known))
-
-
 def _cells_per_one(work: Search, group: Group, names: Collection[str]) -> float:
     """Number of cells of a group per independent cell.
 
@@ -249,17 +238,6 @@ def _cells_per_one(work: Search, group: Group, names: Collection[str]) -> float:
     return max(autocorrelation_time(parts), by_setting)
 
 
-def _hold(work: Search, problem: Problem, end: Solution) -> tuple[Problem, Solution]:
-    """Fix coefficients that the rows do not identify at the centre of their priors."""
-    left = np.diagonal(_covariance(work.covariance, problem, end.z))
-    held = problem.free & (left > _HELD)
-    own = own_coefficients(problem.tire.version, problem.blocks[0].force)
-    names = np.array(problem.names)
-    work.held = (work.held - set(own)) | set(names[held].tolist())
-    problem = problem.with_free(names[problem.free & ~held].tolist())
-    return problem, minimise(problem, np.where(held, 0.0, end.z))
-
-
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:
     """The covariance (p, p) of u after a stage.
 
@@ -267,7 +245,7 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
     H_mm^-1 given k and change by -H_mm^-1 H_mk; H: curvature of rows and priors.
     """
     moved, known = np.flatnonzero(problem.free), np.flatnonzero(~problem.free)
-    curvature = curvature_at(problem, u)
+    _, curvature, _ = normal_equations(problem, u, np.full(len(u), True))
     # Of a noise-free test the curvature spans 1e12: only a product with its own transpose
     # has no negative eigenvalue after rounding.
     root = np.linalg.cholesky(curvature[np.ix_(moved, moved)] + np.eye(len(moved)))
@@ -280,14 +258,6 @@ def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarr
     covariance[np.ix_(known, moved)] = across.T
     covariance[np.ix_(moved, moved)] = inverse + across @ follows.T
     return covariance
-
-
-def _starts(work: Search, group: Group) -> list[np.ndarray]:
-    """First values of u; in combined slip, the end of the stage of pure slip."""
-    if work.groups[group.force]:
-        return [work.u]
-    near = [work.u] if work.near else []
-    return near + [work.problem.started(work.u, values) for values in first_values(group)]
 
 
 _SHAPES: dict[str, tuple[dict[str, float], ...]] = {

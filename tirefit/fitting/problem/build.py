@@ -2,7 +2,7 @@
 
 import difflib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -12,7 +12,6 @@ from jaxtyping import Array
 from tirefit.arrays import Kept
 from tirefit.data.read import require
 from tirefit.data.table import TireData
-from tirefit.fitting.problem.combined_slip import slip_of_forces
 from tirefit.fitting.problem.config import FitConfig, NoiseConfig, ParameterConfig
 from tirefit.fitting.problem.layout import Layout, choose_layout
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
@@ -143,8 +142,15 @@ def _noise_problems(
         if not len(wrong):
             continue
         beside = f"is not a noise level beside {name} up to {largest:.4g}"
-        if f"{name}_std" in data:
-            of_columns.append(_noise_column(data, f"{name}_std", wrong, beside))
+        column = f"{name}_std"
+        if column in data:
+            source, row = data.source, int(np.flatnonzero(data.used)[wrong[0]])
+            rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
+            reason = f"{data[column][row]:.3g} {beside}{rows}"
+            remedy = "correct the column or its unit, or leave it out"
+            line = None if source.line is None else int(source.line[row])
+            place = data.file, line, source.columns.get(column, column)
+            of_columns.append(InputProblem(reason, remedy, *place))
             continue
         keys = (name, f"{name}_relative", f"{name}_speed")
         key = next(k for k in keys if getattr(config.noise, k, None) is not None)
@@ -152,19 +158,6 @@ def _noise_problems(
         remedy = f"give the true noise of {name}, or leave noise.{key} out"
         of_settings.append(InputProblem(reason, remedy, config.source))
     return of_columns, of_settings
-
-
-def _noise_column(data: TireData, column: str, wrong: np.ndarray, beside: str) -> InputProblem:
-    """``wrong`` indexes the used rows."""
-    source, row = data.source, np.flatnonzero(data.used)[wrong[0]]
-    rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
-    return InputProblem(
-        f"{data[column][row]:.3g} {beside}{rows}",
-        "correct the column or its unit, or leave it out",
-        data.file,
-        None if source.line is None else int(source.line[row]),
-        source.columns.get(column, column),
-    )
 
 
 def _settled(
@@ -202,14 +195,6 @@ def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
 def _put(values: np.ndarray, size: int) -> Array:
     """Rows padded, on the device; ``jnp.asarray`` would compile a program for each shape."""
     return jax.device_put(pad_rows(values, size))
-
-
-def _inputs(data: TireData, size: int) -> TireInputs:
-    def column(name: str) -> Array:
-        values = data.usable(name) if name in data else np.zeros(data.n)
-        return _put(np.nan_to_num(values), size)
-
-    return TireInputs(*(column(name) for name in TireInputs._fields))
 
 
 def _first_guess(
@@ -271,17 +256,6 @@ def _check_size(data: TireData, layout: Layout, channels: Sequence[Channel], n_v
         )
 
 
-def _limited(data: TireData, config: FitConfig, slip: str) -> TireData:
-    low, high = config.data.slip_min, config.data.slip_max
-    if low is None and high is None:
-        return data
-    values = data[slip]
-    inside = (values >= (-np.inf if low is None else low)) & (
-        values <= (np.inf if high is None else high)
-    )
-    return data.where(inside)
-
-
 def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> FitTask:
     """Choose forces, noise, free parameters and a first guess.
 
@@ -294,7 +268,11 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
-    data = _limited(data, config, CHANNEL_SLIP[forces[0]])
+    low, high = config.data.slip_min, config.data.slip_max
+    if low is not None or high is not None:
+        values = data[CHANNEL_SLIP[forces[0]]]
+        above = values >= (-np.inf if low is None else low)
+        data = data.where(above & (values <= (np.inf if high is None else high)))
     _check_inputs(data, name, template, forces, config)
     config, messages = _with_reference_load(data, template, config)
     model, layout, narrowed = _settled(data, template, forces, config)
@@ -318,8 +296,10 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         if std is not None:
             check_slip_noise(data, slip, std)
             slip_std[slip] = _put(std, size)
+    zero = np.zeros(data.n)
+    inputs = (data.usable(name) if name in data else zero for name in TireInputs._fields)
     rows = Rows(
-        inputs=_inputs(data, size),
+        inputs=TireInputs(*(_put(np.nan_to_num(values), size) for values in inputs)),
         run=_put(data.run[data.used].astype(int), size),
         weight=jax.device_put((np.arange(size) < data.n).astype(float)),
         observed=observed,
@@ -382,3 +362,50 @@ def _with_reference_load(
     given = config.parameters | {"fz0": asked.model_copy(update={"value": load})}
     message = f"reference load fz0: {load:g} N, the median (set parameters.fz0.value)"
     return config.model_copy(update={"parameters": given}), [message]
+
+
+def slip_of_forces(
+    data: TireData, model: AbstractTire, forces: Sequence[str], noisy: Collection[str]
+) -> dict[str, str]:
+    """Force -> the slip whose noise is integrated out for it.
+
+    In pure slip, and for a model of pure slip, it is the slip of the force. In combined
+    slip every force depends on both, so all share the latent values of the noisy one.
+
+    Args:
+        data: the rows to be fitted.
+        model: the model of the fit.
+        forces: the fitted forces.
+        noisy: those of sigma_x and alpha whose noise is given.
+
+    Raises:
+        DataError: combined slip with noise of both slips.
+    """
+    own = {force: CHANNEL_SLIP[force] for force in forces}
+    if not noisy or "sigma_x" not in data or "alpha" not in data:
+        return own
+    # Whether both slips matter together in more than a twentieth of the rows; that of a
+    # locked wheel represents infinity.
+    slips = np.nan_to_num([data.usable("sigma_x"), np.tan(data.usable("alpha"))])
+    sizes = np.minimum(np.abs(slips), 1.0)
+    is_combined = sizes.min(axis=0) > 0.05 * np.hypot(*sizes).max(initial=0.0)
+    # Whether one slip changes the force of the other.
+    both, along, across = (
+        model(TireInputs(*each, 4000.0, 10.0)) for each in ((0.1, 0.1), (0.1, 0.0), (0.0, 0.1))
+    )
+    couples = any(
+        a is not None and b is not None and abs(a - b) > 1e-6 * abs(b)
+        for a, b in ((both.fx, along.fx), (both.fy, across.fy))
+    )
+    if not (couples and np.mean(is_combined) > 0.05):
+        return own
+    if len(noisy) > 1:
+        raise DataError(
+            "noise of both sigma_x and alpha in combined slip: every force depends"
+            " on both slips, and only one noisy slip can be integrated out",
+            "give the noise of the slip that matters more, and count that of the"
+            " other as noise of the forces; or fit rows of pure slip",
+            data.file,
+        )
+    (slip,) = noisy
+    return dict.fromkeys(forces, slip)

@@ -56,7 +56,16 @@ class ParameterConfig(Section):
     factor: float = 1.0
 
     def contradictions(self) -> Iterator[InputProblem]:
-        yield from self._idle_keys()
+        rule, remedy, idle = f"tied = {self.tied!r}", "only factor goes with tied", set(_OF_FREE)
+        if self.tied is not None:
+            idle |= {"free", "value"}
+        elif self.free is False:
+            rule, remedy = "free = false", "only value goes with it"
+        else:
+            idle = set()
+        for key, field in ParameterConfig.model_fields.items():
+            if key in idle and getattr(self, key) != field.default:
+                yield InputProblem(f"{key} contradicts {rule}", f"leave one of them out: {remedy}")
         if self.tied is None and self.factor != 1:
             yield InputProblem("factor without tied", "name the other parameter by tied")
         if self.factor == 0:
@@ -64,20 +73,6 @@ class ParameterConfig(Section):
             yield InputProblem("factor = 0 ties it to nothing", remedy)
         remedy = "leave room between them, or hold the parameter by free = false"
         yield from _out_of_order(self, "lower", "upper", remedy)
-
-    def _idle_keys(self) -> Iterator[InputProblem]:
-        """Keys that have no effect on a tied or fixed parameter."""
-        if self.tied is not None:
-            rule, remedy = f"tied = {self.tied!r}", "only factor goes with tied"
-            idle = {"free", "value", *_OF_FREE}
-        elif self.free is False:
-            rule, remedy = "free = false", "only value goes with it"
-            idle = _OF_FREE
-        else:
-            return
-        for key, field in ParameterConfig.model_fields.items():
-            if key in idle and getattr(self, key) != field.default:
-                yield InputProblem(f"{key} contradicts {rule}", f"leave one of them out: {remedy}")
 
 
 _SlipNoise = Annotated[NonNegativeFloat | None, AfterValidator(lambda std: std or None)]
@@ -134,7 +129,7 @@ class DataConfig(Section):
 class PosteriorConfig(Section):
     """The posterior: which sampler, and how many samples."""
 
-    sampler: Literal["emcee", "nuts", "importance"] | None = None
+    sampler: Literal["emcee", "importance"] | None = None
     ensembles: int = Field(default=4, ge=4, le=1000)
     walkers: Annotated[int, Field(ge=1, le=10_000)] | None = None
     effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] | None = None

@@ -160,7 +160,12 @@ def choose_layout(
         if name not in known
     ]
     ties = [Tie(n, a.tied, a.factor) for n, a in asked.items() if a.tied is not None]
-    free = [n for n in known if _is_free(known[n], n, asked[n], forces)]
+    free = []
+    for name, settings in asked.items():
+        chosen = settings.free
+        if chosen is None and settings.tied is None:
+            chosen = "mz" in forces if name == "half_length" else known[name].free
+        free += [name] * bool(chosen)
     bounded, notes = {}, []
     for name in known:
         bounded[name], wrong = _bounded(name, known[name], asked[name])
@@ -179,26 +184,17 @@ def choose_layout(
         problems.append(InputProblem("no free parameter", "free one under [parameters]"))
     if problems:
         raise UsageError([replace(p, file=config.source) for p in problems])
-    tied = {tie.name for tie in ties}
-    fixed = {
-        name: spec.default if value is None else value
-        for name, spec in known.items()
-        for value in [asked[name].value]
-        if name not in free and name not in tied
-    }
-    unknowns = tuple(_free_parameter(n, bounded[n], asked[n], len(runs)) for n in free)
-    return with_values(model, fixed), Layout(unknowns, tuple(ties), runs), notes
-
-
-def _is_free(spec: Spec, name: str, asked: ParameterConfig, forces: Sequence[str]) -> bool:
-    if asked.tied is not None or asked.free is not None:
-        return bool(asked.free)
-    return "mz" in forces if name == "half_length" else spec.free
-
-
-def _free_parameter(name: str, spec: Spec, asked: ParameterConfig, runs: int) -> FreeParameter:
-    prior = None if asked.prior is None else (asked.prior.mean, asked.prior.std)
-    return FreeParameter(name, spec, asked.per_run and runs > 1, prior)
+    tied, fixed, unknowns = {tie.name for tie in ties}, {}, []
+    for name, settings in asked.items():
+        if name in free:
+            given = settings.prior
+            prior = None if given is None else (given.mean, given.std)
+            per_run = settings.per_run and len(runs) > 1
+            unknowns.append(FreeParameter(name, bounded[name], per_run, prior))
+        elif name not in tied:
+            value = settings.value
+            fixed[name] = known[name].default if value is None else value
+    return with_values(model, fixed), Layout(tuple(unknowns), tuple(ties), runs), notes
 
 
 def _interval(spec: Spec) -> str:

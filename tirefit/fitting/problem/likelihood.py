@@ -44,17 +44,13 @@ def _huber(square: Array) -> Array:
     return jnp.where(inside, square, 2 * k * size - k**2)
 
 
-def _soft_l1(square: Array) -> Array:
-    return 2 * (jnp.sqrt(1 + square) - 1)
-
-
-def _cauchy(square: Array) -> Array:
-    """Redescending; scale 2.385 gives 95 % efficiency at Gaussian noise."""
-    k = 2.385
-    return k**2 * jnp.log1p(square / k**2)
-
-
-LOSSES = {"squares": lambda square: square, "huber": _huber, "soft-l1": _soft_l1, "cauchy": _cauchy}
+LOSSES: dict[str, Callable[[Array], Array]] = {
+    "squares": lambda square: square,
+    "huber": _huber,
+    "soft-l1": lambda square: 2 * (jnp.sqrt(1 + square) - 1),
+    # Redescending; scale 2.385 gives 95 % efficiency at Gaussian noise.
+    "cauchy": lambda square: 2.385**2 * jnp.log1p(square / 2.385**2),
+}
 """Robust losses: squared whitened residual -> contribution to -2 log likelihood."""
 
 
@@ -196,14 +192,6 @@ def row_forces(
     return jax.vmap(one, in_axes=(axes, 0))(rows, felt)
 
 
-def predict(
-    problem: FitProblem, z: Float[Values, " p"], inputs: TireInputs | None = None
-) -> dict[str, Float[Array, " n"] | None]:
-    """Forces of a problem's rows by channel, at other inputs if given."""
-    inputs = problem.rows.inputs if inputs is None else inputs
-    return row_forces(problem.model, problem.layout, z, inputs, problem.rows.run)
-
-
 def _forces_at(
     problem: FitProblem, z: Float[Values, " p"], slip: str, slips: Float[Array, "n q"]
 ) -> dict[str, Float[Array, "n q"]]:
@@ -212,7 +200,8 @@ def _forces_at(
     names = [c.name for c in problem.channels if c.slip == slip]
 
     def at(slips: Float[Array, " n"]) -> dict[str, Array]:
-        forces = predict(problem, z, rows.inputs._replace(**{slip: slips}))
+        inputs = rows.inputs._replace(**{slip: slips})
+        forces = row_forces(problem.model, problem.layout, z, inputs, rows.run)
         return {name: jnp.asarray(forces[name]) for name in names}
 
     return jax.vmap(at, in_axes=1, out_axes=1)(slips)
@@ -220,11 +209,11 @@ def _forces_at(
 
 def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Array]:
     """Forces by channel: (n,), or (n, q) at the latent slips where there are some."""
-    nodes = problem.rows.nodes
-    plain = [c.name for c in problem.channels if c.slip not in nodes]
-    predicted = predict(problem, z) if plain else {}
-    # Channels are always forces that the model computes.
-    forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
+    rows, nodes, forces = problem.rows, problem.rows.nodes, {}
+    if plain := [c.name for c in problem.channels if c.slip not in nodes]:
+        predicted = row_forces(problem.model, problem.layout, z, rows.inputs, rows.run)
+        # Channels are always forces that the model computes.
+        forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
     for slip in nodes:
         forces |= _forces_at(problem, z, slip, nodes[slip].slip)
     return forces
@@ -306,7 +295,13 @@ def _blocks(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float
         name = channel.name
         if problem.block_of(channel) == name:
             residual = (rows.observed[name] - forces[name]) / rows.scale[name]
-            blocks[name] = rows.weight * _signed_root(loss, residual, problem.loss)
+            if problem.loss != "squares":
+                # sqrt(loss) has no slope at zero; below 1e-6 every loss is the square itself.
+                small = jnp.abs(residual) < 1e-6
+                safe = jnp.where(small, 1.0, residual)
+                root = jnp.sign(safe) * jnp.sqrt(loss(safe**2))
+                residual = jnp.where(small, residual, root)
+            blocks[name] = rows.weight * residual
     for slip in rows.nodes:
         log_row, log_force, _ = _slip_likelihoods(problem, forces, slip)
         # The largest value of the likelihood, so that no deviance is negative.
@@ -315,15 +310,6 @@ def _blocks(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float
         row_deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
         blocks[slip] = rows.weight * jnp.sqrt(loss(row_deviance))
     return blocks
-
-
-def _unlikely(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float[Array, " n"]]:
-    """-2 log likelihood of the forces given the measured slip, over its smallest value."""
-    rows = problem.rows
-    return {
-        slip: 2 * (_log_of_slip(rows, slip) - _slip_likelihoods(problem, forces, slip)[0])
-        for slip in rows.nodes
-    }
 
 
 def _moments(
@@ -369,9 +355,14 @@ def moments(
 def blocks_and_moments(
     problem: FitProblem, z: Float[Values, " p"]
 ) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array], dict[str, Array]]:
-    """:func:`root_deviance`, :func:`moments` and :func:`_unlikely` from one evaluation."""
+    """:func:`root_deviance`, :func:`moments`, and -2 log likelihood of the forces given each
+    measured slip, over its smallest value, from one evaluation."""
     forces = _channel_forces(problem, problem.compared_at(z))
-    return _blocks(problem, forces), *_moments(problem, forces), _unlikely(problem, forces)
+    unlikely = {
+        slip: 2 * (_log_of_slip(problem.rows, slip) - _slip_likelihoods(problem, forces, slip)[0])
+        for slip in problem.rows.nodes
+    }
+    return _blocks(problem, forces), *_moments(problem, forces), unlikely
 
 
 def row_moments(
@@ -406,12 +397,3 @@ def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""
         return log_factor - jnp.clip(slope / curvature, -0.7, 0.7)
 
     return jnp.exp(jax.lax.fori_loop(0, 6, step, 0.0))
-
-
-def _signed_root(function: Callable[[Array], Array], residual: Array, loss: str) -> Array:
-    if loss == "squares":
-        return residual
-    # sqrt(loss) has no slope at zero; below 1e-6 every loss is the square itself.
-    small = jnp.abs(residual) < 1e-6
-    safe = jnp.where(small, 1.0, residual)
-    return jnp.where(small, residual, jnp.sign(safe) * jnp.sqrt(function(safe**2)))

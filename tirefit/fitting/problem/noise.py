@@ -65,14 +65,10 @@ def noise_law(
     terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
     plain = np.append(law_shares(residual, terms[:, :2], known), 0.0)
     shares = law_shares(residual, terms, known)
-    deviances = [_deviance(residual, terms @ x + known, each) for x in (plain, shares)]
+    variances = [np.maximum(terms @ x + known, 1e-300) for x in (plain, shares)]
+    deviances = [np.sum((np.log(v) + residual**2 / v) / each) for v in variances]
     is_clear = deviances[0] - deviances[1] > _CLEAR_TERM
     return NoiseLaw(*np.sqrt(shares if is_clear else plain).tolist())
-
-
-def _deviance(residual: np.ndarray, variance: np.ndarray, each: np.ndarray | float) -> float:
-    variance = np.maximum(variance, 1e-300)
-    return float(np.sum((np.log(variance) + residual**2 / variance) / each))
 
 
 def law_shares(
@@ -164,9 +160,7 @@ def autocorrelation_time(residuals: list[np.ndarray]) -> float:
     count = sum(len(part) for part in parts)
     correlation = autocorrelation(parts)
     longest = len(correlation)
-    if longest < 2:
-        return 1.0
-    if correlation[1] < 3.3 / np.sqrt(count):
+    if longest < 2 or correlation[1] < 3.3 / np.sqrt(count):
         return 1.0
     time = 1.0
     for lag in range(1, longest - 1, 2):
@@ -199,25 +193,20 @@ def effective_inflation(scores: np.ndarray, run: np.ndarray, time: np.ndarray | 
     directions = np.concatenate([left[:, known], scores], axis=1)
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]
-    return max(
-        (_inflation([column[part] for part in parts]) for column in directions.T), default=1.0
-    )
-
-
-def _inflation(parts: list[np.ndarray]) -> float:
-    """Autocorrelation time within the runs, raised if the runs differ by more.
-
-    Runs measured on different days or floors differ as a whole, which the
-    autocorrelation within a run does not show. Their sums then scatter more than
-    chi-squared allows (0.1 %).
-    """
-    time = autocorrelation_time(parts)
-    freedom = len(parts) - 1
-    if freedom < _LEAST_RUNS - 1:
-        return time
-    scatter = sum(float(part.sum()) ** 2 for part in parts)
-    scatter /= time * sum(float(part @ part) for part in parts) / len(parts)
-    return time * scatter / freedom if chdtrc(freedom, scatter) < 1e-3 else time
+    freedom, found = len(parts) - 1, 1.0
+    for column in directions.T:
+        within = [column[part] for part in parts]
+        inflation = autocorrelation_time(within)
+        if freedom >= _LEAST_RUNS - 1:
+            # Runs measured on different days or floors differ as a whole, which the
+            # autocorrelation within a run does not show: their sums then scatter more than
+            # chi-squared allows (0.1 %).
+            square = inflation * sum(float(run @ run) for run in within) / len(within)
+            scatter = sum(float(run.sum()) ** 2 for run in within) / square
+            if chdtrc(freedom, scatter) < 1e-3:
+                inflation *= scatter / freedom
+        found = max(found, inflation)
+    return found
 
 
 def design_effect(residual: np.ndarray, slopes: np.ndarray, setting: np.ndarray) -> float:

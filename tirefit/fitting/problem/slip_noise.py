@@ -47,7 +47,8 @@ _HATS = 20
 would fall below the slip noise: the data do not resolve finer detail."""
 _STEPS, _STEPS_AFTER = 200, 60
 """Steps of expectation maximisation, and those after each standing slip is added."""
-_MOST_STANDING = 40
+_MOST_STANDING, _MOST_PEAKS = 40, 8
+"""Largest number of standing slips, and of places that are tried for the next one."""
 
 
 _ENOUGH = 4000
@@ -196,6 +197,7 @@ class SlipDistribution(NamedTuple):
 
 
 _NEW_SHARE = 0.05  # share that new standing slips begin with, together
+_SHARES = np.array([[0.003], [0.01], [0.03], [0.1], [0.3]])  # tried of one more standing slip
 
 
 def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
@@ -208,11 +210,19 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
     by more than the penalty for two parameters (the place, found by search, and the
     share): together those that exceed the penalty alone, then one by one.
     """
-    slip, std = _some(slip, std)
-    knots, spacing, smooth = _hats(slip, std, _HATS)
-    columns, hats = smooth, smooth.shape[1]
-    weight = _weights(columns, np.full(hats, 1 / hats), 3 * _STEPS_AFTER)
+    every = max(len(slip) // _ENOUGH, 1)
+    slip, std = slip[::every], std[::every]
     noise = float(np.median(std))
+    width = max(float(np.ptp(slip)), noise)
+    hats = int(np.clip(width / max(noise, 1e-300), 3, _HATS))
+    spacing = width / (hats - 1)
+    knots = slip.min() + spacing * np.arange(-1, hats + 1)
+    # Likelihood of each slip for each hat of unit area, (n, hats), by quadrature.
+    offset, mass = np.polynomial.hermite_e.hermegauss(15)
+    true = slip[:, None] + std[:, None] * offset
+    hat = np.maximum(1 - np.abs(true[..., None] - knots[1:-1]) / spacing, 0)
+    columns = smooth = np.einsum("q,nqk->nk", mass / mass.sum(), hat) / spacing
+    weight = _weights(columns, np.full(hats, 1 / hats), 3 * _STEPS_AFTER)
     places = np.linspace(slip.min(), slip.max(), int(np.clip(2 * np.ptp(slip) / noise, 2, 2000)))
     near = _standing_likelihood(slip, std, places)
     standing, likely = np.zeros(0), _log_likelihood(columns, weight)
@@ -227,8 +237,13 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
 
     while len(standing) < _MOST_STANDING:
         together = columns @ weight
-        peaks = _peaks(1 / np.maximum(together, 1e-300) @ near)
-        gains = np.array([_first_gain(near[:, k], together) for k in peaks])
+        rises = np.pad(1 / np.maximum(together, 1e-300) @ near, 1, constant_values=-np.inf)
+        peaks = np.flatnonzero((rises[1:-1] >= rises[:-2]) & (rises[1:-1] >= rises[2:]))
+        peaks = peaks[np.argsort(-rises[1:-1][peaks])][:_MOST_PEAKS]
+        # From a share of one more part with the ratios of the others unchanged: a lower limit
+        # of the gain in log likelihood when all shares are fitted again.
+        ratios = near[:, peaks].T / np.maximum(together, 1e-300) - 1
+        gains = np.array([np.max(np.log1p(_SHARES * one).sum(axis=1)) for one in ratios])
         # These exceed the penalty by themselves; the others are tried one by one.
         sure = gains > worth
         room = _MOST_STANDING - len(standing)
@@ -242,21 +257,6 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
         likely = _log_likelihood(columns, weight)
     density = np.concatenate([[0.0], weight[:hats] / spacing, [0.0]])
     return SlipDistribution(knots, density, standing, weight[hats:])
-
-
-def _peaks(values: np.ndarray, most: int = 8) -> np.ndarray:
-    """Indices of the highest local maxima."""
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    tops = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
-    return tops[np.argsort(-values[tops])][:most]
-
-
-def _first_gain(alone: np.ndarray, together: np.ndarray) -> float:
-    """Gain in log likelihood from a share of one more part with the ratios of the others
-    unchanged: a lower limit of the gain when all shares are fitted again."""
-    ratio = alone / np.maximum(together, 1e-300) - 1
-    shares = np.array([0.003, 0.01, 0.03, 0.1, 0.3])[:, None]
-    return float(np.max(np.sum(np.log1p(shares * ratio), axis=1)))
 
 
 def _with_more(
@@ -294,34 +294,9 @@ def _gauss(x: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
 
 
-def _some(slip: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every k-th slip: some thousands give the same distribution as all of them."""
-    every = max(len(slip) // _ENOUGH, 1)
-    return slip[::every], std[::every]
-
-
-def _hats(slip: np.ndarray, std: np.ndarray, hats: int) -> tuple[np.ndarray, float, np.ndarray]:
-    """(knots, spacing, likelihood of each slip for each hat (n, hats))."""
-    width = max(float(np.ptp(slip)), float(np.median(std)))
-    count = int(np.clip(width / max(float(np.median(std)), 1e-300), 3, hats))
-    spacing = width / (count - 1)
-    knots = slip.min() + spacing * np.arange(-1, count + 1)
-    return knots, spacing, _hat_likelihood(slip, std, knots, spacing)
-
-
 def _weights(columns: np.ndarray, weight: np.ndarray, iterations: int) -> np.ndarray:
     """Weights of the parts by expectation maximisation."""
     for _ in range(iterations):
         together = np.maximum(columns @ weight, 1e-300)
         weight = weight * (1 / together @ columns) / len(columns)
     return weight
-
-
-def _hat_likelihood(
-    slip: np.ndarray, std: np.ndarray, knots: np.ndarray, spacing: float
-) -> np.ndarray:
-    """Likelihood of each slip for each hat of unit area, (n, hats), by quadrature."""
-    offset, mass = np.polynomial.hermite_e.hermegauss(15)
-    true = slip[:, None] + std[:, None] * offset
-    hat = 1 - np.abs(true[..., None] - knots[1:-1]) / spacing
-    return np.einsum("q,nqk->nk", mass / mass.sum(), np.maximum(hat, 0)) / spacing

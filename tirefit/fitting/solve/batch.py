@@ -133,23 +133,16 @@ def _solve_all(
 
             return (force - jax.vmap(at)(slip, fz, v)) / jnp.mean(fz), None
 
-        end = least_squares(residual, _guess(template, layout, *data))
+        # Slope of the smaller slips and the largest force, in terms of the parameters.
+        small = jnp.abs(slip) <= 0.2 * jnp.max(jnp.abs(slip))
+        stiffness = jnp.sum(small * slip * force) / jnp.sum(small * slip**2)
+        curve = guess_from_curve(stiffness, jnp.max(jnp.abs(force) / fz), jnp.mean(fz))
+        guess = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
+        guess |= {name: value for name, value in curve.items() if name in guess}
+        end = least_squares(residual, jnp.asarray(layout.unconstrained(guess)))
         noise = end.cost / (slip.size - layout.size)
         slope = jax.jacfwd(layout.vector)(end.z)
         cov = slope @ jnp.linalg.inv(end.normal) @ slope.T * noise
         return layout.vector(end.z), jnp.sqrt(jnp.diagonal(cov)), end.converged
 
     return jax.lax.map(one, (slip, force, fz, v), batch_size=batch)
-
-
-def _guess(
-    template: AbstractTire, layout: Layout, slip: Array, force: Array, fz: Array, v: Array
-) -> Float[Array, " p"]:
-    """Slope of the smaller slips and the largest force, in terms of the parameters."""
-    del v
-    small = jnp.abs(slip) <= 0.2 * jnp.max(jnp.abs(slip))
-    stiffness = jnp.sum(small * slip * force) / jnp.sum(small * slip**2)
-    peak = jnp.max(jnp.abs(force) / fz)
-    guessed = guess_from_curve(stiffness, peak, jnp.mean(fz))
-    known = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
-    return jnp.asarray(layout.unconstrained(known | {k: guessed[k] for k in guessed if k in known}))

@@ -18,6 +18,7 @@ slip), cells are also cut by the residual. The deviance itself shows if they are
 import heapq
 import itertools
 from collections.abc import Iterable
+from functools import partial
 
 import jax
 import numpy as np
@@ -26,7 +27,7 @@ from jaxtyping import Float, Int
 from tirefit.arrays import Numbers
 from tirefit.fitting.problem.likelihood import FitProblem, moments, root_deviance, row_moments
 from tirefit.fitting.result import FitResult
-from tirefit.fitting.solve.inference import Linearised, deviance, linearise
+from tirefit.fitting.solve.inference import deviance, linearise
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.padding import pad_rows
 from tirefit.params import Values
@@ -102,8 +103,7 @@ def cells_of(
         share: of the squared change that may be lost; fewer cells are used if possible.
     """
     problem = solved.problem
-    run = problem.used(problem.rows.run)
-    group = run if problem.layout.is_sparse else np.zeros(problem.n, int)
+    group = problem.used(problem.rows.run) * problem.layout.is_sparse
     code = _codes(_places(solved), _changes(solved, points), group, most, share)
     return _of_cells(solved, code, most)
 
@@ -220,10 +220,7 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
         total = np.bincount(code, problem.used(values) * weight)
         return total[given] / np.bincount(code, weight)[given]
 
-    def padded(values: np.ndarray) -> np.ndarray:
-        return pad_rows(values, size)
-
-    number = count[given]
+    padded, number = partial(pad_rows, size=size), count[given]
     residual = {k: mean(v, precision[k]) for k, v in _residuals(solved).items()}
     weight = np.zeros(size)
     weight[: len(number)] = np.sqrt(number)
@@ -232,9 +229,7 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
         run=padded(np.rint(mean(rows.run)).astype(int)),
         weight=weight,
         observed={name: padded(values) for name, values in residual.items()},
-        scale={
-            k: padded(np.sqrt(number / np.bincount(code, v)[given])) for k, v in precision.items()
-        },
+        scale={k: padded(mean(v, 1 + 0 * v) ** -0.5) for k, v in precision.items()},
         slip_std={k: padded(mean(v)) for k, v in rows.slip_std.items()},
         nodes={
             k: jax.tree.map(lambda values: padded(mean(values)), v) for k, v in rows.nodes.items()
@@ -252,14 +247,24 @@ def _with_the_same_slope(solved: Solved, small: FitProblem) -> FitProblem:
     Shifting the forces by the change of the model for a step in z moves the best fit by
     that step.
     """
-    z, slopes = solved.z, _force_slopes(small, solved)
+    z, steps = solved.z, np.diag(1e-3 * np.sqrt(np.diag(solved.covariance)))
+    # Slopes (n, p) of each force over z, including padding rows.
+    ends = [[moments(small, z + side * step)[0] for side in (1, -1)] for step in steps]
+    slopes = {
+        name: np.stack([above[name] - below[name] for above, below in ends], axis=1)
+        / (2 * np.diag(steps))
+        for name in small.rows.observed
+    }
     for _ in range(_MOVES):
         at = linearise(small, z)
         observed = {k: np.array(force) for k, force in small.rows.observed.items()}
         for name in small.rules:
-            wanted, curvature = _score(solved.at, name, name in small.rows.nodes)
-            here, _ = _score(at, name, False)
-            step = np.linalg.lstsq(curvature, here - wanted)[0]
+            of_rows, of_cells = np.asarray(solved.at.slopes[name]), np.asarray(at.slopes[name])
+            # Half the slopes of the deviances, and half the curvature of that of the rows.
+            wanted, here = of_rows.T @ solved.at.values[name], of_cells.T @ at.values[name]
+            if name in small.rows.nodes:
+                of_rows = of_rows * solved.at.values[name][:, None]
+            step = np.linalg.lstsq(of_rows.T @ of_rows, here - wanted)[0]
             for channel in small.block_channels(name):
                 observed[channel.name] += slopes[channel.name] @ step
         small = small.with_rows(observed=observed)
@@ -269,21 +274,3 @@ def _with_the_same_slope(solved: Solved, small: FitProblem) -> FitProblem:
         beside = np.sum(solved.at.values[name] ** 2) - np.sum(at.values[name] ** 2)
         rules[name] = rule._replace(within=float(beside))
     return small.with_rules(rules)
-
-
-def _score(at: Linearised, block: str, is_latent: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Half the slope (p,) and half the curvature (p, p) of the deviance of a block."""
-    values, slopes = np.asarray(at.values[block]), np.asarray(at.slopes[block])
-    rows = slopes * values[:, None] if is_latent else slopes
-    return slopes.T @ values, rows.T @ rows
-
-
-def _force_slopes(problem: FitProblem, solved: Solved) -> dict[str, np.ndarray]:
-    """Slopes (n, p) of each force of the rows over z, including padding rows."""
-    steps = np.diag(1e-3 * np.sqrt(np.diag(solved.covariance)))
-    slopes: dict[str, list[np.ndarray]] = {name: [] for name in problem.rows.observed}
-    for step in steps:
-        (above, _), (below, _) = (moments(problem, solved.z + side * step) for side in (1, -1))
-        for name, parts in slopes.items():
-            parts.append((above[name] - below[name]) / (2 * step.sum()))
-    return {name: np.stack(parts, axis=1) for name, parts in slopes.items()}

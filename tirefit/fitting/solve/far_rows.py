@@ -20,21 +20,20 @@ load far from all others is always excluded. Other values far from their column 
 excluded in the first fit only, and name the column in the report.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from scipy.special import ndtri, stdtrit
 
 from tirefit.data.far import FAR_COLUMNS, FarValue, far_values, like_slips, problem_at, why_far
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.fitting.problem.build import FitTask, build
 from tirefit.fitting.problem.config import FitConfig
-from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, Channel, FitProblem
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
 from tirefit.fitting.problem.noise import MAD
-from tirefit.fitting.solve.inference import REACH, Linearised
+from tirefit.fitting.solve.inference import REACH
 from tirefit.fitting.solve.multistart import Solved, on_rows, solve_problem
 from tirefit.results import InputProblem
 
@@ -115,7 +114,11 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     """
     whole = build(data, name, config)
     suspects, trims = _suspects(whole), config.noise.loss == "trimmed"
-    most, limit = max(1, int(_MOST * whole.problem.n)), _limit(whole.problem)
+    # Standard deviations that a row of clean data exceeds with probability ``_CHANCE``.
+    values = whole.problem.n * len(whole.problem.channels)
+    dof = min(max(values - whole.problem.layout.size - 1, 1), _TAILS)
+    limit = float(stdtrit(dof, 1 - _CHANCE / (2 * values)))
+    most = max(1, int(_MOST * whole.problem.n))
     first = np.zeros(whole.problem.n, bool)
     first[list(suspects)] = trims and len(suspects) <= most
     kept = ~_leaving_runs(first, whole)
@@ -126,12 +129,18 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
         # At small slip the force hardly depends on the load: a wrong load may agree by chance.
         ratio[[i for i, value in suspects.items() if value.column == "fz"]] = np.inf
         if whole.problem.model.transient:
-            ratio = _worst_in_time(ratio, kept)
+            from scipy.ndimage import maximum_filter1d  # for transient tires alone
+
+            # One wrong slip affects a transient tire for a while: only the worst row counts.
+            worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
+            ratio = np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
         beyond = _leaving_runs(ratio > 1, whole)
-        farthest = _farthest(ratio, beyond, most)
-        if not trims or np.array_equal(~farthest, kept):
+        order = np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")
+        others = np.ones_like(beyond)  # than the farthest rows beyond the limit
+        others[order[: min(most, np.count_nonzero(beyond))]] = False
+        if not trims or np.array_equal(others, kept):
             break
-        kept = ~farthest
+        kept = others
     else:
         task, solved = _fitted(whole, kept, config)
     note = ""
@@ -142,8 +151,13 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
         )
         kept[:] = True
         task, solved = _fitted(whole, kept, config)
-    far = _named(whole, judged, kept, beyond, suspects)
-    return Settled(task, solved, task.data, far, limit, note)
+    many = whole.problem.n >= _MANY * whole.problem.layout.size
+    resting = kept & (judged.leverage > _RESTS) & many
+    rows = sorted({*np.flatnonzero(beyond | ~kept | resting).tolist(), *suspects})
+    far = [
+        _far_row(whole, judged, i, bool(kept[i]), bool(beyond[i]), suspects.get(i)) for i in rows
+    ]
+    return Settled(task, solved, task.data, tuple(far), limit, note)
 
 
 def _suspects(task: FitTask) -> dict[int, FarValue]:
@@ -163,35 +177,11 @@ def _suspects(task: FitTask) -> dict[int, FarValue]:
     return far
 
 
-def _limit(problem: FitProblem) -> float:
-    """Standard deviations that a row of clean data exceeds with probability ``_CHANCE``."""
-    rows = problem.n * len(problem.channels)
-    dof = min(max(rows - problem.layout.size - 1, 1), _TAILS)
-    return float(stdtrit(dof, 1 - _CHANCE / (2 * rows)))
-
-
 def _leaving_runs(aside: np.ndarray, task: FitTask) -> Bool[np.ndarray, " n"]:
     """Rows to exclude, except in runs that would lose half of their rows."""
     run = task.problem.used(task.problem.rows.run)
     share = np.bincount(run, aside) / np.maximum(np.bincount(run), 1)
     return aside & (share <= 0.5)[run]
-
-
-def _worst_in_time(ratio: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """The ratios (n,), above one only for the worst of kept rows that are close in time:
-    one wrong slip affects a transient tire for a while."""
-    from scipy.ndimage import maximum_filter1d  # for transient tires alone
-
-    worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
-    return np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
-
-
-def _farthest(ratio: np.ndarray, beyond: np.ndarray, most: int) -> Bool[np.ndarray, " n"]:
-    """At most ``most`` of the rows beyond the limit, the farthest first."""
-    chosen = np.zeros_like(beyond)
-    order = np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")
-    chosen[order[: min(most, np.count_nonzero(beyond))]] = True
-    return chosen
 
 
 def _fitted(whole: FitTask, kept: np.ndarray, config: FitConfig) -> tuple[FitTask, Solved]:
@@ -200,8 +190,7 @@ def _fitted(whole: FitTask, kept: np.ndarray, config: FitConfig) -> tuple[FitTas
     rows = np.zeros(len(whole.data), bool)
     rows[np.flatnonzero(whole.data.used)[kept]] = True
     # Padded to the size of all rows, so that one program serves both.
-    size = len(whole.problem.rows.weight)
-    task = build(whole.data.where(rows), whole.name, config, size)
+    task = build(whole.data.where(rows), whole.name, config, len(whole.problem.rows.weight))
     return task, solve_problem(task, config)
 
 
@@ -212,7 +201,10 @@ def _judge(
     problem, at = solved.problem, solved.at
     if not kept.all():
         problem, at = on_rows(whole, kept, task, solved)
-    root = _root_of_covariance(at, kept)
+    # R with R R' the covariance of z if all rows are independent.
+    parts = [v if k == "prior" else v[kept] for k, v in at.slopes.items()]
+    values, vectors = np.linalg.eigh(sum(part.T @ part for part in parts))
+    root = vectors / np.sqrt(np.maximum(values, 1 / REACH**2))
     by_channel, leverage = [], np.zeros(problem.n)
     for channel in problem.channels:
         slopes = at.slopes[problem.block_of(channel)] @ root
@@ -222,7 +214,11 @@ def _judge(
         observed = problem.used(problem.rows.observed[channel.name])
         residual = (observed - at.mean[channel.name]) / unit
         if problem.block_channels(channel.slip) == (channel,):
-            residual = np.sign(residual) * _by_density(problem, at, channel)
+            # The density of the force at the measured slip is not normal where the curve
+            # bends within the noise of the slip.
+            std = problem.used(problem.rows.scale[channel.name])
+            unlikely = at.unlikely[channel.slip] - np.log(at.variance[channel.name] / std**2)
+            residual = np.sign(residual) * np.sqrt(np.maximum(unlikely, 0.0))
         # A kept row pulls the fit towards itself, so its residual is too small.
         spread = np.where(kept, np.maximum(1 - share, _ROUNDING), 1 + share)
         off = np.nan_to_num(residual / np.sqrt(spread), nan=np.inf)
@@ -237,22 +233,6 @@ def _judge(
         by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
     distance, ratio, predicted = map(np.array, zip(*by_channel, strict=True))
     return _Judged(distance, ratio, predicted, leverage, limit)
-
-
-def _by_density(problem: FitProblem, at: Linearised, channel: Channel) -> Float[np.ndarray, " n"]:
-    """Distances of forces whose slip is noisy, from the density of the force at the measured
-    slip: it is not normal where the curve bends within the noise of the slip."""
-    scale = problem.used(problem.rows.scale[channel.name])
-    spread = np.log(at.variance[channel.name] / scale**2)
-    return np.sqrt(np.maximum(at.unlikely[channel.slip] - spread, 0.0))
-
-
-def _root_of_covariance(at: Linearised, kept: np.ndarray) -> Float[np.ndarray, "p p"]:
-    """R with R R' the covariance of z if all rows are independent."""
-    parts = [v if k == "prior" else v[kept] for k, v in at.slopes.items()]
-    information = sum(part.T @ part for part in parts)
-    values, vectors = np.linalg.eigh(information)
-    return vectors / np.sqrt(np.maximum(values, 1 / REACH**2))
 
 
 def _scale(off: np.ndarray) -> float:
@@ -302,34 +282,15 @@ _REMEDY = "correct or delete the row"
 _KEEP = f"{_REMEDY}, or keep it with noise.loss = 'squares'"
 
 
-def _named(
-    whole: FitTask,
-    judged: _Judged,
-    kept: np.ndarray,
-    beyond: np.ndarray,
-    suspects: Mapping[int, FarValue],
-) -> tuple[FarRow, ...]:
-    """The outliers, in the order of the file."""
-    many = whole.problem.n >= _MANY * whole.problem.layout.size
-    resting = kept & (judged.leverage > _RESTS) & many
-    rows = {*np.flatnonzero(beyond | ~kept | resting).tolist(), *suspects}
-    return tuple(
-        _far_row(whole, judged, i, bool(kept[i]), bool(beyond[i]), suspects.get(i))
-        for i in sorted(rows)
-    )
-
-
 def _far_row(
     whole: FitTask, judged: _Judged, i: int, kept: bool, beyond: bool, suspect: FarValue | None
 ) -> FarRow:
     problem, channel = whole.problem, int(np.argmax(judged.ratio[:, i]))
-    force = problem.channels[channel].name
-    measured = float(problem.used(problem.rows.observed[force])[i])
-    predicted = float(judged.predicted[channel, i])
-    distance = float(judged.distance[channel, i])
+    force, inputs = problem.channels[channel].name, problem.rows.inputs
     slip, unit = CHANNEL_SLIP[force], CANONICAL[force][0]
-    at = float(problem.used(getattr(problem.rows.inputs, slip))[i])
-    load = float(problem.used(problem.rows.inputs.fz)[i])
+    columns = problem.rows.observed[force], getattr(inputs, slip), inputs.fz
+    measured, at, load = (float(problem.used(values)[i]) for values in columns)
+    predicted, distance = (float(of[channel, i]) for of in (judged.predicted, judged.distance))
     column, value = (force, measured) if suspect is None else suspect[1:3]
     off = (
         f"{force} = {measured:.6g} {unit} at {slip} = {at:.4g}, fz = {load:.6g} N is"

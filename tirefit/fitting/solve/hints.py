@@ -83,7 +83,13 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | No
             low, middle, high = ends[k]
             relative = np.tile((inputs[k][some] - middle) / (high - low), len(at.mean))
             more[k] = np.hstack([known, base * relative[:, None]])
-        explained = {k: _explained(values, known, more[k]) for k in left}
+        explained = {}
+        for k in left:
+            (before, fewer), (rest, rank) = remainder(values, known), remainder(values, more[k])
+            gain, square = float(before @ before - rest @ rest), float(rest @ rest)
+            effective = len(rest) / autocorrelation_time([rest])
+            limit = chdtri(rank - fewer, _CHANCE) * max(square, 1e-300)
+            explained[k] = gain if effective * gain > limit else 0.0
         best = max(left, key=lambda k: explained[k])
         if not explained[best] > _LEAST * whole:
             break
@@ -99,15 +105,6 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | No
     inflation = effective_inflation(rest[:, None] * slopes, run, time)
     share = float(rest @ rest) / whole * problem.n / len(some)
     return Misfit(tuple(found), max(1.0, share * inflation))
-
-
-def _explained(values: np.ndarray, known: np.ndarray, more: np.ndarray) -> float:
-    """Sum of squares that ``more`` explains beyond ``known``; 0 if not significant."""
-    (before, fewer), (rest, rank) = remainder(values, known), remainder(values, more)
-    explained, left = float(before @ before - rest @ rest), float(rest @ rest)
-    effective = len(rest) / autocorrelation_time([rest])
-    clear = effective * explained > chdtri(rank - fewer, _CHANCE) * max(left, 1e-300)
-    return explained if clear else 0.0
 
 
 def remainder(values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, int]:

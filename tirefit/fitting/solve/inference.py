@@ -124,14 +124,8 @@ def minima(
     for first in range(0, count, room):
         rows = np.arange(first, min(first + room, count))
         filled = np.resize(rows, room)
-        ends = _minima(
-            problem,
-            np.asarray(starts)[filled],
-            np.asarray(index)[filled],
-            np.asarray(values)[filled],
-            len(rows),
-            *chosen,
-        )
+        given = (np.asarray(each)[filled] for each in (starts, index, values))
+        ends = _minima(problem, *given, len(rows), *chosen)
         parts.append(jax.tree.map(lambda a, n=len(rows): np.asarray(a)[:n], ends))
     return jax.tree.map(lambda *all: np.concatenate(all), *parts)
 
@@ -215,22 +209,6 @@ _STEP = 1e-4
 """Of z, for central differences of the slope: their error is of its square."""
 
 
-def _curvature(problem: FitProblem, z: Float[Values, " p"]) -> Float[np.ndarray, "p p"]:
-    """Half the curvature of the deviance, priors included, from differences of its slope: a
-    program for the exact one takes longer to compile than the whole fit."""
-
-    def slope(z: np.ndarray) -> np.ndarray:
-        at, total = linearise(problem, z), np.zeros(len(z))
-        for name, values in at.values.items():
-            total += np.asarray(at.slopes[name]).T @ np.asarray(values) / inflation(problem, name)
-        return total
-
-    z = np.asarray(z)
-    steps = _STEP * np.eye(len(z))
-    rows = np.array([slope(z + step) - slope(z - step) for step in steps]) / (2 * _STEP)
-    return (rows + rows.T) / 2
-
-
 def covariance(
     problem: FitProblem, z: Float[Values, " p"], at: Linearised
 ) -> Float[np.ndarray, "p p"]:
@@ -239,14 +217,24 @@ def covariance(
     The Gauss-Newton curvature J'J; with slip noise the Hessian, because the
     deviance is then not a sum of squares.
     """
-    if problem.rows.nodes:
-        information = _curvature(problem, z)
-    else:
-        information = sum(
-            slope.T @ slope / inflation(problem, name)
-            for name, slope in ((k, np.asarray(v)) for k, v in at.slopes.items())
-        )
-    return inverse_of(np.asarray(information))
+    if not problem.rows.nodes:
+        slopes = {name: np.asarray(slope) for name, slope in at.slopes.items()}
+        information = sum(s.T @ s / inflation(problem, name) for name, s in slopes.items())
+        return inverse_of(np.asarray(information))
+
+    def slope_at(z: np.ndarray) -> np.ndarray:
+        at = linearise(problem, z)
+        parts = [
+            np.asarray(at.slopes[name]).T @ np.asarray(values) / inflation(problem, name)
+            for name, values in at.values.items()
+        ]
+        return np.sum(parts, axis=0)
+
+    # A program for the exact curvature takes longer to compile than the whole fit.
+    z = np.asarray(z)
+    steps = _STEP * np.eye(len(z))
+    rows = np.array([slope_at(z + step) - slope_at(z - step) for step in steps]) / (2 * _STEP)
+    return inverse_of((rows + rows.T) / 2)
 
 
 def inverse_of(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:

@@ -332,25 +332,6 @@ def on_host(
     return Solution(np.asarray(z), costs[-1], ended, len(costs), np.asarray(state.best.normal))
 
 
-def _ordinary(residual: Residual, start: Array) -> Callable[[Array], Array]:
-    """Residuals that a least-squares library can take, with the same minimum.
-
-    Rows with noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes by
-    a constant, and near the start Gauss-Newton has the curvature of scoring.
-    """
-    first, weights = residual(start)
-    deviance_row = False if weights is None else weights != 1.0
-
-    def ordinary(z: Array) -> Array:
-        values, _ = residual(z)
-        # Reverse mode multiplies the branch not taken by zero: it must stay finite.
-        safe = jnp.where(deviance_row, values, first)
-        root = jnp.sqrt(jnp.maximum(1 + safe**2 - first**2, 1e-6))
-        return jnp.where(deviance_row, root, values)
-
-    return ordinary
-
-
 def _jaxopt(residual: Callable[[Array], Array], start: Array) -> tuple[Array, Array, Array]:
     with warnings.catch_warnings():
         # jaxopt announces at import that it is no longer maintained.
@@ -414,7 +395,20 @@ def least_squares(
     """
     chosen: Any = SOLVERS[solver] if isinstance(solver, str) else solver
     own = isinstance(chosen, NormalEquations)
-    function: Any = residual if own else _ordinary(residual, start)
+    function: Any = residual
+    if not own:
+        # Rows with noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes by
+        # a constant, and near the start Gauss-Newton has the curvature of scoring.
+        first, weights = residual(start)
+        deviance_row = False if weights is None else weights != 1.0
+
+        def function(z: Array) -> Array:
+            values, _ = residual(z)
+            # Reverse mode multiplies the branch not taken by zero: it must stay finite.
+            safe = jnp.where(deviance_row, values, first)
+            root = jnp.sqrt(jnp.maximum(1 + safe**2 - first**2, 1e-6))
+            return jnp.where(deviance_row, root, values)
+
     if isinstance(chosen, str):
         z, converged, steps = _jaxopt(function, start)
     else:

@@ -1,6 +1,6 @@
 """Solve a problem: multi-start least squares, with the noise estimated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,7 +13,6 @@ from tirefit.fitting.problem.build import FitTask
 from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.problem.latent_slip import SlipNodes, slips_of_nodes
 from tirefit.fitting.problem.likelihood import (
-    Channel,
     FitProblem,
     Rule,
     Widened,
@@ -124,7 +123,7 @@ def with_densities(
         z: parameters at which the forces say something of the true slips.
         counted: (n,) bool, rows by which the density of the slips is estimated; None: all.
     """
-    rows, nodes, knots = problem.rows, {}, {}
+    rows, nodes, knots, densities = problem.rows, {}, {}, {}
     problem = problem.with_rows(scale=_scaled(problem, factors))
     if not rows.slip_std:
         return problem, {}
@@ -140,12 +139,10 @@ def with_densities(
         marked = np.ones(()) if steep else None
         nodes[slip] = SlipNodes(*jax.device_put((at, np.ones(at.shape), marked)))
     problem = problem.with_rows(nodes=nodes)
-    densities = {}
     for slip, weights in slip_weights(problem, z).items():
         at = np.asarray(nodes[slip].slip)
         weights, smooth = np.asarray(weights)[measured], SMOOTH_STEEP if steep else SMOOTH
-        density = slip_density(knots[slip], at[measured], weights, smooth)
-        densities[slip] = density
+        densities[slip] = density = slip_density(knots[slip], at[measured], weights, smooth)
         nodes[slip] = nodes[slip]._replace(density=jax.device_put(density.at(at)))
     return problem.with_rows(nodes=nodes), densities
 
@@ -302,31 +299,19 @@ def _judged(
         effective = problem.n / rows_per_one
         effective_total += effective
         if not estimated:
-            ratio, surprising = _surprise(problem, at, channels, rows_per_one)
+            # The variance of a row includes the effect of slip noise.
+            observed = {c.name: problem.used(problem.rows.observed[c.name]) for c in channels}
+            squares = [(v - at.mean[k]) ** 2 / at.variance[k] for k, v in observed.items()]
+            dof = max(problem.n * len(channels) - problem.layout.size, 1.0)
+            ratio, independent = float(np.sum(squares)) / dof, max(dof / rows_per_one, 1.0)
             ratios.append(ratio)
-            if surprising:
+            if ratio > 1 and chdtrc(independent, ratio * independent) < 1e-3:
                 rows_per_one *= ratio
         plain = estimated and problem.loss == "squares" and name not in problem.slip_noise
         smallest = float(values @ values) if plain else 0.0
         rules[name] = Rule(rows_per_one, effective, smallest)
     chi2_dof = float(np.mean(ratios)) if ratios else None
     return problem.with_rules(rules), chi2_dof, effective_total / len(rules)
-
-
-def _surprise(
-    problem: FitProblem, at: Linearised, channels: Sequence[Channel], rows_per_one: float
-) -> tuple[float, bool]:
-    """chi2/dof of channels whose noise was given, and whether it is significantly above
-    one. The variance of a row includes the effect of slip noise."""
-    chi2 = 0.0
-    for channel in channels:
-        residual = problem.used(problem.rows.observed[channel.name])
-        residual = residual - at.mean[channel.name]
-        chi2 += float(np.sum(residual**2 / at.variance[channel.name]))
-    dof = max(problem.n * len(channels) - problem.layout.size, 1.0)
-    effective = max(dof / rows_per_one, 1.0)
-    ratio = chi2 / dof
-    return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
 
 
 def on_rows(
@@ -358,30 +343,6 @@ def on_rows(
     return problem, jax.tree.map(joined, every, solved.at)
 
 
-def _still_to_gain(problem: FitProblem, at: Linearised, z: np.ndarray, cov: np.ndarray) -> float:
-    """Deviance that one more Gauss-Newton step would gain in parameters off their bounds.
-
-    At a bound the bijection goes to infinity and no solver stops, although the other
-    parameters have converged.
-    """
-    free = np.abs(z) < 0.6 * REACH
-    blocks = [
-        at.slopes[name].T @ values / inflation(problem, name) for name, values in at.values.items()
-    ]
-    gradient = np.sum(blocks, axis=0)[free]
-    information = np.linalg.inv(cov)[np.ix_(free, free)]
-    return float(gradient @ np.linalg.solve(information, gradient))
-
-
-def _independent(problem: FitProblem, z: np.ndarray, at: Linearised) -> np.ndarray:
-    """Covariance if every row were independent of the others."""
-    rules = {
-        name: rule._replace(inflation=rule.inflation * rule.effective / problem.n)
-        for name, rule in problem.rules.items()
-    }
-    return covariance(problem.with_rules(rules), z, at)
-
-
 def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     """Solve by least squares with the noise estimated; adds the covariance of z."""
     starts = starting_points(task, config.starts, config.seed)
@@ -396,14 +357,24 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     problem, chi2_dof, n_effective = _judged(problem, task.time, at, config, misfit)
     problem = _widened(problem, z)
     cov = covariance(problem, z, at)
-    converged = bool(np.all(np.isfinite(z))) and (
-        converged or _still_to_gain(problem, at, z, cov) < _SETTLED
-    )
+    if not converged and np.all(np.isfinite(z)):
+        # At a bound the bijection goes to infinity and no solver stops, although the other
+        # parameters have converged: one more step would gain nothing in them.
+        free = np.abs(z) < 0.6 * REACH
+        parts = [at.slopes[k].T @ v / inflation(problem, k) for k, v in at.values.items()]
+        gradient, information = np.sum(parts, axis=0)[free], np.linalg.inv(cov)[np.ix_(free, free)]
+        converged = bool(gradient @ np.linalg.solve(information, gradient) < _SETTLED)
+    converged = converged and bool(np.all(np.isfinite(z)))
     # With exact data, starts that agree to the solver's tolerance found one minimum.
     far = np.maximum(3 * np.sqrt(np.diag(cov)), _ONE_MINIMUM)
     ambiguous = bool(np.any(np.abs(solution.z[near] - solution.z[best]) > far))
     level = threshold(problem.noise_estimated, n_effective, problem.layout.size)
+    alone = {
+        name: rule._replace(inflation=rule.inflation * rule.effective / problem.n)
+        for name, rule in problem.rules.items()
+    }
+    independent = covariance(problem.with_rules(alone), z, at)
     return Solved(
         problem, at, z, cov, level, converged, config.starts, int(near.sum()),
-        ambiguous, chi2_dof, n_effective, _independent(problem, z, at), misfit,
+        ambiguous, chi2_dof, n_effective, independent, misfit,
     )  # fmt: skip

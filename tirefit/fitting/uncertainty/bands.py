@@ -64,73 +64,46 @@ def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run: Value
     return _force_at(blocks, channel, result.z)[: len(run)]
 
 
-def _z_draws(result: FitResult) -> np.ndarray:
-    """At most 400 posterior draws in the unconstrained space, (n, p)."""
-    flat = np.asarray(result.chains).reshape(-1, len(result.labels))
-    flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
-    values = dict(zip(result.labels, flat.T, strict=True))
-    return np.asarray(result.problem.layout.unconstrained(values)).T
+def force_band(
+    result: FitResult, channel: str, inputs: TireInputs, run: Values, noise: np.ndarray
+) -> Band:
+    """The fitted curve at other inputs, with its bands.
 
+    The band of the curve is that of the posterior draws if there are any, else it is
+    linearised in z around the estimate, with slopes by central differences.
 
-def _quantile(result: FitResult) -> float:
-    """Half-width of a 95 % interval in standard deviations: Student's t, or normal."""
-    return half_width_95(result.problem.noise_estimated, result.statistics.dof)
-
-
-def _curve_band(
-    result: FitResult, channel: str, inputs: TireInputs, run: Values
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(force, low, high) of the fitted curve, each (m,).
-
-    The band is that of the posterior draws if there are any, else it is linearised in z
-    around the estimate, with slopes by central differences.
+    Args:
+        inputs: (m,) each; ``run`` (m,): the run of each.
+        noise: (m,) standard deviation of a measured force, without slip noise.
     """
-
-    blocks = _elsewhere(result.problem, inputs, run)
+    problem, std, layout = result.problem, noise, result.problem.layout
+    blocks = _elsewhere(problem, inputs, run)
+    quantile = half_width_95(problem.noise_estimated, result.statistics.dof)
 
     def at(z: np.ndarray) -> np.ndarray:
         return _force_at(blocks, channel, z)[: len(run)]
 
     force = at(result.z)
     if result.chains is not None:
-        draws = np.array([at(z) for z in _z_draws(result)])
-        return force, *np.quantile(draws, [0.025, 0.975], axis=0)
-    steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
-    slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])
-    slope /= 2 * np.diag(steps)[:, None]
-    variance = np.einsum("in,ij,jn->n", slope, result.covariance, slope)
-    half = _quantile(result) * np.sqrt(np.maximum(variance, 0))
-    return force, force - half, force + half
-
-
-def _slip_part(
-    result: FitResult, channel: str, inputs: TireInputs, run: Values, force: np.ndarray
-) -> np.ndarray:
-    """Contribution of the slip noise to the noise of a force, (m,); zero without it."""
-    problem = result.problem
+        flat = np.asarray(result.chains).reshape(-1, layout.size)
+        flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
+        z = layout.unconstrained(dict(zip(layout.labels, flat.T, strict=True)))
+        low, high = np.quantile([at(one) for one in np.asarray(z).T], [0.025, 0.975], axis=0)
+    else:
+        steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
+        slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])
+        slope /= 2 * np.diag(steps)[:, None]
+        variance = np.einsum("in,ij,jn->n", slope, result.covariance, slope)
+        half = quantile * np.sqrt(np.maximum(variance, 0))
+        low, high = force - half, force + half
     name = next(c.slip for c in problem.channels if c.name == channel)
-    if name not in problem.slip_noise:
-        return np.zeros(len(force))
-    slip = getattr(inputs, name)
-    step = 1e-6 * (1 + jnp.abs(slip))
-    moved = inputs._replace(**{name: slip + step})
-    after = fitted_force(result, channel, moved, run)
-    slope = (after - force) / np.asarray(step)
-    return slope * float(np.median(problem.slip_noise[name]))
-
-
-def force_band(
-    result: FitResult, channel: str, inputs: TireInputs, run: Values, noise: np.ndarray
-) -> Band:
-    """The fitted curve at other inputs, with its bands.
-
-    Args:
-        inputs: (m,) each; ``run`` (m,): the run of each.
-        noise: (m,) standard deviation of a measured force, without slip noise.
-    """
-    force, low, high = _curve_band(result, channel, inputs, run)
-    std = np.hypot(noise, _slip_part(result, channel, inputs, run, force))
-    half = _quantile(result) * std
+    if name in problem.slip_noise:
+        slip = getattr(inputs, name)
+        step = 1e-6 * (1 + jnp.abs(slip))
+        moved = inputs._replace(**{name: slip + step})
+        slope = (fitted_force(result, channel, moved, run) - force) / np.asarray(step)
+        std = np.hypot(noise, slope * float(np.median(problem.slip_noise[name])))
+    half = quantile * std
     # Noise and parameter uncertainty are independent: half-widths add in quadrature.
     below, above = np.hypot(force - low, half), np.hypot(high - force, half)
     return Band(force, low, high, force - below, force + above)

@@ -2,7 +2,7 @@
 
 emcee's HDF backend was tried and is not used: it opens its file at every step, with 3.1
 ms of processor time against 0.18 ms of the step itself (64 walkers, two parameters). It
-also holds one ensemble per group, no identity of the fit and no NUTS. This file is
+also holds one ensemble per group and no identity of the fit. This file is
 replaced as a whole every few seconds: a kill loses the samples since then, which are
 drawn again identically.
 """
@@ -35,32 +35,19 @@ class Chain(NamedTuple):
 
 def identity_of(result: FitResult, sampler: str, seed: int, shape: Sequence[int]) -> str:
     """A text that is equal for two chains only if one can continue the other."""
-    parts = (
-        result.model,
-        result.data["sha256"],
-        str(result.data["used"]),
-        sampler,
-        str(seed),
-        str(shape),
-        *result.labels,
-        *(f"{value:.8g}" for value in result.z),
-        *(f"{value:.4g}" for value in np.diag(result.covariance)),
-    )
-    return "|".join(parts)
+    z, variance = result.z, np.diag(result.covariance)
+    numbers = [*(f"{value:.8g}" for value in z), *(f"{value:.4g}" for value in variance)]
+    data = result.data["sha256"], result.data["used"]
+    return "|".join(map(str, (result.model, *data, sampler, seed, shape, *result.labels, *numbers)))
 
 
 def save_chain(path: Path, chain: Chain, identity: str) -> None:
     """Write the chain atomically."""
-    state: dict[str, Any] = {f"state_{k}": value for k, value in chain.state.items()}
+    content: dict[str, Any] = {f"state_{k}": value for k, value in chain.state.items()}
+    content |= chain._asdict() | {"identity": identity}
+    del content["state"]
     packed = io.BytesIO()
-    np.savez(
-        packed,
-        samples=chain.samples,
-        log_density=chain.log_density,
-        accepted=chain.accepted,
-        identity=identity,
-        **state,
-    )
+    np.savez(packed, **content)
     with replacing(path) as temporary:
         temporary.write_bytes(sealed_bytes(_KIND, packed.getvalue()))
 
@@ -124,12 +111,9 @@ def extended(
     state: dict[str, np.ndarray],
 ) -> Chain:
     """The chain with a chunk added."""
-    if chain is None or chain.samples.shape[1] == 0:
+    if chain is None:
         return Chain(samples, values, accepted, state)
-    before, added = chain.samples.shape[1], samples.shape[1]
-    return Chain(
-        np.concatenate([chain.samples, samples], axis=1),
-        np.concatenate([chain.log_density, values], axis=1),
-        (before * chain.accepted + added * accepted) / (before + added),
-        state,
-    )
+    steps = chain.samples.shape[1], samples.shape[1]
+    rate = float(np.average([chain.accepted, accepted], weights=steps))
+    samples = np.concatenate([chain.samples, samples], axis=1)
+    return Chain(samples, np.concatenate([chain.log_density, values], axis=1), rate, state)

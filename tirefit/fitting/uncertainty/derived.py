@@ -241,30 +241,16 @@ def _slope_of(
 
 def _ends(*values: float) -> tuple[float | None, float | None]:
     """The smallest and the largest value; None if an end is unknown."""
-    low, high = sorted(values) if np.all(np.isfinite(values)) else values
-    return _known(low), _known(high)
-
-
-def _known(end: float) -> float | None:
-    return float(end) if np.isfinite(end) else None
+    if np.all(np.isfinite(values)):
+        values = tuple(sorted(values))
+    low, high = (float(end) if np.isfinite(end) else None for end in values)
+    return low, high
 
 
 def _says_something(ci95: tuple[float | None, float | None]) -> bool:
     """Whether an interval is closed, and less than a factor of three wide."""
     low, high = ci95
     return low is not None and high is not None and 0 < low and high <= 3 * low
-
-
-def _over_load(peak: Estimate, fz: float) -> Estimate:
-    """The peak force as a share of the load."""
-    low, high = peak.ci95
-    return replace(
-        peak,
-        value=peak.value / fz,
-        std=None if peak.std is None else peak.std / fz,
-        unit="-",
-        ci95=(None if low is None else low / fz, None if high is None else high / fz),
-    )
 
 
 def _moved(
@@ -351,7 +337,10 @@ def _of_run(
         yield name, estimate
         if name == "F_max":
             fz = reference_point(solved.problem, run)["fz"]
-            yield "F_max_over_fz", _over_load(estimate, fz)
+            ends_std = (*estimate.ci95, estimate.std)
+            least, most, std = (None if number is None else number / fz for number in ends_std)
+            share = replace(estimate, value=value / fz, std=std, unit="-", ci95=(least, most))
+            yield "F_max_over_fz", share
 
 
 def _estimate(
@@ -375,21 +364,16 @@ def _estimate(
         ci95, identified = _ends(value - half, value + half), True
     else:
         ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
-        identified = _says_something(ci95) or _by_noise(solved, value, slope)
+        identified = _says_something(ci95)
+        noise = solved.of_noise
+        if not identified and noise is not None:  # misfit may widen the interval
+            half = np.sqrt(solved.level * (slope @ noise @ slope))
+            identified = _says_something((value - half, value + half))
     low, high = ci95
     if low is not None and high is not None and any(one.std is None for one in known):
         # The covariance does not determine it: use the width of the profile.
         std = (high - low) / (2 * float(np.sqrt(solved.level)))
     return Estimate(float(value), std if identified else None, unit, ci95, identified)
-
-
-def _by_noise(solved: Solved, value: float, slope: np.ndarray) -> bool:
-    """Whether noise without misfit limits a quantity whose interval misfit widens."""
-    noise = solved.of_noise
-    if noise is None:
-        return False
-    half = float(np.sqrt(solved.level * (slope @ noise @ slope)))
-    return _says_something((value - half, value + half))
 
 
 _BLOCK = 4096
@@ -422,15 +406,13 @@ def derived_from_draws(
             evaluate = _evaluator(problem, channel, code)
             parts = [evaluate(block) for block in np.split(padded, blocks)]
         for name, label in asked.items():
+            known = derived[label] = least_squares[label]
+            if known.fixed:
+                continue
             draws = np.concatenate([part[name] for part in parts])[:count]
-            derived[label] = _of_draws(draws, least_squares[label])
+            defined = draws[np.isfinite(draws)]
+            if len(defined) > 0.975 * count:
+                derived[label] = Estimate.of_draws(defined, known.unit, known.identified)
+            else:
+                derived[label] = Estimate(np.nan, None, known.unit, (None, None), identified=False)
     return {label: derived[label] for label in least_squares}
-
-
-def _of_draws(draws: np.ndarray, least_squares: Estimate) -> Estimate:
-    if least_squares.fixed:
-        return least_squares
-    unit, defined = least_squares.unit, np.isfinite(draws)
-    if np.mean(defined) <= 0.975:
-        return Estimate(float("nan"), None, unit, (None, None), identified=False)
-    return Estimate.of_draws(draws[defined], unit, least_squares.identified)

@@ -126,24 +126,6 @@ def _proposed(
     return u, np.logaddexp(np.log1p(-share) + student, np.log(share) + logistic)
 
 
-def _evaluated(
-    density: Density,
-    points: int,
-    center: np.ndarray,
-    root: np.ndarray,
-    generator: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, p) of the proposal and their log weights (n,), in whole blocks."""
-    u, proposal = _proposed(points, center, root, generator)
-    # All blocks are submitted before the first result is awaited.
-    parts = [density(block) for block in np.split(u, points // _BLOCK)]
-    return u, np.concatenate([np.asarray(part) for part in parts]) - proposal
-
-
-def _blocks(points: float) -> int:
-    return _BLOCK * int(np.ceil(points / _BLOCK))
-
-
 def draw_weighted(
     density: Density,
     center: np.ndarray,
@@ -165,11 +147,14 @@ def draw_weighted(
     generator = np.random.default_rng(seed)
     u, log_weights = np.empty((0, len(center))), np.empty(0)
     weights, k_hat, effective = np.empty(0), np.inf, 0.0
-    missing = _blocks(1.25 * target)
-    interrupted = False
+    missing, interrupted = 1.25 * target, False
     try:
         while missing > 0:
-            more, added = _evaluated(density, missing, center, root, generator)
+            blocks = int(np.ceil(missing / _BLOCK))
+            more, proposal = _proposed(blocks * _BLOCK, center, root, generator)
+            # All blocks are submitted before the first result is awaited.
+            parts = [density(block) for block in np.split(more, blocks)]
+            added = np.concatenate([np.asarray(part) for part in parts]) - proposal
             u, log_weights = np.concatenate([u, more]), np.append(log_weights, added)
             weights, k_hat = smoothed(log_weights)
             effective = 1 / np.sum(weights**2)
@@ -179,7 +164,7 @@ def draw_weighted(
                 continue
             if k_hat > LARGEST_K_HAT or share < _LEAST_SHARE or effective >= target:
                 break
-            missing = _blocks(1.1 * (target - effective) / share)
+            missing = 1.1 * (target - effective) / share
             if progress is not None:
                 progress(effective / target, f"{len(u)} points, k-hat {k_hat:.2f}")
     except KeyboardInterrupt:

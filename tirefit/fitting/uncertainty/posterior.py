@@ -30,7 +30,6 @@ from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.chains import Chain, Keeper, extended, identity_of, load_chain
 from tirefit.fitting.uncertainty.derived import derived_from_draws
 from tirefit.fitting.uncertainty.importance import Density, Weighted, draw_weighted
-from tirefit.fitting.uncertainty.nuts import nuts_chunk, nuts_start, sampler_of_chains
 from tirefit.fitting.verdict.judge import judge
 from tirefit.params import Values
 from tirefit.precision import require_x64
@@ -38,7 +37,10 @@ from tirefit.results import Outcome, UsageError
 
 CHUNK = 100  # steps between two checks of convergence
 
-_WALKERS = {"emcee": 64, "nuts": 8}
+_MANY = 20
+"""Parameters above which importance sampling is the default: with 90 of them (45 runs of 60
+rows) it takes 10 s of processor time at a k-hat below 0, and emcee did not finish in 600 s."""
+_WALKERS = 64
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
 _TARGETS = {False: 4000, True: 1000}  # effective samples, by whether slips have noise
@@ -88,40 +90,30 @@ def _density(solved: Solved) -> Density:
 
 def _pack(state: Any) -> np.ndarray:
     """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
-    _, keys, position, has_gauss, cached = state
-    return np.concatenate([keys.astype(float), [position, has_gauss, cached]])
+    return np.concatenate([state[1].astype(float), state[2:]])
 
 
-def _unpack(packed: np.ndarray) -> tuple[Any, ...]:
-    keys = packed[:624].astype(np.uint32)
-    return "MT19937", keys, int(packed[624]), int(packed[625]), float(packed[626])
-
-
-def _emcee_start(
+def _start(
     density: Density, size: int, ensembles: int, walkers: int, seed: int
 ) -> dict[str, np.ndarray]:
-    coordinates, packed, values = [], [], []
+    state: dict[str, list[np.ndarray]] = {"coordinates": [], "values": [], "random": []}
     # Full generator states: emcee silently ignores an integer seed.
     for child in np.random.SeedSequence(seed).spawn(ensembles):
         generator = np.random.RandomState(np.random.MT19937(child))
         # Wider than the posterior, so that R-hat can see ensembles that disagree.
         start = 1.3 * generator.standard_normal((walkers, size))
+        state["coordinates"].append(start)
         halves = [np.asarray(density(half)) for half in np.split(start, 2)]
-        coordinates.append(start)
-        values.append(np.concatenate(halves))
-        packed.append(_pack(generator.get_state()))
-    return {
-        "coordinates": np.array(coordinates),
-        "values": np.array(values),
-        "random": np.array(packed),
-    }
+        state["values"].append(np.concatenate(halves))
+        state["random"].append(_pack(generator.get_state()))
+    return {key: np.array(parts) for key, parts in state.items()}
 
 
-def _emcee_chunk(
+def _chunk(
     density: Density, state: dict[str, np.ndarray], steps: int
 ) -> tuple[np.ndarray, np.ndarray, float, dict[str, np.ndarray]]:
     """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
-    import emcee  # here, because importance sampling and NUTS do not need it
+    import emcee  # here, because importance sampling does not need it
 
     ensembles, walkers, size = state["coordinates"].shape
     # Differential evolution, with a full jump between modes in one step of ten (ter
@@ -138,10 +130,10 @@ def _emcee_chunk(
     for e in range(ensembles):
         sampler = emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True)
         sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
+        *keys, position, has_gauss, cached = state["random"][e]
+        random = "MT19937", np.array(keys, np.uint32), int(position), int(has_gauss), float(cached)
         start = emcee.State(
-            state["coordinates"][e],
-            log_prob=state["values"][e],
-            random_state=_unpack(state["random"][e]),
+            state["coordinates"][e], log_prob=state["values"][e], random_state=random
         )
         run = sampler.sample(start, iterations=steps, skip_initial_state_check=True)
         for step, now in enumerate(run):
@@ -152,11 +144,7 @@ def _emcee_chunk(
     return samples, values, accepted, after
 
 
-SAMPLERS: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
-    "emcee": (_emcee_start, _emcee_chunk),
-    "nuts": (nuts_start, nuts_chunk),
-}
-"""Sampler of chains -> (start, chunk); each fills a :class:`Chain`."""
+SAMPLERS = ("emcee", "importance")
 
 
 def split_rhat(samples: np.ndarray) -> np.ndarray:
@@ -195,18 +183,14 @@ class _Health(NamedTuple):
     enough: bool
 
 
-def _health(samples: np.ndarray, target: int, independent: bool = False) -> _Health:
-    """Burn-in, autocorrelation, agreement and effective samples of a chain.
-
-    ``independent``: the walkers are independent chains, and each must agree.
-    """
+def _health(samples: np.ndarray, target: int) -> _Health:
+    """Burn-in, autocorrelation, agreement and effective samples of a chain."""
     steps = samples.shape[1]
     tau = _autocorrelation_times(samples[:, steps // 5 :])
     worst = float(tau.max())
     discarded = int(min(max(5 * worst, steps / 10), steps // 2)) if steps > 1 else 0
     kept = samples[:, discarded:]
-    alone = np.moveaxis(kept, 2, 1).reshape(-1, kept.shape[1], 1, kept.shape[3])
-    rhat = split_rhat(alone if independent else kept)
+    rhat = split_rhat(kept)
     ess = kept.shape[0] * kept.shape[1] * kept.shape[2] / tau
     long_enough = kept.shape[1] >= _STEPS_PER_TAU * worst
     enough = bool(long_enough and np.all(rhat < _RHAT) and np.all(ess >= target))
@@ -230,14 +214,13 @@ def sample(
 
     Args:
         result: a fit from this process (``tirefit.fit``).
-        sampler: ``emcee``, the default up to 20 parameters; ``nuts`` (gradients), the
-            default above; ``importance`` (no chain: independent points, weighted; by far
-            the fastest if the posterior is compact), the default for slips with noise, whose
-            likelihood is an integral over the true slip of each row. It falls back to a
-            chain if its weights are unreliable, with a note.
+        sampler: ``emcee``, or ``importance`` (no chain: independent points, weighted; by far
+            the fastest if the posterior is compact), the default for more than 20 parameters
+            and for slips with noise, whose likelihood is an integral over the true slip of
+            each row. It falls back to emcee if its weights are unreliable, with a note.
         ensembles: independent ensembles, at least 4.
-        walkers: walkers per ensemble. For emcee an even number, by default 64, more for
-            many parameters; for nuts the number of separate chains, by default 8.
+        walkers: walkers per ensemble, an even number; by default 64, more for many
+            parameters.
         effective_samples: stop once every parameter has this many, the chain is 50
             autocorrelation times long and split R-hat is below 1.01. By default 4000, or
             1000 for slips with noise: ends of intervals then scatter by 4 or 8 % of a
@@ -263,16 +246,15 @@ def sample(
         ('posterior median and central 95 %', 'importance')
     """
     require_x64("sampling")
-    if sampler not in (None, *SAMPLERS, "importance"):
-        known = ", ".join((*SAMPLERS, "importance"))
-        raise UsageError(f"sampler {sampler!r}: one of {known}")
+    if sampler not in (None, *SAMPLERS):
+        raise UsageError(f"sampler {sampler!r}: one of {', '.join(SAMPLERS)}")
     solved: Solved = result.solved
     seed = result.seed if seed is None else seed
     size = solved.problem.layout.size
-    usual = "importance" if solved.problem.slip_noise else sampler_of_chains(None, size)
-    sampler = sampler or usual
+    if sampler is None:
+        sampler = "importance" if solved.problem.slip_noise or size > _MANY else "emcee"
     target = effective_samples or _TARGETS[bool(solved.problem.slip_noise)]
-    shape = _shape(sampler_of_chains(sampler, size), size, ensembles, walkers)
+    shape = _shape(size, ensembles, walkers)
     path = None if checkpoint is None else Path(checkpoint)
     run = _Run(sampler, seed, shape, target, max_steps, path, resume, progress)
     try:
@@ -282,16 +264,15 @@ def sample(
     if cells is None:
         return _sampled(result, solved.problem, run)
     done = _sampled(result, cells, run)
+    if done.posterior is None:
+        return done
     off = apart(done, cells)
-    if off <= _ALIKE or Outcome.INTERRUPTED in done.outcomes:
-        text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
-        text += f" {off:.2g} in the log density"
-        posterior = done.posterior
-        if posterior is None:
-            return done
-        note = "; ".join(filter(None, (posterior.note, text)))
-        return replace(done, posterior=replace(posterior, note=note))
-    return _sampled(result, solved.problem, run._replace(resume=False))
+    if off > _ALIKE and Outcome.INTERRUPTED not in done.outcomes:
+        return _sampled(result, solved.problem, run._replace(resume=False))
+    text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
+    text += f" {off:.2g} in the log density"
+    note = "; ".join(filter(None, (done.posterior.note, text)))
+    return replace(done, posterior=replace(done.posterior, note=note))
 
 
 class _Run(NamedTuple):
@@ -312,34 +293,29 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     solved: Solved = result.solved
     density, weighted = _density(solved._replace(problem=problem)), None
     size = solved.problem.layout.size
-    chained = sampler_of_chains(run.sampler, size)
     if run.sampler == "importance":
         weighted = draw_weighted(density, *_whitening(solved), run.seed, run.target, run.progress)
         if weighted.interrupted or not weighted.refused:
             return _of_weighted(result, weighted, run.seed)
-    identity = identity_of(result, chained, run.seed, run.shape)
+    identity = identity_of(result, "emcee", run.seed, run.shape)
     chain, keeper = None, Keeper(run.path, identity)
     if run.resume and run.path is not None:
         chain = load_chain(run.path, identity)
-    chain, outcome = _draw(density, chained, size, run, chain, keeper)
+    chain, outcome = _draw(density, size, run, chain, keeper)
     if chain is None:
         return judge(replace(result, interrupted=True))
     notes = []
     if weighted is not None:
         refused = f"importance sampling refused ({weighted.refused})"
-        notes.append(f"{refused}: {chained} instead")
+        notes.append(f"{refused}: emcee instead")
     if keeper.fault:
         notes.append(f"the chain was not kept for --resume: {keeper.fault}")
-    return _of_chain(result, chain, outcome, chained, run, weighted, notes)
+    return _of_chain(result, chain, outcome, run, weighted, notes)
 
 
-def _shape(sampler: str, size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
+def _shape(size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
     """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
-    if sampler == "nuts":
-        if ensembles < 4:
-            raise UsageError(f"{ensembles} ensembles of chains: at least 4 are needed")
-        return ensembles, walkers or _WALKERS["nuts"]
-    walkers = walkers or max(_WALKERS[sampler], 2 * ((4 * size + 1) // 2))
+    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
     if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
         raise UsageError(
             f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
@@ -349,24 +325,26 @@ def _shape(sampler: str, size: int, ensembles: int, walkers: int | None) -> tupl
 
 
 def _draw(
-    density: Density, sampler: str, size: int, run: _Run, chain: Chain | None, keeper: Keeper
+    density: Density, size: int, run: _Run, chain: Chain | None, keeper: Keeper
 ) -> tuple[Chain | None, Outcome]:
     """Sample chunks until the chain converged, reached its limit or was interrupted."""
-    begin, advance = SAMPLERS[sampler]
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
-        state = begin(density, size, *run.shape, run.seed) if chain is None else chain.state
+        state = _start(density, size, *run.shape, run.seed) if chain is None else chain.state
         while True:
             if chain is not None:
-                health = _health(chain.samples, run.target, sampler == "nuts")
+                health = _health(chain.samples, run.target)
                 if health.enough:
                     outcome = Outcome.CONVERGED
                     break
                 if chain.samples.shape[1] >= run.max_steps:
                     break
                 if run.progress is not None:
-                    run.progress(*_share(chain, health, run.target))
-            chain = extended(chain, *advance(density, state, CHUNK))
+                    steps, least = chain.samples.shape[1], float(health.ess.min())
+                    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
+                    share = min(steps / needed, least / run.target, 0.99)
+                    run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
+            chain = extended(chain, *_chunk(density, state, CHUNK))
             state = chain.state
             keeper.now_and_then(chain)
     except KeyboardInterrupt:
@@ -376,47 +354,24 @@ def _draw(
     return chain, outcome
 
 
-def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
-    steps = chain.samples.shape[1]
-    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
-    share = min(steps / needed, float(health.ess.min()) / target, 0.99)
-    return share, f"{steps} steps, R-hat {health.rhat.max():.3f}"
-
-
 def _of_chain(
     result: FitResult,
     chain: Chain,
     outcome: Outcome,
-    sampler: str,
     run: _Run,
     weighted: Weighted | None,
     notes: list[str],
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
-    health = _health(chain.samples, run.target, sampler == "nuts")
-    labels = result.labels
-    divergences = chain.state.get("divergences")
-    if divergences:
-        notes.append(
-            f"{int(divergences)} divergent transitions: the posterior has corners that"
-            " the sampler could not reach; compare with --sampler emcee"
-        )
+    health = _health(chain.samples, run.target)
+    ensembles, steps, walkers, _ = chain.samples.shape
+    numbers = (health.ess, health.rhat, health.tau)
+    ess, rhat, tau = (dict(zip(result.labels, x.tolist(), strict=True)) for x in numbers)
+    k_hat = None if weighted is None else weighted.k_hat
     summary = PosteriorSummary(
-        sampler,
-        run.seed,
-        chain.samples.shape[0],
-        chain.samples.shape[2],
-        chain.samples.shape[1],
-        health.discarded,
-        dict(zip(labels, health.ess.tolist(), strict=True)),
-        dict(zip(labels, health.rhat.tolist(), strict=True)),
-        dict(zip(labels, health.tau.tolist(), strict=True)),
-        chain.accepted,
-        outcome,
-        None if weighted is None else weighted.k_hat,
-        None if divergences is None else int(divergences),
-        "; ".join(notes),
-    )
+        "emcee", run.seed, ensembles, walkers, steps, health.discarded, ess, rhat,
+        tau, chain.accepted, outcome, k_hat, "; ".join(notes),
+    )  # fmt: skip
     # Nearly independent draws, the same ones for parameters and derived quantities.
     # A walker that never moved has no autocorrelation time: keep one draw of each.
     slowest = min(health.tau.max() / 2, health.kept.shape[1])
@@ -445,13 +400,12 @@ def _with_posterior(result: FitResult, u: np.ndarray, summary: PosteriorSummary)
     z = center + u @ root.T
     flat = z.reshape(-1, z.shape[-1])
     kept = solved.problem.layout.vector(flat.T).T.reshape(z.shape)
-    estimates: dict[str, Estimate] = {}
-    ends: dict[str, tuple[float | None, float | None]] = {}
-    for i, label in enumerate(result.labels):
-        draws = kept[..., i].ravel()
-        known = result.least_squares[label]
-        estimates[label] = Estimate.of_draws(draws, known.unit, known.identified)
-        ends[label] = estimates[label].ci95
+    estimates = {
+        label: Estimate.of_draws(kept[..., i].ravel(), known.unit, known.identified)
+        for i, label in enumerate(result.labels)
+        for known in [result.least_squares[label]]
+    }
+    ends = {label: one.ci95 for label, one in estimates.items()}
     return judge(
         replace(
             result,

@@ -1,6 +1,5 @@
 """Profile likelihood of each parameter, maximized over the others."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -8,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tirefit.fitting.problem.likelihood import FitProblem
-from tirefit.fitting.solve.inference import REACH, Minima, minima
+from tirefit.fitting.solve.inference import REACH, minima
 
 
 class Profile(NamedTuple):
@@ -120,8 +119,16 @@ def profile_all(
         if base is None:
             base = float(np.min(ends.deviance))
         else:
-            ends = _searched_again(problem, sides, ends, base, distance, inner, index, values)
             rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
+            every = zip(sides, distance, rise, strict=True)
+            doubtful = np.flatnonzero([side.doubts(d, value) for side, d, value in every])
+            if len(doubtful):  # these are searched again from the previous point
+                again = minima(problem, inner[doubtful], index[doubtful], values[doubtful])
+                lower = again.deviance < base + rise[doubtful]
+                ends = jax.tree.map(np.copy, ends)
+                for whole, part in zip(ends, again, strict=True):
+                    whole[doubtful[lower]] = part[lower]
+                rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
             follow = (np.asarray(ends.z) - z) / np.maximum(distance, 1e-9)[:, None]
             inner = np.where((rise < level)[:, None], np.asarray(ends.z), inner)
             for side, d, value in zip(sides, distance, rise, strict=True):
@@ -130,30 +137,6 @@ def profile_all(
             break
         distance = np.array([side.next_distance() for side in sides])
     return [_joined(z[i], sides[2 * i], sides[2 * i + 1]) for i in range(size)]
-
-
-def _searched_again(
-    problem: FitProblem,
-    sides: Sequence[Side],
-    ends: Minima,
-    base: float,
-    distance: np.ndarray,
-    inner: np.ndarray,
-    index: np.ndarray,
-    values: np.ndarray,
-) -> Minima:
-    """The ends; doubtful ones are searched again from the previous point."""
-    rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
-    every = zip(sides, distance, rise, strict=True)
-    doubtful = np.flatnonzero([side.doubts(d, value) for side, d, value in every])
-    if not len(doubtful):
-        return ends
-    again = minima(problem, inner[doubtful], index[doubtful], values[doubtful])
-    lower = again.deviance < base + rise[doubtful]
-    chosen, parts = doubtful[lower], jax.tree.map(np.copy, ends)
-    for whole, part in zip(parts, again, strict=True):
-        whole[chosen] = part[lower]
-    return parts
 
 
 def _joined(center: float, low: Side, high: Side) -> Profile:

@@ -83,20 +83,19 @@ def across_files(value: ArrayLike, std: ArrayLike, when: ArrayLike) -> AcrossFil
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
     """tau at which the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
     size = np.abs(residual)
+
+    def is_too_small(tau: float) -> bool:
+        excess = np.sort(size - _MEDIAN * np.hypot(std, tau))
+        # The sign of the median; np.median takes three times as long.
+        return bool(excess[(len(excess) - 1) // 2] + excess[len(excess) // 2] > 0)
+
     low, high = 0.0, float(np.max(size)) / _MEDIAN
-    if not _is_too_small(low, size, std):
+    if not is_too_small(low):
         return 0.0
     for _ in range(20):
         middle = (low + high) / 2
-        low, high = (middle, high) if _is_too_small(middle, size, std) else (low, middle)
+        low, high = (middle, high) if is_too_small(middle) else (low, middle)
     return high
-
-
-def _is_too_small(tau: float, size: np.ndarray, std: np.ndarray) -> bool:
-    """Whether the median of |r_i| over its spread exceeds that of a Gaussian."""
-    excess = np.sort(size - _MEDIAN * np.hypot(std, tau))
-    # The sign of the median; np.median takes three times as long.
-    return bool(excess[(len(excess) - 1) // 2] + excess[len(excess) // 2] > 0)
 
 
 def _std(design: np.ndarray, pulls: np.ndarray, scale: np.ndarray) -> float:

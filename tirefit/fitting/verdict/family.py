@@ -152,15 +152,25 @@ def peak_ranges(
     every |= {n: one for n in family_of(task) if (one := solved_as(n, task, config))}
     chances = probabilities(every)
     as_good = [name for name, chance in chances.items() if chance > _CONTRADICTED]
-    peaks = {task.name: derived} | {k: _peaks(every[k]) for k in as_good if k != task.name}
+    # Without profiles of the parameters: those of a Magic Formula, which are redundant below
+    # the peak, take minutes if the slip has noise.
+    others = [name for name in as_good if name != task.name]
+    peaks = {name: derived_from_profile(every[name], only=("F_max",)) for name in others}
+    peaks |= {task.name: dict(derived)}
     worse, ranges = tuple(name for name in every if name not in as_good), {}
     for label, share in shares.items():
         low, high = derived[label].ci95
-        found = {name: peak for name in as_good if (peak := _of(peaks[name], label))}
+        # That of all runs, if the peak of the model does not differ by run.
+        found = {
+            name: peak
+            for name in as_good
+            if (peak := peaks[name].get(label, peaks[name].get(quantity_of(label))))
+        }
         found = found or {task.name: derived[label]}
         inside = [(low or 0.0) <= peak.value <= (high or np.inf) for peak in found.values()]
         if share < NEAR_PEAK or not all(inside):
-            ends = {name: _ends(peak) for name, peak in found.items()}
+            # Without an upper end if the peak is not identified.
+            ends = {k: (p.ci95[0], p.ci95[1] if p.identified else None) for k, p in found.items()}
             lows, highs = zip(*ends.values(), strict=True)
             # Rows that reach a force show that the peak is not below it, up to the error of
             # the fit: a shape that a few effective rows leave open does not say otherwise.
@@ -215,20 +225,3 @@ def probabilities(models: Mapping[str, Solved]) -> dict[str, float]:
         return float(chdtrc(extra, max(independent * (fits[name] - fits[best]), 0.0)))
 
     return {name: chance(name) for name in fits}
-
-
-def _peaks(solved: Solved) -> dict[str, Estimate]:
-    """Peak forces of a solved problem, and over the load. Profiles of all parameters of a
-    Magic Formula, which are redundant below the peak, take minutes if the slip has noise."""
-    return derived_from_profile(solved, only=("F_max",))
-
-
-def _of(peaks: Mapping[str, Estimate], label: str) -> Estimate | None:
-    """The peak of a label, or that of all runs; None if the peak of the model differs by run
-    where that of the fit does not."""
-    return peaks.get(label) or peaks.get(quantity_of(label))
-
-
-def _ends(one: Estimate) -> tuple[float | None, float | None]:
-    """The 95 % interval of a peak, without an upper end if the peak is not identified."""
-    return one.ci95 if one.identified else (one.ci95[0], None)

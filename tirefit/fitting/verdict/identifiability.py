@@ -14,19 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
+from tirefit.data.rig.levels import levels
 from tirefit.data.table import TireData
 from tirefit.files import listed
-from tirefit.fitting.problem.build import FitTask, build, guess_from_curve
+from tirefit.fitting.problem.build import FitTask, build, guess_from_curve, slope_and_peak
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
-from tirefit.fitting.problem.scatter import (
-    ROWS,
-    Scatter,
-    curve_of,
-    scatter_of,
-    some_rows,
-    stretches,
-)
+from tirefit.fitting.problem.noise import autocorrelation_time
 from tirefit.fitting.solve.inference import inverse_of, linearise
 from tirefit.fitting.uncertainty.identified import not_identified
 from tirefit.params import Spec, constrain, log_jacobian
@@ -51,7 +45,22 @@ parameter counts as well determined."""
 _STEEPEST = 20.0
 """Largest change of a force, in loads, per unit of an unconstrained parameter (a quarter
 of its range, or as much on a scale); above it the model is outside its validity."""
+ROWS = 512
+"""Size of the sample, evenly over loads and slips: one compiled program for all files."""
+_LEAST_NOISE = 1e-3  # of the load: no rig measures better
+_GUESSED_NOISE = 0.01
+_SPINNING = -0.95  # slip below which a wheel spins almost on the spot
+_SETTINGS = 12  # largest number of levels of a channel that are settings of a rig
+_CHUNK = 12  # parts of a slip curve, each fitted by a parabola with noise residuals
 WELL, ROUGHLY, NOT = "well", "roughly", "not"
+
+
+class Scatter(NamedTuple):
+    """The noise of a force."""
+
+    share: float  # standard deviation over the load
+    inflation: float  # rows per independent row
+    how: str
 
 
 class ParameterGate(NamedTuple):
@@ -65,6 +74,18 @@ class ParameterGate(NamedTuple):
     is_size: bool  # positive by nature, so that its std is a share of it
     beside: str = ""  # the parameter it is most correlated with
     remedy: str = ""  # rows that would determine it
+
+    @property
+    def text(self) -> str:
+        """Name and expected error, or what it is correlated with and what it needs."""
+        if self.grade == NOT:
+            reason = f"correlated with {self.beside}; " if self.beside else ""
+            needs = f"needs {self.remedy}" if self.remedy else "not in a wider test either"
+            return f"{self.name}: {reason}{needs}"
+        about = "" if self.grade == WELL else " roughly"
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        error = f"{100 * self.std / self.value:.2g} %" if self.is_size else f"{self.std:.2g}{unit}"
+        return f"{self.name}{about} ±{error}"
 
 
 class ModelGate(NamedTuple):
@@ -108,30 +129,11 @@ class Identifiability:
             if gate.reason:
                 lines.append(f"{start}{gate.reason}")
                 continue
-            known = [_known_text(p) for p in gate.parameters if p.grade != NOT]
+            known = [p.text for p in gate.parameters if p.grade != NOT]
             lines.append(f"{start}{', '.join(known) or 'none'}")
-            lines += [
-                f"{'':<{len(start)}}not {_unknown_text(p)}"
-                for p in gate.parameters
-                if p.grade == NOT
-            ]
+            unknown = [p.text for p in gate.parameters if p.grade == NOT]
+            lines += [f"{'':<{len(start)}}not {text}" for text in unknown]
         return "\n".join(lines)
-
-
-def _known_text(p: ParameterGate) -> str:
-    about = "" if p.grade == WELL else " roughly"
-    if p.is_size:
-        return f"{p.name}{about} ±{100 * p.std / p.value:.2g} %"
-    unit = "" if p.unit == "-" else f" {p.unit}"
-    return f"{p.name}{about} ±{p.std:.2g}{unit}"
-
-
-def _unknown_text(p: ParameterGate) -> str:
-    parts = [p.name]
-    if p.beside:
-        parts.append(f"correlated with {p.beside}")
-    parts.append(f"needs {p.remedy}" if p.remedy else "not in a wider test either")
-    return ": ".join([parts[0], "; ".join(parts[1:])])
 
 
 def identifiability(
@@ -170,7 +172,12 @@ def identifiability(
     parts = {force: stretches(data, force) for force in forces}
     scatter = {force: scatter_of(data, force, parts[force]) for force in forces}
     some = {force: some_rows(data, parts[force], seed) for force in forces}
-    curves = {force: curve_of(data, force) for force in forces}
+    curves = {}
+    for force in forces:
+        slope, peak, typical = slope_and_peak(data, force)
+        peak = float(np.clip(peak, 0.02, 3.0))
+        largest = float(np.max(np.abs(data.usable(CHANNEL_SLIP[force]))))
+        curves[force] = max(slope, peak * typical / largest), peak, typical
     gates = tuple(
         _gate(some[force], data.n, curves[force], force, name, scatter[force])
         for force in forces
@@ -183,9 +190,6 @@ def identifiability(
         {force: data.n / s.inflation for force, s in scatter.items()},
         "; ".join(f"{force}: {s.how}" for force, s in scatter.items()),
     )
-
-
-# --- the model --------------------------------------------------------------------
 
 
 def _gate(
@@ -216,10 +220,19 @@ def _gate(
         for point, cost in zip(points, costs, strict=True)
         if cost - costs.min() <= _AS_WELL * wide
     ]
-    parameters = tuple(
-        _parameter(problem, k, likely, weight * np.sqrt(many)) for k in range(problem.layout.size)
-    )
-    return ModelGate(name, force, parameters)
+    weight = weight * np.sqrt(many)
+
+    def rank(gate: ParameterGate) -> tuple[int, float]:
+        scale = gate.value if gate.is_size else 1.0
+        return (WELL, ROUGHLY, NOT).index(gate.grade), gate.std / scale
+
+    parameters = []
+    for k in range(problem.layout.size):
+        each = (_judged(problem, k, z, _information(slopes, weight)) for z, _, slopes in likely)
+        worst = max(each, key=rank)  # at the likely point that determines it least
+        remedy = _remedy(problem, k, likely, weight) if worst.grade == NOT else ""
+        parameters.append(worst._replace(remedy=remedy))
+    return ModelGate(name, force, tuple(parameters))
 
 
 def _points(task: FitTask, curve: tuple[float, float, float]) -> list[np.ndarray]:
@@ -293,28 +306,9 @@ def _grade(spec: Spec, value: float, std: float) -> str:
     return WELL if half <= _WELL * size else ROUGHLY
 
 
-def _parameter(
-    problem: FitProblem,
-    k: int,
-    likely: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    weight: np.ndarray,
-) -> ParameterGate:
-    """The parameter at the likely point that determines it least."""
-    gates = [_judged(problem, k, z, _information(slopes, weight)) for z, _, slopes in likely]
-    worst = max(gates, key=_rank)
-    if worst.grade != NOT:
-        return worst
-    return worst._replace(remedy=_remedy(problem, k, likely, weight))
-
-
 def _information(slopes: np.ndarray, weight: np.ndarray) -> np.ndarray:
     weighted = slopes * weight[:, None]
     return weighted.T @ weighted
-
-
-def _rank(gate: ParameterGate) -> tuple[int, float]:
-    scale = gate.value if gate.is_size else 1.0
-    return (WELL, ROUGHLY, NOT).index(gate.grade), gate.std / scale
 
 
 def _judged(problem: FitProblem, k: int, z: np.ndarray, information: np.ndarray) -> ParameterGate:
@@ -350,21 +344,68 @@ def _remedy(
         ("loads from half to one and a half times as large", "fz", (0.5, 1.5)),
         ("speeds from half to twice as high", "v", (0.5, 2.0)),
     ):
-        wider = [_scaled(problem, name, factor) for factor in times]
-        enough = True
+        inputs, reached = problem.rows.inputs, _REACHED.get(name, (-np.inf, np.inf))
+        values = [np.clip(factor * np.asarray(getattr(inputs, name)), *reached) for factor in times]
+        wider = [problem.with_rows(inputs=inputs._replace(**{name: each})) for each in values]
         for z, _, slopes in likely:
             more = _information(slopes, weight)
             for rows in wider:
                 more = more + _information(_at(rows, z)[1], weight)
-            enough &= _judged(problem, k, z, more).grade != NOT
-        if enough:
+            if _judged(problem, k, z, more).grade == NOT:
+                break
+        else:
             return words
     return ""
 
 
-def _scaled(problem: FitProblem, name: str, factor: float) -> FitProblem:
-    """The problem with an input of all rows multiplied by a factor."""
-    values = factor * np.asarray(getattr(problem.rows.inputs, name))
-    if name in _REACHED:
-        values = np.clip(values, *_REACHED[name])
-    return problem.with_rows(inputs=problem.rows.inputs._replace(**{name: values}))
+def stretches(data: TireData, force: str) -> list[np.ndarray]:
+    """The used rows of each setting of the rig, in the order of slip."""
+    rows = np.flatnonzero(data.used)
+    if "sigma_x" in data:  # the slip of a wheel that spins on the spot is not defined
+        rolls = data["sigma_x"][rows] > _SPINNING
+        rows = rows[rolls] if rolls.any() else rows
+    key = np.zeros(len(rows), int)
+    for name in ("fz", "v", "gamma", "pressure"):
+        here = levels(data[name][rows]) if name in data else None
+        if here is not None and here.few(_SETTINGS):
+            key = key * len(here.center) + here.code
+    parts, slip = [rows[key == k] for k in np.unique(key)], CHANNEL_SLIP[force]
+    return [part[np.argsort(data[slip][part], kind="stable")] for part in parts]
+
+
+def some_rows(data: TireData, parts: Sequence[np.ndarray], seed: int) -> TireData:
+    """Data of at most ``ROWS`` rows of the parts, evenly taken in their order."""
+    order = np.concatenate(parts)
+    if len(order) > ROWS:
+        edges = np.linspace(0, len(order), ROWS + 1)
+        place = np.random.default_rng(seed).uniform(edges[:-1], edges[1:])
+        order = order[np.minimum(place.astype(int), len(order) - 1)]
+    chosen = np.zeros(len(data), bool)
+    chosen[order] = True
+    return data.where(chosen)
+
+
+def scatter_of(data: TireData, force: str, parts: Sequence[np.ndarray]) -> Scatter:
+    """The noise from the residuals of the rows about a piecewise parabolic slip curve."""
+    share = data[force] / data["fz"]
+    rest = np.full(len(data), np.nan)
+    for part in parts:
+        for rows in np.array_split(part, min(_CHUNK, max(len(part) // 8, 1))):
+            if len(rows) < 6:
+                continue
+            slip = data[CHANNEL_SLIP[force]][rows]
+            at = (slip - slip.mean()) / (np.ptp(slip) or 1.0)
+            terms = np.column_stack([np.ones(len(at)), at, at**2])
+            left = share[rows] - terms @ np.linalg.lstsq(terms, share[rows])[0]
+            rest[rows] = left * np.sqrt(len(rows) / (len(rows) - 3))
+    known = np.flatnonzero(np.isfinite(rest))
+    if len(known) < 12:
+        how = f"too few rows to estimate it: {_GUESSED_NOISE:.0%} of the load is assumed"
+        return Scatter(_GUESSED_NOISE, 1.0, how)
+    size = max(float(np.sqrt(np.mean(rest[known] ** 2))), _LEAST_NOISE)
+    inflation = 1.0
+    if "time" in data:
+        runs = [known[data.run[known] == code] for code in np.unique(data.run[known])]
+        order = [rows[np.argsort(data["time"][rows], kind="stable")] for rows in runs]
+        inflation = autocorrelation_time([rest[rows] for rows in order])
+    return Scatter(size, inflation, "scatter about the slip curve of each load")

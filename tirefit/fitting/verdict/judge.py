@@ -110,40 +110,22 @@ def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return found
 
 
-def _misfit(result: FitResult) -> float:
-    """Largest RMSE of a force over the range of its measured values."""
+def _exactness(result: FitResult) -> str:
+    """A sentence on the intervals of exact data; empty for measured data."""
     problem, shares = result.solved.problem, []
     for name, mean in result.solved.at.mean.items():
         observed = problem.used(problem.rows.observed[name])
         rmse = float(np.sqrt(np.mean((observed - mean) ** 2)))
         shares.append(rmse / max(float(np.ptp(observed)), 1e-300))
-    return max(shares)
-
-
-def _exactness(result: FitResult) -> str:
-    """A sentence on the intervals of exact data; empty for measured data."""
-    misfit = _misfit(result)
+    misfit = max(shares)
     if misfit >= _EXACT:
         return ""
-    sources = {result.noise[name]["source"] for name in result.forces}
-    width = "are at rounding level"
-    if "given" in sources:
-        width = "follow from the given noise"
+    is_given = "given" in {result.noise[name]["source"] for name in result.forces}
+    width = "follow from the given noise" if is_given else "are at rounding level"
     return (
         f"the data are exact for this model (RMSE {misfit:.1g} of the range of the"
         f" force): the intervals {width}"
     )
-
-
-def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    value, n = result.statistics.slip_structure, result.statistics.n
-    if value * np.sqrt(n) <= _STRUCTURE_SIGMAS or value <= 0.2:
-        return []
-    text = (
-        f"residuals of neighbouring slips agree (correlation {value:.2f}): the"
-        " curve misses systematically there; look at residuals.png"
-    )
-    return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
 
 
 def is_noise(result: FitResult) -> bool:
@@ -219,15 +201,6 @@ def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(None, text)]
 
 
-def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    """A sentence if the slip column contradicts the measured speeds."""
-    check = result.data.get("slip_check")
-    if check is None or not check["contradicts"]:
-        return []
-    outcome = Outcome.SLIP_CONTRADICTED
-    return [(outcome, f"{check['text']}; {outcome.message}")]
-
-
 def _short(result: FitResult, label: str) -> str:
     return label_of_run(label, result.data["runs"])
 
@@ -262,7 +235,10 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     findings: list[tuple[Outcome | None, str]] = []
     if not statistics.converged:
         findings.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.message))
-    findings += _contradiction(result)
+    check = result.data.get("slip_check")
+    if check is not None and check["contradicts"]:
+        outcome = Outcome.SLIP_CONTRADICTED
+        findings.append((outcome, f"{check['text']}; {outcome.message}"))
     findings += [(None, text) for text in _far_rows(result)]
     findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
@@ -270,8 +246,15 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if exact:
         findings.append((None, exact))
     else:
-        findings += _stated_noise(result)
-        findings += _lacking(result) + _structure(result)
+        findings += _stated_noise(result) + _lacking(result)
+        structure = statistics.slip_structure
+        if structure * np.sqrt(statistics.n) > _STRUCTURE_SIGMAS and structure > 0.2:
+            text = (
+                f"residuals of neighbouring slips agree (correlation {structure:.2f}): the"
+                " curve misses systematically there; look at residuals.png"
+            )
+            is_most = structure > _SYSTEMATIC
+            findings.append((Outcome.SYSTEMATIC_MISFIT if is_most else None, text))
     findings += _peak_not_reached(result)
     if result.solved.ambiguous:
         findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.message))
@@ -284,7 +267,11 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
             )
             if label in statistics.at_bound:
                 text += f"; the best fit stopped at the bound {estimate.value:.4g}"
-                text += _of_bound(result, label)
+                name = quantity_of(label)
+                ours = next(p.spec for p in result.problem.layout.free if p.name == name)
+                is_ours = ours.bounds != specs(result.problem.model)[name].bounds
+                widen = f": widen the bound in parameters.{name}"
+                text += widen if is_ours else ", that of the model"
             findings.append((Outcome.NOT_IDENTIFIED, text))
     at_bound = [label for label in statistics.at_bound if result.least_squares[label].identified]
     if at_bound:
@@ -300,15 +287,6 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     findings += [(None, text) for text in _speed_limit(result)]
     findings += [] if exact else _correlated(result)
     return findings
-
-
-def _of_bound(result: FitResult, label: str) -> str:
-    """Text on the bound of a parameter: advice to widen it if it is not that of the model."""
-    name = quantity_of(label)
-    ours = next(p.spec for p in result.problem.layout.free if p.name == name)
-    model = specs(result.problem.model)[name]
-    own = (ours.lower, ours.upper) != (model.lower, model.upper)
-    return f": widen the bound in parameters.{name}" if own else ", that of the model"
 
 
 def judge(result: FitResult) -> FitResult:
