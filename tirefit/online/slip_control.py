@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.online.controller import AbstractController, Command, Measurement
+from tirefit.online.controller import AbstractController, Measurement
 from tirefit.params import par
 
 
@@ -60,4 +60,4 @@ class SlipControl(AbstractController):
         error = (target - measurement.pressure) / self.response
         valve = jnp.where(error > 0, error / self.rise, error / self.fall)
         info = {"target_pressure": target, "target_slip": wanted}
-        return _State(sliding, rate), Command(jnp.clip(valve, -1.0, 1.0)), info
+        return _State(sliding, rate), jnp.clip(valve, -1.0, 1.0), info

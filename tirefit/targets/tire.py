@@ -34,15 +34,10 @@ if TYPE_CHECKING:
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
 [N]; then speed [m/s], camber [rad], pressure [Pa], if they change a force."""
-
 ALWAYS = 3
 """The number of the first of them that every exported tire has."""
-
-_USUAL_LOAD = 4000.0
-"""Default load [N], of a tire of a passenger car."""
-
-_SPEED = 10.0
-"""Speed [m/s] at which tires are compared if it was measured, or nothing was."""
+_USUAL_LOAD = 4000.0  # default load [N], of a tire of a passenger car
+_SPEED = 10.0  # speed [m/s] at which tires are compared if it was measured, or nothing was
 
 QUANTITIES = {
     "kappa": ("-", "practical slip: sliding speed over forward speed of the wheel centre"),
@@ -62,37 +57,27 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Tire:
-    """A tire to export.
+    """A tire to export."""
 
-    Attributes:
-        model: steady-state tire with its values.
-        name: of the model.
-        origin: sentences on where it comes from.
-        load: a usual load [N], at which the tire is checked.
-        spread: standard errors of the fitted parameters.
-        measured: (smallest, largest) value of the known ones of :data:`INPUTS`, in canonical signs.
-        notes: sentences on what was assumed.
-        bare: the model without the effects of a diagnosis; None if it has none.
-        tir: the file that states the model, for targets that write one.
-        relaxation: relaxation length [m], which is not in the forces; None without.
-        asked: forces and moments to export; empty for all.
-        fitted: forces that were fitted to the measured range; empty without a fit.
-        ends: of the 95 % intervals of the fitted parameters.
-    """
-
-    model: AbstractTire
-    name: str
-    origin: str
-    load: float
+    model: AbstractTire  # steady-state tire with its values
+    name: str  # of the model
+    origin: str  # sentences on where it comes from
+    load: float  # a usual load [N], at which the tire is checked
     spread: Mapping[str, float] = field(default_factory=dict)
+    """Standard errors of the fitted parameters."""
     measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    """(smallest, largest) value of the known ones of :data:`INPUTS`, in canonical signs."""
+    notes: tuple[str, ...] = ()  # sentences on what was assumed
     bare: AbstractTire | None = None
-    tir: TirFile | None = None
+    """The model without the effects of a diagnosis; None if it has none."""
+    tir: TirFile | None = None  # the file that states the model, for targets that write one
     relaxation: float | None = None
-    asked: tuple[str, ...] = ()
+    """Relaxation length [m], which is not in the forces; None without."""
+    asked: tuple[str, ...] = ()  # forces and moments to export; empty for all
     fitted: tuple[str, ...] = ()
+    """Forces that were fitted to the measured range; empty without a fit."""
     ends: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """Of the 95 % intervals of the fitted parameters."""
 
     @property
     def speed(self) -> float:

@@ -35,7 +35,6 @@ from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
 
 WEIGHTS = {"fx": ("RBX1", "RCX1"), "fy": ("RBY1", "RCY1")}
 """Force -> coefficients without which its weighting function is one."""
-
 COMBINATIONS = ("none", "similarity", "ellipse")
 """Names of the ways to combine both slips, see :func:`mf_tire`."""
 
@@ -133,8 +132,7 @@ class MFTire(AbstractTire):
         fz0 = nominal.FNOMIN * scale.LFZO
         kappa = -kappa_from_sigma(inputs.sigma_x)
         tan_alpha = jnp.tan(inputs.alpha)
-        own = inputs.pressure > 0
-        pressure = jnp.where(own, inputs.pressure, nominal.INFLPRES)
+        pressure = jnp.where(inputs.pressure > 0, inputs.pressure, nominal.INFLPRES)
         sliding = inputs.v * resultant(kappa, tan_alpha) / nominal.LONGVL
         fall = 1 / (1 + scale.LMUV * sliding)
         friction_x, friction_y = scale.LMUX * fall, scale.LMUY * fall
@@ -144,21 +142,12 @@ class MFTire(AbstractTire):
             return digression * friction / (1 + (digression - 1) * friction)
 
         return Point(
-            kappa,
-            tan_alpha if self.starred else inputs.alpha,
-            cos_arctan(tan_alpha),
-            jnp.sin(inputs.gamma) if self.starred else inputs.gamma,
-            inputs.gamma,
-            fz,
-            (fz - fz0) / fz0,
-            (pressure - nominal.NOMPRES) / nominal.NOMPRES,
-            friction_x,
-            friction_y,
-            shift(friction_x),
-            shift(friction_y),
-            camber_stiffness=not is_52,
+            kappa, tan_alpha if self.starred else inputs.alpha, cos_arctan(tan_alpha),
+            jnp.sin(inputs.gamma) if self.starred else inputs.gamma, inputs.gamma, fz,
+            (fz - fz0) / fz0, (pressure - nominal.NOMPRES) / nominal.NOMPRES, friction_x,
+            friction_y, shift(friction_x), shift(friction_y), camber_stiffness=not is_52,
             starred=self.starred,
-        )
+        )  # fmt: skip
 
 
 def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
@@ -169,13 +158,11 @@ def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
 
 
 @jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
 def _frictions(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
-    def one(sample: TireInputs) -> dict[str, Scalar]:
-        at, fz0 = tire.point(sample), tire.nominal.FNOMIN * tire.scaling.LFZO
-        side = tire.lateral.pure(at, tire.scaling, fz0)
-        return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
-
-    return jax.vmap(one)(inputs)
+    at, fz0 = tire.point(inputs), tire.nominal.FNOMIN * tire.scaling.LFZO
+    side = tire.lateral.pure(at, tire.scaling, fz0)
+    return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
 
 
 OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz", "mx"))
@@ -301,14 +288,11 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
         That of M_z does not include those of F_x and F_y, on which M_z also depends.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
-    return _all_largest(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
+    return _largest(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
 
 
 @jax.jit
-def _all_largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
-    return jax.vmap(lambda sample: _largest(tire, sample))(inputs)
-
-
+@partial(jax.vmap, in_axes=(None, 0))
 def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     """:func:`curvatures` of one sample."""
     at, scale = tire.point(inputs), tire.scaling
