@@ -67,13 +67,9 @@ def bicycle(
 
 
 def lane_crossing(
-    state: Float[Array, "4"],
-    a: Float[Array, "4 4"],
-    drive: Float[Array, "4"],
-    edge: float,
-    horizon: float,
-    steps: int = 40,
-) -> Number:
+    state: Float[Array, "4"], a: Float[Array, "4 4"], drive: Float[Array, "4"], edge: float,
+    horizon: float, steps: int = 40,
+) -> Number:  # fmt: skip
     """Time [s] at which ``|y|`` reaches ``edge`` [m] on the predicted path.
 
     Args:

@@ -135,7 +135,14 @@ def _stepped(
     count = jnp.maximum(state.gathered, 1.0)
     mean = {name: total / count for name, total in state.sums.items()}
     moved, estimate = estimator.step(state.inner, {**mean, "count": count})
-    rise, fall, alarm = _cusum(state, jnp.asarray(estimate.surprise))
+    # Page's two-sided test on the surprises; both sums are reset at an alarm.
+    surprise = jnp.asarray(estimate.surprise)
+    there = jnp.isfinite(surprise)
+    z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
+    drift = jnp.where(there, CUSUM_DRIFT, 0.0)
+    rise = jnp.maximum(state.rise + z - drift, 0.0)
+    fall = jnp.maximum(state.fall - z - drift, 0.0)
+    alarm = jnp.maximum(rise, fall) > CUSUM_ALARM
     moved = _either(alarm, estimator.open(moved), moved)
     finite = _all_finite(moved, began.inner)
     after = state._replace(
@@ -143,8 +150,8 @@ def _stepped(
         sums=began.sums,
         gathered=began.gathered,
         flag=jnp.asarray(estimate.flag),
-        rise=rise,
-        fall=fall,
+        rise=jnp.where(alarm, 0.0, rise),
+        fall=jnp.where(alarm, 0.0, fall),
     )
     return _strong((after, estimate, alarm, ~finite))
 
@@ -191,17 +198,6 @@ def _unusable(
     # slip. At standstill no slip is missing and no wheel counts as locked.
     reason = jnp.where(locked & ~back, flag_of((locked, Flag.LOCKED)), reason)
     return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), reason)
-
-
-def _cusum(state: Guarded, surprise: Number) -> tuple[Number, Number, Bool[Array, ""]]:
-    """Page's two-sided test on the surprises; both sums are reset at an alarm."""
-    there = jnp.isfinite(surprise)
-    z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
-    drift = jnp.where(there, CUSUM_DRIFT, 0.0)
-    rise = jnp.maximum(state.rise + z - drift, 0.0)
-    fall = jnp.maximum(state.fall - z - drift, 0.0)
-    alarm = jnp.maximum(rise, fall) > CUSUM_ALARM
-    return jnp.where(alarm, 0.0, rise), jnp.where(alarm, 0.0, fall), alarm
 
 
 def _all_finite(inner: Any, began: Any) -> Bool[Array, ""]:

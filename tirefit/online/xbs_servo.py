@@ -80,15 +80,9 @@ def loop_matrix(gain: float, pole: float, rate: float, delay: int, lag: float) -
 
 
 def refuse_unstable(
-    gain: float,
-    least_slope: float,
-    most_slope: float,
-    radius: float,
-    inertia: float,
-    rate: float,
-    delay: int,
-    lag: float,
-) -> None:
+    gain: float, least_slope: float, most_slope: float, radius: float, inertia: float, rate: float,
+    delay: int, lag: float,
+) -> None:  # fmt: skip
     """Check O(11), and the stability of the loop with sampling, delay and lag.
 
     Args:

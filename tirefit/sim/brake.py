@@ -292,14 +292,9 @@ def _read(
 
 @eqx.filter_jit
 def simulate_stop(
-    plant: Plant,
-    controller: AbstractController,
-    sensors: Sensors,
-    speed: Number,
-    key: Array,
-    samples: int,
-    queue: int,
-) -> Log:
+    plant: Plant, controller: AbstractController, sensors: Sensors, speed: Number, key: Array,
+    samples: int, queue: int,
+) -> Log:  # fmt: skip
     """Simulate one stop.
 
     Args:

@@ -115,13 +115,9 @@ class WheelNumbers(NamedTuple):
 
 
 def braked_wheel(
-    numbers: WheelNumbers,
-    tires: tuple[Any, Any],
-    bristles: Bristles,
-    time: np.ndarray,
-    teeth: int,
+    numbers: WheelNumbers, tires: tuple[Any, Any], bristles: Bristles, time: np.ndarray, teeth: int,
     max_steps: int = 2**22,
-) -> tuple[np.ndarray, ...]:
+) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Wheel speed [rad/s], force [N] and mean deflection [m] at the times (n,).
 
     Args:

@@ -105,14 +105,9 @@ def brake(
 
 @eqx.filter_jit
 def many_stops(
-    plants: Plant,
-    controller: AbstractController,
-    sensors: Sensors,
-    speed: Array,
-    keys: Array,
-    samples: int,
-    queue: int,
-) -> Summary:
+    plants: Plant, controller: AbstractController, sensors: Sensors, speed: Array, keys: Array,
+    samples: int, queue: int,
+) -> Summary:  # fmt: skip
     """Summaries (k,) of stops in one vmapped run.
 
     Args:
@@ -131,13 +126,9 @@ def many_stops(
 
 
 def braked(
-    request: Request,
-    controllers: Mapping[str, Any],
-    *,
-    seed: int = 0,
-    stops: int = 1,
+    request: Request, controllers: Mapping[str, Any], *, seed: int = 0, stops: int = 1,
     progress: Callable[[float, str], None] | None = None,
-) -> Braking:
+) -> Braking:  # fmt: skip
     """Brake with each of the controllers, under the same noise.
 
     Args:

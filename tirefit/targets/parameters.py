@@ -156,14 +156,9 @@ class ParameterFile(NamedTuple):
 
 
 def parameter_text(
-    target: str,
-    tires: Mapping[str, Tire],
-    path: Path,
-    first: str,
-    vehicle: str | os.PathLike[str] | None = None,
-    over: Ranges | None = None,
-    force: bool = False,
-) -> tuple[str, Shape, tuple[str, ...]]:
+    target: str, tires: Mapping[str, Tire], path: Path, first: str,
+    vehicle: str | os.PathLike[str] | None = None, over: Ranges | None = None, force: bool = False,
+) -> tuple[str, Shape, tuple[str, ...]]:  # fmt: skip
     """The text of a parameter file, checks of the tire, and losses of the file.
 
     Args:

@@ -320,13 +320,9 @@ def _compiled(
 
 
 def _solved(
-    formula: Formula,
-    values: Mapping[str, float],
-    starts: Sequence[Mapping[str, float]],
-    kind: str,
-    names: tuple[str, ...],
-    *at: np.ndarray,
-) -> dict[str, float]:
+    formula: Formula, values: Mapping[str, float], starts: Sequence[Mapping[str, float]], kind: str,
+    names: tuple[str, ...], *at: np.ndarray,
+) -> dict[str, float]:  # fmt: skip
     """Least squares of the parameters ``names``: the best from all starts."""
     residuals, jacobian = _compiled(formula, kind, names)
     low, high = np.array([formula.stages[kind][name] for name in names]).T

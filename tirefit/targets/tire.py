@@ -125,21 +125,14 @@ class Tire:
         require_x64("an export")
         signs, outputs = CONVENTIONS[convention], self.outputs
 
-        def forces(
-            kappa: Numbers,
-            alpha: Numbers,
-            fz: Numbers,
-            v: Numbers,
-            gamma: Numbers,
-            pressure: Numbers,
-        ) -> tuple[Numbers, ...]:
+        def forces(*given: Numbers) -> tuple[Numbers, ...]:
+            kappa, alpha, fz, v, gamma, pressure = given
             kappa = signs.slip * kappa
             # A locked wheel has no finite sigma_x.
             turned = kappa / jnp.maximum(1 - kappa, 1 / (1 + LOCKED))
-            given = TireInputs(
-                turned, signs.alpha * alpha, signs.fz * fz, v, signs.gamma * gamma, pressure
-            )
-            found = self.model(given)._asdict()
+            at = TireInputs(turned, signs.alpha * alpha, signs.fz * fz, v)
+            inputs = at._replace(gamma=signs.gamma * gamma, pressure=pressure)
+            found = self.model(inputs)._asdict()
             return tuple(getattr(signs, name) * found[name] for name in outputs)
 
         return forces
@@ -202,21 +195,16 @@ def tire_of(
             values by run; or a diagnosis of another model.
         DataError: a file that cannot be read.
     """
-    tire = _given(source, values)
-    return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
-
-
-def _given(
-    source: "Fit | AbstractTire | str | os.PathLike[str]", values: Mapping[str, float] | None
-) -> Tire:
     path = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     given = given_tire(source, values)
     if given.tir is not None:
-        return _of_tir(given, path, values or {})
-    if given.content:
-        return _of_fit(given, path)
-    load = given.tire.nominal.FNOMIN if isinstance(given.tire, MFTire) else _USUAL_LOAD
-    return Tire(given.tire, given.name, f"model {given.name}, no data", float(load))
+        tire = _of_tir(given, path, values or {})
+    elif given.content:
+        tire = _of_fit(given, path)
+    else:
+        load = given.tire.nominal.FNOMIN if isinstance(given.tire, MFTire) else _USUAL_LOAD
+        tire = Tire(given.tire, given.name, f"model {given.name}, no data", float(load))
+    return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
 
 
 def _of_fit(given: GivenTire, path: str) -> Tire:

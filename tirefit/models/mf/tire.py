@@ -220,14 +220,9 @@ def turned_forces(forces: TireForces, turned: Set[str]) -> TireForces:
 
 
 def mf_tire(
-    version: str,
-    values: Mapping[str, float],
-    *,
-    starred: bool = False,
-    digression: float = 1.0,
-    combination: str | None = None,
-    lacks: Collection[str] = (),
-) -> MFTire:
+    version: str, values: Mapping[str, float], *, starred: bool = False, digression: float = 1.0,
+    combination: str | None = None, lacks: Collection[str] = (),
+) -> MFTire:  # fmt: skip
     """The tire of a set of coefficients.
 
     Args:
