@@ -263,16 +263,9 @@ class Path(AbstractVehicleMethod):
         observer = state.observer.after(*wheel, self.pole)
         rls = state.rls.after(*wheel, self.memory, self.omega_std)
         rise = jnp.stack([observer.force - state.observer.force, rls.force - state.rls.force])
-        # The state of the bicycle, corrected by the driven path.
-        z, covariance = self._predicted(state, dt, bend)
-        rows = jnp.eye(6)[jnp.array([0, 2, 3])]
-        noise = jnp.diag(floats(self.gps_std, self.heading_std, self.gyro_std) ** 2)
-        error = motion[jnp.array([0, 2, 3])] - rows @ z
-        z, covariance = kalman_update(z, covariance, rows, error, noise)
-        moved = state._replace(
-            z=z, covariance=covariance, observer=observer, rls=rls,
-            rates=rise / jnp.maximum(dt, 1e-3),
-        )  # fmt: skip
+        moved = self._corrected(self._predicted(state, dt, bend), sample)
+        rates = rise / jnp.maximum(dt, 1e-3)
+        moved = moved._replace(observer=observer, rls=rls, rates=rates)
         state = choose(anew, began, moved)
         state, surprise = self._with_friction(state, sample, omega)
 
@@ -306,10 +299,7 @@ class Path(AbstractVehicleMethod):
         a, steered, bent = bicycle(c_f, c_r, self.mass, self.yaw_inertia, self.l_f, self.l_r, v)
         return a, steered * steering + bent * bend
 
-    def _predicted(
-        self, state: PathState, dt: Number, bend: Number
-    ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-        """z and its covariance ``dt`` [s] later."""
+    def _predicted(self, state: PathState, dt: Number, bend: Number) -> PathState:
         steering, v = state.inputs["steering"], jnp.maximum(state.inputs["v"], 0.5)
 
         def ahead(z: Float[Array, "6"]) -> Float[Array, "6"]:
@@ -321,7 +311,18 @@ class Path(AbstractVehicleMethod):
         q, c = self.disturbance**2, self.drift_stiffness**2
         turning = q * (self.mass * self.l_f / self.yaw_inertia) ** 2
         noise = dt * jnp.diag(floats(0.0, q, 0.0, turning, c, c))
-        return ahead(state.z), slope @ state.covariance @ slope.T + noise
+        covariance = slope @ state.covariance @ slope.T + noise
+        return state._replace(z=ahead(state.z), covariance=covariance)
+
+    def _corrected(self, state: PathState, sample: Sample) -> PathState:
+        """Correct the state by the driven path."""
+        aside = wrapped(sample["heading"] - sample["road_heading"])
+        seen = jnp.stack([sample["offset"], aside, sample["yaw_rate"]])
+        rows = jnp.eye(6)[jnp.array([0, 2, 3])]
+        noise = jnp.diag(floats(self.gps_std, self.heading_std, self.gyro_std) ** 2)
+        error = seen - rows @ state.z
+        z, covariance = kalman_update(state.z, state.covariance, rows, error, noise)
+        return state._replace(z=z, covariance=covariance)
 
     def _with_friction(
         self, state: PathState, sample: Sample, omega: Number
