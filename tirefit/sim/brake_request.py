@@ -81,7 +81,8 @@ def arrays(tree: Tree) -> Tree:
 def plant_of(request: Request) -> Plant:
     """The plant of a checked request; its leaves are arrays."""
     vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
-    road, speed, steer = arrays((road_of(request.road), request.speed, request.steer))
+    given: Any = road_of(request.road), request.speed, request.steer
+    road, speed, steer = arrays(given)
     frictions = jnp.concatenate([road.before, road.after])
     tire = on_road(arrays(request.tire), speed, jnp.mean(vehicle.fz), frictions)
     return Plant(vehicle, tire, road, arrays(request.hydraulics), steer)
@@ -189,9 +190,10 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
     """
     if values:
         check_names("--plant quantity", list(values), (*Hydraulics._fields, *Sensors._fields))
+    records: tuple[Any, ...] = request.hydraulics, request.sensors
     hydraulics, sensors = (
         record._replace(**{k: v for k, v in values.items() if k in record._fields})
-        for record in (request.hydraulics, request.sensors)
+        for record in records
     )
     return replace(request, hydraulics=hydraulics, sensors=sensors)
 

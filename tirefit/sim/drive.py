@@ -25,6 +25,7 @@ from jaxtyping import Array
 from tirefit.arrays import Numbers
 from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
+from tirefit.params import Values
 from tirefit.results import UsageError
 from tirefit.sim.braking import SimulatedLog
 from tirefit.sim.settings import Drive
@@ -119,7 +120,7 @@ def _torques(numbers: _Numbers, t: Numbers, s: _State) -> Array:
     return full * jnp.where(braking, asked * share, driven)
 
 
-def pushed(turn: Array, x: Array, y: Array, along: Array, across: Array) -> tuple[Array, ...]:
+def pushed(turn: Array, x: Values, y: Values, along: Array, across: Array) -> tuple[Array, ...]:
     """Force [N] on a car forward and to the left, and its yaw moment [N m].
 
     Args:

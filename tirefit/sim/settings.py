@@ -37,7 +37,7 @@ class Settings:
 
     def problems(self) -> list[InputProblem]:
         """The problems: numbers out of their limits, an unknown tire."""
-        numbers = []  # (name, value, least, largest)
+        numbers: list[tuple[Any, ...]] = []  # (name, value, least, largest)
         for one in fields(self):  # type: ignore[arg-type]
             value, ends = getattr(self, one.name), one.metadata["limits"]
             if one.name == "drop" and value is not None:

@@ -218,7 +218,7 @@ def vectors(draft: Draft) -> list[str]:
         at = {"kappa": kappa, "alpha": alpha, "fz": share * load}
         at |= {"v": 10.0, "gamma": 0.02, "pressure": 0.0}
         given = [float(f"{at[name]:.6g}") for name in program.inputs]
-        sides = (program.inputs, given), (names, force(*given))
+        sides: Any = (program.inputs, given), (names, force(*given))
         texts = (
             [f"{name}={float(x):.17g}" for name, x in zip(*side, strict=True)] for side in sides
         )

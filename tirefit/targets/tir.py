@@ -181,8 +181,8 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     unread = [k for k in _UNREAD if tir.numbers.get(k)]
     combined = all(tir.numbers.get(k) for keys in WEIGHTS.values() for k in keys)
     by_ellipse = held.model.ellipse or not combined
-    added = {"PROPERTY_FILE_FORMAT": "PAC2002", "USE_MODE": 4.0, "TYRESIDE": held.tir.side}
-    added |= {"FE_METHOD": "YES" if by_ellipse else "NO"}
+    added: dict[str, float | str] = {"PROPERTY_FILE_FORMAT": "PAC2002", "USE_MODE": 4.0}
+    added |= {"TYRESIDE": held.tir.side, "FE_METHOD": "YES" if by_ellipse else "NO"}
     tir = tir.with_values(added | {key: whole[name] for name, key in _WHEEL.items()})
     notes = [
         "Chrono looks for the .tir in its folder of vehicle data: put both files there,"

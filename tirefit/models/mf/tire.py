@@ -154,16 +154,16 @@ def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
     """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
     size = len(np.asarray(inputs.fz))
     padded = TireInputs(*(pad_rows(column, padded_size(size, 1024)) for column in inputs))
-    return {force: np.asarray(mu)[:size] for force, mu in _frictions(tire, padded).items()}
+    return {force: np.asarray(mu)[:size] for force, mu in _all_frictions(tire, padded).items()}
 
 
-@jax.jit
-@partial(jax.vmap, in_axes=(None, 0))
 def _frictions(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     at, fz0 = tire.point(inputs), tire.nominal.FNOMIN * tire.scaling.LFZO
     side = tire.lateral.pure(at, tire.scaling, fz0)
     return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
 
+
+_all_frictions = jax.jit(jax.vmap(_frictions, (None, 0)))
 
 OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz", "mx"))
 """Fields of a convention that change sign if a tire is mirrored in the plane of its
@@ -283,11 +283,9 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
         That of M_z does not include those of F_x and F_y, on which M_z also depends.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
-    return _largest(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
+    return _largest_of_all(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
 
 
-@jax.jit
-@partial(jax.vmap, in_axes=(None, 0))
 def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     """:func:`curvatures` of one sample."""
     at, scale = tire.point(inputs), tire.scaling
@@ -317,3 +315,6 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     for force, weight in weights.items():
         found[force] = jnp.maximum(found[force], weighting(force, weight))
     return {force: value for force, value in found.items() if force not in tire.lacks}
+
+
+_largest_of_all = jax.jit(jax.vmap(_largest, (None, 0)))
