@@ -181,10 +181,8 @@ def road_of(text: str) -> Road:
         remedy = f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
         raise UsageError(f"--road {text!r} is not a road", remedy)
     if constant is not None:
-        before, after, jump = constant.groups(default=None)
-        road = Road(
-            np.full(2, float(before)), np.full(2, float(after or before)), float(jump or "inf")
-        )
+        before, after = float(constant[1]), float(constant[2] or constant[1])
+        road = Road(np.full(2, before), np.full(2, after), float(constant[3] or "inf"))
     else:
         assert sides is not None
         both = np.array([float(sides[1]), float(sides[2])])
