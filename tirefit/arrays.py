@@ -8,6 +8,9 @@ from jaxtyping import Array, Float
 Scalar = Float[Array | np.ndarray, ""] | float
 """One number; a JAX array while JAX traces the formula."""
 
+Number = Float[Array, ""]
+"""One number inside a program of JAX."""
+
 Numbers = Float[Array | np.ndarray, "..."] | float
 """One number or an array of any shape; the formula works elementwise."""
 

@@ -94,13 +94,13 @@ def numbers(controller: str, key: str, values, against) -> dict:
     return {
         "controller": controller,
         "number": key,
-        "mean": shown(whole.mean),
-        "low": shown(whole.low),
-        "high": shown(whole.high),
-        "seeds": whole.k,
-        "less_abs": shown(apart.mean),
-        "less_abs_low": shown(apart.low),
-        "less_abs_high": shown(apart.high),
+        "mean": shown(whole["mean"]),
+        "low": shown(whole["low"]),
+        "high": shown(whole["high"]),
+        "seeds": whole["k"],
+        "less_abs": shown(apart["mean"]),
+        "less_abs_low": shown(apart["low"]),
+        "less_abs_high": shown(apart["high"]),
     }
 
 

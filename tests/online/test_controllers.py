@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tirefit.online.abs import PHASES, ConventionalABS
-from tirefit.online.controller import Command, Measurement, Truth
+from tirefit.online.controller import Measurement, Truth
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.results import UsageError
@@ -62,8 +62,8 @@ def test_every_controller_follows_the_protocol(name, w):
     state = init(measured(w=w))
     for k in range(30):
         after, command, info = step(state, shaken(k, w))
-        assert isinstance(command, Command) and command.valve.shape == (w,)
-        assert np.all(np.abs(command.valve) <= 1.0)
+        assert command.shape == (w,)
+        assert np.all(np.abs(command) <= 1.0)
         assert all(np.shape(value) == (w,) for value in info.values())
         # Fixed shapes: what runs in a scan allocates nothing.
         same = jax.tree.map(lambda a, b: np.shape(a) == np.shape(b), after, state)
@@ -79,7 +79,7 @@ def test_controllers_do_not_read_the_truth(name):
         valves = []
         for j, known in enumerate((True, False)):
             states[j], command, _ = step(states[j], shaken(k, truth=known))
-            valves.append(command.valve)
+            valves.append(command)
         np.testing.assert_array_equal(*valves)
 
 
@@ -100,7 +100,7 @@ def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
         now = measured(k, [wheel], pressure, slowing, w=1)
         state, command, _ = stepped(controller, state, now)
         names.append(PHASES[int(state.phase[0])])
-        valves.append(float(command.valve[0]))
+        valves.append(float(command[0]))
     return names, valves
 
 
@@ -153,8 +153,8 @@ def test_the_rear_takes_the_lower_pressure():
     for k, slow in enumerate((15.0, 14.5, 13.5, 12.5)):
         now = measured(k, [14.99, 14.99, slow, 14.99])
         state, command, _ = stepped(controller, state, now)
-    assert command.valve[2] == command.valve[3] < 0
-    assert command.valve[0] == command.valve[1] == 1.0
+    assert command[2] == command[3] < 0
+    assert command[0] == command[1] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,7 @@ from scipy.integrate import solve_ivp
 
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.methods import estimator_of
-from tirefit.online.path import (
-    Observer,
-    WheelRls,
-    bicycle,
-    lane_crossing,
-    observer_std,
-    observer_step,
-    wheel_rls_step,
-)
+from tirefit.online.path import Observer, WheelRls, bicycle, lane_crossing, observer_std
 
 C_F, C_R, MASS, INERTIA, L_F, L_R, U = 9e4, 8e4, 1500.0, 2500.0, 1.2, 1.4, 25.0
 MATRICES = bicycle(C_F, C_R, MASS, INERTIA, L_F, L_R, jnp.asarray(U))
@@ -70,7 +62,7 @@ def test_the_observer_finds_the_force_and_its_errors_shrink_as_stated():
     omega, torque = wheel_log(100)
     state, errors = Observer(omega[0], 0.0), []
     for k in range(1, 100):
-        state = observer_step(state, omega[k], torque[k], 0.01, 0.3, 1.2, 20.0)
+        state = state.after(omega[k], torque[k], 0.01, 0.3, 1.2, 20.0)
         errors.append(float(state.force) - 2500.0)
     assert abs(errors[-1]) < 1e-3
     # Both poles at exp(-p dt): from one step to the next the ratio comes there.
@@ -79,7 +71,7 @@ def test_the_observer_finds_the_force_and_its_errors_shrink_as_stated():
     omega, torque = np.moveaxis(np.array(logs), 0, 2)
     state = Observer(omega[0], np.full(200, 2500.0))
     for k in range(1, 60):
-        state = observer_step(state, omega[k], torque[k], 0.01, 0.3, 1.2, 8.0)
+        state = state.after(omega[k], torque[k], 0.01, 0.3, 1.2, 8.0)
     stated = float(observer_std(0.05, 0.0, 0.01, 0.3, 1.2, 8.0))
     assert abs(np.std(state.force) / stated - 1) < 0.2  # 200 runs: 5 %, and p dt = 0.08
 
@@ -88,7 +80,7 @@ def test_rls_of_the_wheel_without_forgetting_agrees_with_least_squares():
     omega, torque = wheel_log(80, noise=0.05, seed=3)
     state = WheelRls(omega[0], 1000.0, 1e12)
     for k in range(1, 80):
-        state = wheel_rls_step(state, omega[k], torque[k], 0.01, 0.3, 1.2, 1e9, 0.05)
+        state = state.after(omega[k], torque[k], 0.01, 0.3, 1.2, 1e9, 0.05)
     seen = (np.diff(omega) + torque[1:] * 0.01 / 1.2) / (0.3 * 0.01 / 1.2)
     np.testing.assert_allclose(state.force, seen.mean(), rtol=1e-6)
     lever = 0.3 * 0.01 / 1.2

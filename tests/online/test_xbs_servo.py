@@ -203,7 +203,7 @@ def test_scan_equals_single_steps_and_wheels_are_independent():
 
     def step(state, now):
         state, command, info = servo.step(state, now)
-        return state, (command.valve, info["target_pressure"])
+        return state, (command, info["target_pressure"])
 
     first = jax.tree.map(jnp.asarray, row_of(rows, 0))
     scan = jax.jit(lambda now, rows: jax.lax.scan(step, servo.init(now), rows)[1])
@@ -212,7 +212,7 @@ def test_scan_equals_single_steps_and_wheels_are_independent():
     # Of one wheel: the speed of the vehicle at the start is that of the fastest.
     for i in range(160):
         state, command, info = stepped(servo, state, row_of(rows, i, slice(2, 3)))
-        np.testing.assert_allclose(command.valve[0], valve[i, 2], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(command[0], valve[i, 2], rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(info["target_pressure"][0], target[i, 2], rtol=1e-9, atol=1e-3)
     assert set(info) >= {"xbs", "xbs_std", "xbs_wanted", "target_pressure"}
 
@@ -224,4 +224,4 @@ def test_a_slow_car_leaves_the_pressures_unchanged():
     for speed in (1.49, 1.3, 1.0):
         state, command, info = stepped(servo, state, measurement(speed, 2e6))
         np.testing.assert_allclose(info["target_pressure"], 2e6)
-        np.testing.assert_allclose(command.valve, 0.0, atol=1e-12)
+        np.testing.assert_allclose(command, 0.0, atol=1e-12)

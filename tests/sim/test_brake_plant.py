@@ -12,7 +12,7 @@ from tirefit.online.abs import ConventionalABS
 from tirefit.params import with_values
 from tirefit.sim.brake import contacts, rolling, xbs_true
 from tirefit.sim.brake_request import plant_of
-from tirefit.sim.brake_result import reason_of, summarise
+from tirefit.sim.brake_result import summarise
 from tirefit.sim.brake_vehicle import GRAVITY, Slips
 
 touched = eqx.filter_jit(contacts)
@@ -135,7 +135,7 @@ def test_a_car_that_spins_is_reported_as_spun():
     asked = smooth(road="left=0.1,right=0.9", speed=25.0, vehicle="car")
     plant, log = stopped(asked)
     summary = jax.jit(summarise, static_argnums=2)(plant, log, 1 / RATE)
-    assert reason_of(summary).startswith("spun")
+    assert summary.reason.startswith("spun")
 
 
 def test_the_front_wheels_reach_a_new_road_first():

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 
 
 class TireInputs(NamedTuple):
@@ -142,7 +142,7 @@ def forces(
     return result if shape else jax.tree.map(lambda array: array[0], result)
 
 
-def largest(values: Float[Array, " n"]) -> Float[Array, ""]:
+def largest(values: Float[Array, " n"]) -> Number:
     """The largest value, with the slope of that one.
 
     The derivative of ``jnp.max`` compares the values with their maximum. A compiled program

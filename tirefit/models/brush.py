@@ -42,15 +42,9 @@ def friction_coefficient() -> Any:
 def half_contact_length() -> Any:
     """The field of the half-length a of the contact patch."""
     return par(
-        0.1,
-        (1e-3, 1.0),
-        "m",
-        "half the contact length (aligning moment only)",
-        "S(9)",
-        "a",
-        free=False,
-        scale="log",
-    )
+        0.1, (1e-3, 1.0), "m", "half the contact length (aligning moment only)", "S(9)", "a",
+        free=False, scale="log",
+    )  # fmt: skip
 
 
 class Brush(AbstractTire):
@@ -129,14 +123,9 @@ class AnisotropicBrush(Brush):
     """
 
     stiffness_ratio: float = par(
-        0.7,
-        (0.05, 20.0),
-        "-",
-        "lateral over longitudinal stiffness, K_beta / K_s",
-        "O(13)",
-        r"K_\beta / K_s",
-        scale="log",
-    )
+        0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness, K_beta / K_s", "O(13)",
+        r"K_\beta / K_s", scale="log",
+    )  # fmt: skip
 
 
 def resultant(x: Numbers, y: Numbers) -> Array:
@@ -187,13 +176,10 @@ class BrushAtPeak(AbstractTire):
     half_length: float = half_contact_length()
     kinetic: Kinetic = Kinetic()
 
-    def as_brush(self) -> Brush:
-        """The same tire in terms of its static friction."""
-        mu = mu_from_peak(self.mu_peak, self.kinetic.m)
-        return Brush(self.cpa2, mu, self.half_length, Parabolic(), Friction((self.kinetic,)))
-
     def __call__(self, inputs: TireInputs) -> TireForces:
-        return self.as_brush()(inputs)
+        mu = mu_from_peak(self.mu_peak, self.kinetic.m)
+        friction = Friction((self.kinetic,))
+        return Brush(self.cpa2, mu, self.half_length, friction=friction)(inputs)
 
 
 class LoadDependent(AbstractTire):
@@ -211,13 +197,9 @@ class LoadDependent(AbstractTire):
 
     tire: AbstractTire = Brush()
     stiffness_power: float = par(
-        1.0,
-        (-1.0, 3.0),
-        "-",
-        "power of the load in c_p a^2: 2 rectangular, 1 elliptic patch",
-        "S §2.1",
-        "k",
-    )
+        1.0, (-1.0, 3.0), "-", "power of the load in c_p a^2: 2 rectangular, 1 elliptic patch",
+        "S §2.1", "k",
+    )  # fmt: skip
     mu_load: float = par(
         -0.1, (-1.0, 1.0), "-", "change of mu per relative change of the load", "S §2.1", r"\mu_z"
     )

@@ -113,7 +113,6 @@ class LiuPeng(AbstractTire):
 _FASTEST_SPIN = 1 - 1e-6
 """Largest driving slip -sigma at which a curve is evaluated; 1 is a spinning wheel at
 standstill."""
-
 _GRID = np.geomspace(1e-4, 3.0, 400)
 
 
@@ -190,9 +189,11 @@ def scaled_to_combined(
     psi, stuck_x, stuck_y = polar(jnp.asarray(slip_x / limit_x), jnp.asarray(slip_y / limit_y))
     _, slid_x, slid_y = polar(jnp.asarray(slip_x), jnp.asarray(slip_y))
     forward = psi * limit_x
-    spin = jnp.minimum(forward, _FASTEST_SPIN)
-    x_curve = _both_sides(along, "fx", inputs, forward, -spin)
-    y_curve = _both_sides(across, "fy", inputs, psi * limit_y, -psi * limit_y)
+    # Forces (2,) of both sides.
+    x_slips = jnp.stack([forward, -jnp.minimum(forward, _FASTEST_SPIN)])
+    x_curve = jax.vmap(lambda slip: _pure(along, "fx", inputs, slip))(x_slips)
+    y_slips = jnp.stack([psi * limit_y, -psi * limit_y])
+    y_curve = jax.vmap(lambda slip: _pure(across, "fy", inputs, slip))(y_slips)
     turn = turned(psi, stuck_y, slid_y)
     return TireForces(
         turned(psi, stuck_x, slid_x) * blend(slid_x, jnp.asarray(x_curve.fx)),
@@ -213,14 +214,6 @@ def turned(psi: Numbers, stuck: Numbers, slid: Numbers) -> Array:
     return sticks * stuck + (1 - sticks) * slid
 
 
-def _both_sides(
-    tire: AbstractTire, channel: str, inputs: TireInputs, positive: Array, negative: Array
-) -> TireForces:
-    """Forces (2,) of two pure slips."""
-    slips = jnp.stack([positive, negative])
-    return jax.vmap(lambda slip: _pure(tire, channel, inputs, slip))(slips)
-
-
 def blend(cosine: Array, force: Array | tuple[Scalar, Scalar]) -> Array:
     """Magnitude of a force (2,) between those of the two sides."""
     return ((1 + cosine) * force[0] - (1 - cosine) * force[1]) / 2
@@ -230,28 +223,16 @@ def _of_axis(name: str, axis: str, words: str) -> Any:
     """The parameter of the pure-slip Magic Formula, for one axis."""
     spec = specs(MagicFormula())[name]
     return par(
-        spec.default,
-        spec.bounds,
-        spec.unit,
-        f"{spec.meaning}, {words}",
-        spec.source,
-        f"{spec.symbol}_{axis}",
-        free=spec.free,
-        scale=spec.scale,
-    )
+        spec.default, spec.bounds, spec.unit, f"{spec.meaning}, {words}", spec.source,
+        f"{spec.symbol}_{axis}", free=spec.free, scale=spec.scale,
+    )  # fmt: skip
 
 
 def _sliding(axis: str, words: str) -> Any:
     return par(
-        1.0,
-        (0.2, 5.0),
-        "-",
-        f"slip of full sliding over its nominal 3/(BC), {words}",
-        "S §2.3",
-        rf"\lambda_{axis}",
-        free=False,
-        scale="log",
-    )
+        1.0, (0.2, 5.0), "-", f"slip of full sliding over its nominal 3/(BC), {words}", "S §2.3",
+        rf"\lambda_{axis}", free=False, scale="log",
+    )  # fmt: skip
 
 
 class CombinedMagicFormula(AbstractTire):

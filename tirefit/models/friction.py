@@ -53,13 +53,9 @@ class Logarithmic(AbstractFrictionLaw):
     """
 
     g: float = par(
-        0.1,
-        (-0.2, 0.25),
-        "-",
-        "relative change of friction per e-fold of sliding speed",
-        "Grosch 1963",
-        "g",
-    )
+        0.1, (-0.2, 0.25), "-", "relative change of friction per e-fold of sliding speed",
+        "Grosch 1963", "g",
+    )  # fmt: skip
 
     def apply(self, level: Numbers, v_s: Numbers) -> Numbers:
         return level * (1 + self.g * jnp.log(v_s + _AT_REST))

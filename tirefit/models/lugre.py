@@ -121,15 +121,9 @@ class LuGre(AbstractLuGre):
     )
     sigma1: float = par(0.1, (0.0, 10.0), "s/m", "bristle damping over load", "S(17b)", r"\sigma_1")
     length: float = par(
-        0.2,
-        (1e-3, 2.0),
-        "m",
-        "length 2a of the contact patch",
-        "S(18)",
-        "2a",
-        free=False,
+        0.2, (1e-3, 2.0), "m", "length 2a of the contact patch", "S(18)", "2a", free=False,
         scale="log",
-    )
+    )  # fmt: skip
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         slip_x, slip_y, slip, v_r = _motion(inputs)

@@ -142,13 +142,9 @@ class Asymmetric(AbstractPressure):
     """
 
     d: float = par(
-        0.0,
-        (-1 / 3, 1.0),
-        "-",
-        "asymmetry of the pressure distribution, > 0 towards the leading edge",
-        "S(24)",
-        "d",
-    )
+        0.0, (-1 / 3, 1.0), "-",
+        "asymmetry of the pressure distribution, > 0 towards the leading edge", "S(24)", "d",
+    )  # fmt: skip
 
     def density(self, u: Numbers) -> Numbers:
         return 0.75 * u * (2 - u) * (1 + self.d * (u - 1))
@@ -203,15 +199,9 @@ class Quartic(AbstractPressure):
 def reference_load() -> Any:
     """The field of the load at which load-dependent parameters have their value."""
     return par(
-        4000.0,
-        (1e-3, 1e6),
-        "N",
-        "reference load of the load-dependent parameters",
-        "S §2.1",
-        "F_{z0}",
-        free=False,
-        scale="log",
-    )
+        4000.0, (1e-3, 1e6), "N", "reference load of the load-dependent parameters", "S §2.1",
+        "F_{z0}", free=False, scale="log",
+    )  # fmt: skip
 
 
 def _within(d: Scalar) -> float:
@@ -229,13 +219,9 @@ class ForceAsymmetric(Asymmetric):
     """
 
     d_force: float = par(
-        -0.2,
-        (-1.0, 1.0),
-        "-",
-        "change of d per brake force over friction, F_x / (mu_s F_z)",
-        "S §4.1",
-        "d_F",
-    )
+        -0.2, (-1.0, 1.0), "-", "change of d per brake force over friction, F_x / (mu_s F_z)",
+        "S §4.1", "d_F",
+    )  # fmt: skip
 
     def under(self, rho: Scalar, braking: Scalar, fz: Scalar) -> Asymmetric:
         share = self.d_force * braking

@@ -73,14 +73,10 @@ class Relaxed(AbstractTire):
 
     tire: AbstractTire = Brush()
     relaxation_length: float = par(
-        0.3,
-        (1e-3, 20.0),
-        "m",
-        "travel over which the slip of the patch follows that of the wheel",
-        "first-order lag",
-        "L",
-        scale="log",
-    )
+        0.3, (1e-3, 20.0), "m",
+        "travel over which the slip of the patch follows that of the wheel", "first-order lag",
+        "L", scale="log",
+    )  # fmt: skip
 
     @property
     def needs(self) -> tuple[str, ...]:

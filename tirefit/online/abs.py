@@ -31,14 +31,8 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from tirefit.online.controller import (
-    DECREASE,
-    HOLD,
-    INCREASE,
-    AbstractController,
-    Command,
-    Measurement,
-)
+from tirefit.arrays import Number
+from tirefit.online.controller import DECREASE, HOLD, INCREASE, AbstractController, Measurement
 from tirefit.params import par
 
 PHASES = ("build", "hold", "dump", "wait", "step")
@@ -48,7 +42,7 @@ BUILD, HELD, DUMP, WAIT, STEP = range(len(PHASES))
 class _State(NamedTuple):
     """State of the cycle, for each wheel (w,)."""
 
-    reference: Float[Array, ""]  # [m/s]
+    reference: Number  # [m/s]
     wheel: Float[Array, " w"]  # speed at the previous sample
     acceleration: Float[Array, " w"]  # filtered rate of the speed
     phase: Int[Array, " w"]
@@ -97,18 +91,20 @@ class ConventionalABS(AbstractController):
 
     def init(self, first: Measurement) -> _State:
         none = jnp.zeros_like(first.wheel_speed)
-        return _State(
-            jnp.max(first.wheel_speed),
-            first.wheel_speed,
-            none,
-            none.astype(int),
-            none,
-            none,
-            jnp.full_like(none, jnp.inf),
-        )
+        speed, lock = first.wheel_speed, jnp.full_like(none, jnp.inf)
+        return _State(jnp.max(speed), speed, none, none.astype(int), none, none, lock)
 
     def step(self, state: _State, measurement: Measurement) -> Any:
-        seen = self._seen(state, measurement)
+        wheel = measurement.wheel_speed
+        rate = (wheel - state.wheel) / self.period
+        share = self.period / (self.period + self.smoothing)
+        acceleration = state.acceleration + share * (rate - state.acceleration)
+        fall = jnp.maximum(measurement.deceleration, 0.0) + self.margin
+        reference = jnp.maximum(jnp.max(wheel), state.reference - fall * self.period)
+        fast = jnp.where(acceleration > self.speeding, 1.0, state.fast)
+        seen = state._replace(
+            reference=reference, wheel=wheel, acceleration=acceleration, fast=fast
+        )
         slip = 1 - seen.wheel / jnp.maximum(seen.reference, 1e-3)
         phase = self._next_phase(seen, slip)
         entered = phase != state.phase
@@ -125,20 +121,7 @@ class ConventionalABS(AbstractController):
             "wheel_acceleration": seen.acceleration,
             "phase": phase.astype(float),
         }
-        return after, Command(valve), info
-
-    def _seen(self, state: _State, measurement: Measurement) -> _State:
-        """The state with reference speed and wheel acceleration of this sample."""
-        wheel = measurement.wheel_speed
-        rate = (wheel - state.wheel) / self.period
-        share = self.period / (self.period + self.smoothing)
-        acceleration = state.acceleration + share * (rate - state.acceleration)
-        fall = jnp.maximum(measurement.deceleration, 0.0) + self.margin
-        reference = jnp.maximum(jnp.max(wheel), state.reference - fall * self.period)
-        fast = jnp.where(acceleration > self.speeding, 1.0, state.fast)
-        return state._replace(
-            reference=reference, wheel=wheel, acceleration=acceleration, fast=fast
-        )
+        return after, valve, info
 
     def _next_phase(self, seen: _State, slip: Float[Array, " w"]) -> Int[Array, " w"]:
         """Phases (w,) by the table of the module."""

@@ -12,6 +12,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tirefit.arrays import Number
+
 INCREASE, HOLD, DECREASE = 1.0, 0.0, -1.0
 """Inlet valve open, both valves shut, outlet valve open; for the whole interval."""
 
@@ -30,24 +32,14 @@ class Measurement(NamedTuple):
     """One sample of the sensors; SI units, braking positive. ``demand`` is the pressure of
     the master cylinder: the driver's demand, and the largest pressure of a wheel."""
 
-    time: Float[Array, ""]  # [s]
+    time: Number  # [s]
     wheel_speed: Float[Array, " w"]  # [m/s] R omega, with noise and steps
     pressure: Float[Array, " w"]  # [Pa] of the wheel cylinders
-    deceleration: Float[Array, ""]  # [m/s2] of the vehicle along its axis
-    demand: Float[Array, ""]  # [Pa]
-    steering: Float[Array, ""]  # [rad] road wheel angle
-    yaw_rate: Float[Array, ""]  # [rad/s]
+    deceleration: Number  # [m/s2] of the vehicle along its axis
+    demand: Number  # [Pa]
+    steering: Number  # [rad] road wheel angle
+    yaw_rate: Number  # [rad/s]
     truth: Truth
-
-
-class Command(NamedTuple):
-    """The commands to the valves until the next sample.
-
-    ``valve`` (w,) in [-1, 1]: share of the interval for which the inlet (positive) or
-    outlet (negative) is open; ``INCREASE``, ``HOLD`` or ``DECREASE`` if on-off.
-    """
-
-    valve: Float[Array, " w"]
 
 
 class AbstractController(eqx.Module):
@@ -59,8 +51,7 @@ class AbstractController(eqx.Module):
     name: ClassVar[str]
     meaning: ClassVar[str]
 
-    rate: float = eqx.field(static=True, default=200.0)
-    """The fixed number of samples per second."""
+    rate: float = eqx.field(static=True, default=200.0)  # the fixed number of samples per second
 
     @property
     def period(self) -> float:
@@ -74,8 +65,12 @@ class AbstractController(eqx.Module):
 
     def step(
         self, state: Any, measurement: Measurement
-    ) -> tuple[Any, Command, dict[str, Float[Array, " w"]]]:
+    ) -> tuple[Any, Float[Array, " w"], dict[str, Float[Array, " w"]]]:
         """The state, the command, and values for the log by the name of their column.
+
+        The command (w,), in [-1, 1], is the share of the interval until the next sample for which
+        the inlet (positive) or outlet (negative) is open; ``INCREASE``, ``HOLD`` or ``DECREASE``
+        if on-off.
 
         The values have no effect on the control; those of the whole vehicle are repeated for
         every wheel. Names and shapes are the same at every step.
@@ -92,5 +87,5 @@ class NoController(AbstractController):
     def init(self, first: Measurement) -> tuple[()]:
         return ()
 
-    def step(self, state: Any, measurement: Measurement) -> tuple[Any, Command, dict[str, Array]]:
-        return state, Command(jnp.full_like(measurement.pressure, INCREASE)), {}
+    def step(self, state: Any, measurement: Measurement) -> tuple[Any, Array, dict[str, Array]]:
+        return state, jnp.full_like(measurement.pressure, INCREASE), {}

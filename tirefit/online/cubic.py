@@ -14,29 +14,17 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
-from tirefit.online.base import (
-    AbstractSingleSample,
-    Flag,
-    Method,
-    Sample,
-    Single,
-    excitation,
-    flag_of,
-    force_noise,
-    nominal_friction,
-    nominal_stiffness,
-    slip_noise,
-)
+from tirefit.arrays import Number
+from tirefit.online import base
+from tirefit.online.base import AbstractSingleSample, Flag, Method, Sample, Single, flag_of
 from tirefit.params import par
 
 _LEAST_SLIDING = 1e-3
 
 
-def friction_by_cubic(
-    fx: Float[Array, ""], sigma: Float[Array, ""], cpa2: Float[Array, ""], fz: Float[Array, ""]
-) -> Float[Array, ""]:
+def friction_by_cubic(fx: Number, sigma: Number, cpa2: Number, fz: Number) -> Number:
     """Friction [-] of a brush with parabolic pressure from one sample, S(19)-(20).
 
     Args:
@@ -61,22 +49,19 @@ class Cubic(AbstractSingleSample):
     """Friction from every single sample; the stiffness must be known."""
 
     method: ClassVar[Method] = Method(
-        "cubic",
-        "root of the brush force for mu, one sample at a time",
-        ("sigma_x", "fx", "fz"),
-        ("mu",),
-        "50 to 100 % of the friction, S(20) in full sliding; below, flagged",
+        "cubic", "root of the brush force for mu, one sample at a time", ("sigma_x", "fx", "fz"),
+        ("mu",), "50 to 100 % of the friction, S(20) in full sliding; below, flagged",
         "S(19)-(20)",
-    )
+    )  # fmt: skip
 
-    cpa2: float = nominal_stiffness()
-    mu: float = nominal_friction()
+    cpa2: float = base.nominal_stiffness()
+    mu: float = base.nominal_friction()
     cpa2_std: float = par(
         0.05, (0.0, 0.99), "-", "relative std of c_p a^2; 0.7 without cpa2", "S(19)", r"\sigma_c"
     )
-    force_noise: float = force_noise()
-    slip_noise: float = slip_noise()
-    least_use: float = excitation()
+    force_noise: float = base.force_noise()
+    slip_noise: float = base.slip_noise()
+    least_use: float = base.excitation()
 
     def from_sample(self, sample: Sample) -> tuple[Single, Bool[Array, ""], Int[Array, ""]]:
         sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]

@@ -13,28 +13,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 from tirefit.models import Asymmetric, Brush
-from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
-    Flag,
-    Method,
-    Sample,
-    choose,
-    excitation,
-    flag_of,
-    floats,
-    force_noise,
-    nominal_friction,
-    nominal_stiffness,
-    slip_noise,
-    widest,
-)
+from tirefit.online import base
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.params import par
 
-_MEMORY = 0.98
-"""Weight of the previous mean square of surprises: a memory of about 50 steps."""
+_MEMORY = 0.98  # weight of the previous mean square of surprises: a memory of about 50 steps
 _FARTHEST = 1.0  # largest step of a logarithm per sample, where the slope is valid
 
 
@@ -43,23 +28,20 @@ class EkfState(NamedTuple):
 
     x: Float[Array, "2"]
     covariance: Float[Array, "2 2"]
-    misfit: Float[Array, ""]
+    misfit: Number
 
 
 class Ekf(AbstractEstimator):
     """Extended Kalman filter of stiffness and friction through the brush."""
 
     method: ClassVar[Method] = Method(
-        "ekf",
-        "extended Kalman filter through the brush model",
-        ("sigma_x", "fx", "fz"),
-        ("mu", "cpa2"),
-        "35 to 100 % of the friction, sliding included; below, mu is flagged",
+        "ekf", "extended Kalman filter through the brush model", ("sigma_x", "fx", "fz"),
+        ("mu", "cpa2"), "35 to 100 % of the friction, sliding included; below, mu is flagged",
         "S(29), Kalman filter",
-    )
+    )  # fmt: skip
 
-    cpa2: float = nominal_stiffness()
-    mu: float = nominal_friction()
+    cpa2: float = base.nominal_stiffness()
+    mu: float = base.nominal_friction()
     d: float = par(0.0, (-0.33, 0.99), "-", "asymmetry of the pressure", "S(29)", "d")
     prior_cpa2: float = par(
         0.4, (1e-4, 3.0), "-", "relative std of the expected c_p a^2", "", r"\sigma_c"
@@ -71,56 +53,51 @@ class Ekf(AbstractEstimator):
         0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of c_p a^2", "", "q_c"
     )
     drift_mu: float = par(0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu")
-    force_noise: float = force_noise()
-    slip_noise: float = slip_noise()
-    least_use: float = excitation()
+    force_noise: float = base.force_noise()
+    slip_noise: float = base.slip_noise()
+    least_use: float = base.excitation()
 
     def init(self) -> EkfState:
-        return EkfState(jnp.log(floats(self.cpa2, self.mu)), self._prior(), jnp.ones(()))
+        return EkfState(jnp.log(base.floats(self.cpa2, self.mu)), self._prior(), jnp.ones(()))
 
-    def force(
-        self, x: Float[Array, "2"], sigma: Float[Array, ""], fz: Float[Array, ""]
-    ) -> Float[Array, ""]:
+    def force(self, x: Float[Array, "2"], sigma: Number, fz: Number) -> Number:
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
         cpa2, mu = cast(tuple[float, float], (jnp.exp(x[0]), jnp.exp(x[1])))
         tire = Brush(cpa2, mu, pressure=Asymmetric(self.d))
         return tire.pure(sigma, fz, 0.0)[0]
 
     def step(self, state: EkfState, sample: Sample) -> tuple[EkfState, Estimate]:
-        before, count = state, sample["count"]
+        count = sample["count"]
         sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
         fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
-        predicted = self.force(before.x, sigma, fz)
-        by_state, by_slip = jax.jacfwd(self.force, argnums=(0, 1))(before.x, sigma, fz)
-        noise = (self.force_noise * fz) ** 2 + (self.slip_noise * by_slip) ** 2
-        noise = noise / count
+        predicted = self.force(state.x, sigma, fz)
+        by_state, by_slip = jax.jacfwd(self.force, argnums=(0, 1))(state.x, sigma, fz)
+        noise = ((self.force_noise * fz) ** 2 + (self.slip_noise * by_slip) ** 2) / count
         error = fx - predicted
-        lever = before.covariance @ by_state
+        lever = state.covariance @ by_state
         spread = by_state @ lever + noise
         surprise = error / jnp.sqrt(spread)
         change = jnp.clip(lever * error / spread, -_FARTHEST, _FARTHEST)
         updated = EkfState(
-            before.x + change,
-            before.covariance - jnp.outer(lever, lever) / spread,
+            state.x + change,
+            state.covariance - jnp.outer(lever, lever) / spread,
             _MEMORY * state.misfit + (1 - _MEMORY) * surprise * surprise,
         )
         idle = 2 * self.cpa2 * sigma < self.least_use * fz
-        after = choose(idle, before, updated)
+        after = choose(idle, state, updated)
         return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
 
-    def hold(
-        self, state: EkfState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[EkfState, Estimate]:
-        grown = jnp.diag(floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
+    def hold(self, state: EkfState, dt: Number, steps: Number) -> tuple[EkfState, Estimate]:
+        grown = jnp.diag(base.floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
         held = state._replace(covariance=state.covariance + grown)
         return held, self._estimate(held, False, jnp.nan)
 
     def open(self, state: EkfState) -> EkfState:
         """The initial uncertainty of both is restored, without their correlation."""
-        return state._replace(covariance=widest(state.covariance, self._prior()))
+        return state._replace(covariance=base.widest(state.covariance, self._prior()))
 
     def _prior(self) -> Float[Array, "2 2"]:
-        return jnp.diag(floats(self.prior_cpa2, self.prior_mu) ** 2)
+        return jnp.diag(base.floats(self.prior_cpa2, self.prior_mu) ** 2)
 
     def _estimate(
         self, state: EkfState, idle: Bool[Array, ""] | bool, surprise: Scalar

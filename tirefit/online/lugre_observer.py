@@ -44,26 +44,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 from tirefit.models import LuGre, TireInputs
 from tirefit.models.lugre import patch_means
-from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
-    Flag,
-    Method,
-    Sample,
-    choose,
-    flag_of,
-    floats,
-)
+from tirefit.online import base
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 
 _SUBSTEPS = 4
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
-_JUMP = 0.03
-"""Jump of the torque over R F_z after which the motion is initialised again."""
+_JUMP = 0.03  # jump of the torque over R F_z after which the motion is initialised again
 _SUMMED = 10.0  # number of surprises that are reported as one
 _SPUN = 0.015
 """Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
@@ -73,7 +64,7 @@ _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Slips at which the peak of the steady force is searched: in steps of 9 %."""
 
 
-def peak_share(tire: LuGre, theta: float, v: Scalar) -> Float[Array, ""]:
+def peak_share(tire: LuGre, theta: float, v: Scalar) -> Number:
     """Largest steady force over the load [-] of S(18) with theta g, at a speed [m/s].
 
     Args:
@@ -98,10 +89,10 @@ class ObserverState(NamedTuple):
 
     x: Float[Array, "7"]  # z [m], omega [rad/s], p [-]; last omega, v, fz, torque
     covariance: Float[Array, "7 7"]  # of their errors
-    waited: Float[Array, ""]  # [s] since then
-    smooth: Float[Array, ""]  # [s] from the last jump of the torque until then
-    sum: Float[Array, ""]  # of the latest surprises
-    summed: Float[Array, ""]  # their number
+    waited: Number  # [s] since then
+    smooth: Number  # [s] from the last jump of the torque until then
+    sum: Number  # of the latest surprises
+    summed: Number  # their number
     peak: Float[Array, "2"]  # mu and its slope over theta at the peak
 
 
@@ -109,14 +100,10 @@ class LuGreObserver(AbstractEstimator):
     """Lyapunov observer of the level of friction of a LuGre tire."""
 
     method: ClassVar[Method] = Method(
-        "lugre-observer",
-        "Lyapunov observer of LuGre's friction from wheel speed",
-        ("omega", "v", "fz", "torque"),
-        ("mu", "theta"),
-        "40 to 100 % of the friction; below, mu is flagged",
-        "S §3.4",
-        "lugre",
-    )
+        "lugre-observer", "Lyapunov observer of LuGre's friction from wheel speed",
+        ("omega", "v", "fz", "torque"), ("mu", "theta"),
+        "40 to 100 % of the friction; below, mu is flagged", "S §3.4", "lugre",
+    )  # fmt: skip
 
     average: float = 1.0
     tire: LuGre = LuGre()
@@ -150,7 +137,7 @@ class LuGreObserver(AbstractEstimator):
         return ObserverState(x, self._first(), long, long, none, none, peak)
 
     def hold(
-        self, state: ObserverState, dt: Float[Array, ""], steps: Float[Array, ""]
+        self, state: ObserverState, dt: Number, steps: Number
     ) -> tuple[ObserverState, Estimate]:
         # The variance of p grows with time; a usable sample continues with its step.
         walked = (self.drift_theta * state.x[2]) ** 2 * dt
@@ -174,8 +161,16 @@ class LuGreObserver(AbstractEstimator):
         smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + state.waited, 1e3))
         anew = (state.waited > _LONGEST) | (smooth < _SPUN)
         dt = jnp.clip(state.waited, 1e-6, _LONGEST)
-        x, error, into, noise_into = self._slopes(state.x, u, dt)
-        noise = jnp.diag(self._noise(u))
+
+        def flat(x: Float[Array, "7"], u: Float[Array, "4"]) -> Float[Array, "8"]:
+            return jnp.append(*self.moved(x, u, dt))
+
+        after_step = flat(state.x, u)
+        x, error = after_step[:7], after_step[7]
+        into, noise_into = jax.jacfwd(flat, argnums=(0, 1))(state.x, u)
+        fz = jnp.maximum(u[2], 0.0)
+        stds = (self.omega_std, self.v_std, self.load_std * fz, self.torque_std * fz * self.radius)
+        noise = jnp.diag(base.floats(*stds) ** 2)
         spread = into @ state.covariance @ into.T + noise_into @ noise @ noise_into.T
         surprise = error / jnp.sqrt(spread[7, 7])
         # Limit a surprise to four standard deviations, so that spikes do not move theta.
@@ -183,15 +178,26 @@ class LuGreObserver(AbstractEstimator):
         x = x.at[2].set(state.x[2] + trust * (x[2] - state.x[2]))
         first = self._first().at[2, 2].set(state.covariance[2, 2])
         held = state._replace(waited=jnp.zeros(()), smooth=smooth)
-        began = held._replace(x=self._at_rest(u, state.x[2]), covariance=first)
-        moved, reported = _summed(held, surprise)
-        moved = moved._replace(x=x, covariance=spread[:7, :7])
+        # The bristles in their steady state at the inputs.
+        p = state.x[2]
+        now = self.course(u, p)
+        z = now.v_s / jnp.maximum(p * now.a + now.c, 1e-3)
+        at_rest = jnp.concatenate([jnp.stack([z, u[0], p]), u])
+        began = held._replace(x=at_rest, covariance=first)
+        # Noise of an input enters the intervals before and after it, so their errors are
+        # correlated (by a quarter with slip noise of S section 5.1): a sum of n has variance
+        # 1.5 n. The standardised sum of ten is reported.
+        count, total = state.summed + 1, state.sum + jnp.clip(surprise, -4.0, 4.0)
+        full = count >= _SUMMED
+        reported = jnp.where(full & ~anew, total / jnp.sqrt(1.5 * count), jnp.nan)
+        total, count = jnp.where(full, 0.0, total), jnp.where(full, 0.0, count)
+        moved = held._replace(x=x, covariance=spread[:7, :7], sum=total, summed=count)
         after = choose(anew, began, moved)
         peak = self._peak(1 / after.x[2], jnp.maximum(jnp.abs(u[1]), 0.5))
         after = after._replace(peak=peak)
-        return after, self._estimate(after, jnp.where(anew, jnp.nan, reported))
+        return after, self._estimate(after, reported)
 
-    def course(self, u: Float[Array, "4"], p: Float[Array, ""]) -> Course:
+    def course(self, u: Float[Array, "4"], p: Number) -> Course:
         """Coefficients at inputs (4,) omega, v, fz, torque, and p for the patch."""
         omega, v, fz, _ = u
         v_s = v - omega * self.radius
@@ -202,14 +208,14 @@ class LuGreObserver(AbstractEstimator):
         c = jnp.where(self.kappa > 0, self.kappa, first / second) * through
         return Course(v_s, a, c, self.radius * fz / self.inertia)
 
-    def share(self, z: Float[Array, ""], p: Float[Array, ""], now: Course) -> Float[Array, ""]:
+    def share(self, z: Number, p: Number, now: Course) -> Number:
         """Force over load [-] of a mean deflection z [m]."""
         tire, give = self.tire, now.v_s - p * now.a * z
         return tire.sigma0 * z + tire.sigma1 * give + tire.sigma2 * now.v_s
 
     def moved(
-        self, x: Float[Array, "7"], u: Float[Array, "4"], dt: Float[Array, ""]
-    ) -> tuple[Float[Array, "7"], Float[Array, ""]]:
+        self, x: Float[Array, "7"], u: Float[Array, "4"], dt: Number
+    ) -> tuple[Float[Array, "7"], Number]:
         """One interval of dt [s], at whose end the inputs are u (4,).
 
         Returns:
@@ -237,18 +243,6 @@ class LuGreObserver(AbstractEstimator):
             p = jnp.clip(p - h * gamma * phi * off, 1 / _MOST, 1 / _LEAST)
         return jnp.concatenate([jnp.stack([z, omega, p]), u]), missed
 
-    def _slopes(
-        self, x: Float[Array, "7"], u: Float[Array, "4"], dt: Float[Array, ""]
-    ) -> tuple[Array, Array, Array, Array]:
-        """``moved``, and the slopes of (x, missed) over x (8, 7) and over u (8, 4)."""
-
-        def flat(x: Float[Array, "7"], u: Float[Array, "4"]) -> Float[Array, "8"]:
-            return jnp.append(*self.moved(x, u, dt))
-
-        after = flat(x, u)
-        into, noise_into = jax.jacfwd(flat, argnums=(0, 1))(x, u)
-        return after[:7], after[7], into, noise_into
-
     def _peak(self, theta: Scalar, v: Scalar) -> Float[Array, "2"]:
         """mu at a speed [m/s], and its slope by theta."""
         at, one = (jnp.asarray(theta, float),), (jnp.ones(()),)
@@ -257,21 +251,9 @@ class LuGreObserver(AbstractEstimator):
     def _locked(self, u: Float[Array, "4"]) -> Bool[Array, ""]:
         return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]
 
-    def _noise(self, u: Float[Array, "4"]) -> Float[Array, "4"]:
-        """Variances (4,) of the inputs."""
-        fz = jnp.maximum(u[2], 0.0)
-        stds = (self.omega_std, self.v_std, self.load_std * fz)
-        return floats(*stds, self.torque_std * fz * self.radius) ** 2
-
     def _first(self) -> Float[Array, "7 7"]:
         stds = [0.001, self.omega_std, self.prior_theta / self.theta] + [0.0] * 4
-        return jnp.diag(floats(*stds) ** 2)
-
-    def _at_rest(self, u: Float[Array, "4"], p: Float[Array, ""]) -> Float[Array, "7"]:
-        """x (7,) with the bristles in their steady state at the inputs."""
-        now = self.course(u, p)
-        z = now.v_s / jnp.maximum(p * now.a + now.c, 1e-3)
-        return jnp.concatenate([jnp.stack([z, u[0], p]), u])
+        return jnp.diag(base.floats(*stds) ** 2)
 
     def _estimate(self, state: ObserverState, surprise: Scalar) -> Estimate:
         x, p = state.x, state.x[2]
@@ -286,20 +268,3 @@ class LuGreObserver(AbstractEstimator):
         )
         value, std = jnp.stack([mu, theta]), jnp.stack([mu_std, theta_std])
         return Estimate(value, std, flag, jnp.asarray(surprise))
-
-
-def _summed(
-    state: ObserverState, surprise: Float[Array, ""]
-) -> tuple[ObserverState, Float[Array, ""]]:
-    """The state with one more surprise; the standardised sum of ten, else NaN.
-
-    Noise of an input enters the intervals before and after it, so their errors are
-    correlated (by a quarter with slip noise of S section 5.1): a sum of n has variance
-    1.5 n.
-    """
-    count = state.summed + 1
-    total = state.sum + jnp.clip(surprise, -4.0, 4.0)
-    full = count >= _SUMMED
-    reported = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
-    kept = state._replace(sum=jnp.where(full, 0.0, total), summed=jnp.where(full, 0.0, count))
-    return kept, reported

@@ -18,23 +18,11 @@ from tirefit.params import check_values, specs, with_values
 METHODS: dict[str, type[AbstractEstimator]] = {
     kind.method.name: kind
     for kind in (
-        Rls,
-        Mit,
-        Ekf,
-        Cubic,
-        SlipSlope,
-        SlipSlopeBraking,
-        TireSensor,
-        Position,
-        Path,
-        ForceFilter,
-        LuGreObserver,
-        Xbs,
-        XbsBraking,
+        Rls, Mit, Ekf, Cubic, SlipSlope, SlipSlopeBraking, TireSensor, Position, Path,
+        ForceFilter, LuGreObserver, Xbs, XbsBraking,
     )
-}
+}  # fmt: skip
 """Method name -> its record."""
-
 STIFFNESS_OF_LOAD = 250 / 27
 """Default of the expected c_p a^2 over the load [-]: the truck tire of S section 5 (C_x =
 5e5 N at 27 kN); car tires have 8 to 15."""

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
 from tirefit.online.vehicle import (
@@ -67,13 +67,9 @@ def bicycle(
 
 
 def lane_crossing(
-    state: Float[Array, "4"],
-    a: Float[Array, "4 4"],
-    drive: Float[Array, "4"],
-    edge: float,
-    horizon: float,
-    steps: int = 40,
-) -> Float[Array, ""]:
+    state: Float[Array, "4"], a: Float[Array, "4 4"], drive: Float[Array, "4"], edge: float,
+    horizon: float, steps: int = 40,
+) -> Number:  # fmt: skip
     """Time [s] at which ``|y|`` reaches ``edge`` [m] on the predicted path.
 
     Args:
@@ -88,7 +84,7 @@ def lane_crossing(
     def rate(x: Float[Array, "4"]) -> Float[Array, "4"]:
         return a @ x + drive
 
-    def step(x: Float[Array, "4"], _: None) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+    def step(x: Float[Array, "4"], _: None) -> tuple[Float[Array, "4"], Number]:
         # Classical Runge-Kutta; h is a tenth of a second.
         k1 = rate(x)
         k2 = rate(x + h / 2 * k1)
@@ -113,35 +109,25 @@ class Observer(NamedTuple):
     omega: Any
     force: Any
 
+    def after(
+        self, omega: Array, torque: Array, dt: Array, radius: float, inertia: float, pole: float
+    ) -> "Observer":
+        """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed omega.
 
-def observer_step(
-    state: Observer,
-    omega: Array,
-    torque: Array,
-    dt: Array,
-    radius: float,
-    inertia: float,
-    pole: float,
-) -> Observer:
-    """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed.
-
-    With these gains both errors of the discrete loop shrink by exp(-pole dt) per sample, at any dt.
-
-    Args:
-        omega: measured wheel speed [rad/s]; pole: p [1/s].
-        radius: [m]; inertia: J [kg m2] of the wheel.
-    """
-    lever = radius * dt / inertia
-    ahead = state.omega + lever * state.force - dt * torque / inertia
-    error = omega - ahead
-    keep = jnp.exp(-pole * dt)
-    gain = (1 - keep) ** 2 / jnp.maximum(lever, 1e-12)
-    return Observer(ahead + (1 - keep * keep) * error, state.force + gain * error)
+        With these gains both errors of the discrete loop shrink by exp(-pole dt) per sample, at
+        any dt; radius [m] and inertia J [kg m2] of the wheel, pole p [1/s].
+        """
+        lever = radius * dt / inertia
+        ahead = self.omega + lever * self.force - dt * torque / inertia
+        error = omega - ahead
+        keep = jnp.exp(-pole * dt)
+        gain = (1 - keep) ** 2 / jnp.maximum(lever, 1e-12)
+        return Observer(ahead + (1 - keep * keep) * error, self.force + gain * error)
 
 
 def observer_std(
     omega_std: float, torque_std: float, dt: Scalar, radius: float, inertia: float, pole: float
-) -> Float[Array, ""]:
+) -> Number:
     """Standard deviation [N] of the force of the observer, due to white noise.
 
     ``omega_std`` [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1.
@@ -151,36 +137,25 @@ def observer_std(
 
 
 class WheelRls(NamedTuple):
-    """Wheel speed [rad/s] of the last sample; force [N] and P [N2]."""
+    """Wheel speed [rad/s] of the last sample; force [N] and P [N2], by least squares."""
 
     omega: Any
     force: Any
     spread: Any
 
-
-def wheel_rls_step(
-    state: WheelRls,
-    omega: Array,
-    torque: Array,
-    dt: Array,
-    radius: float,
-    inertia: float,
-    memory: float,
-    omega_std: float,
-) -> WheelRls:
-    """Least squares with forgetting after one more sample.
-
-    Args:
-        omega: measured [rad/s], with noise of ``omega_std``; torque [N m] since then.
-        memory: time [s] in which the weight of a sample falls to 1/e.
-    """
-    lever = radius * dt / inertia
-    # The difference of two speeds has the noise of both.
-    noise = 2 * omega_std**2
-    grown = state.spread * jnp.exp(dt / memory)
-    gain = grown * lever / (lever * lever * grown + noise)
-    error = omega - state.omega + torque * dt / inertia - lever * state.force
-    return WheelRls(omega, state.force + gain * error, grown * (1 - gain * lever))
+    def after(
+        self, omega: Array, torque: Array, dt: Array, radius: float, inertia: float,
+        memory: float, omega_std: float,
+    ) -> "WheelRls":  # fmt: skip
+        """The force after one more sample: ``omega`` [rad/s] with noise of ``omega_std``, and the
+        torque [N m] since then; in ``memory`` [s] the weight of a sample falls to 1/e."""
+        lever = radius * dt / inertia
+        # The difference of two speeds has the noise of both.
+        noise = 2 * omega_std**2
+        grown = self.spread * jnp.exp(dt / memory)
+        gain = grown * lever / (lever * lever * grown + noise)
+        error = omega - self.omega + torque * dt / inertia - lever * self.force
+        return WheelRls(omega, self.force + gain * error, grown * (1 - gain * lever))
 
 
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
@@ -199,12 +174,12 @@ class PathState(NamedTuple):
     covariance: Float[Array, "6 6"]
     observer: Observer
     rls: WheelRls
-    log_mu: Float[Array, ""]
-    mu_variance: Float[Array, ""]
-    used: Float[Array, ""]
+    log_mu: Number
+    mu_variance: Number
+    used: Number
     rates: Float[Array, "2"]
-    inputs: dict[str, Float[Array, ""]]
-    waited: Float[Array, ""]
+    inputs: dict[str, Number]
+    waited: Number
 
 
 class Path(AbstractVehicleMethod):
@@ -252,22 +227,14 @@ class Path(AbstractVehicleMethod):
     def init(self) -> PathState:
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
         inputs = dict.fromkeys(("steering", "v", "road_heading"), zero)
+        mu = floats(self.mu, self.prior_mu)
+        wheel = Observer(zero, zero), WheelRls(zero, zero, self._widest())
         return PathState(
-            jnp.zeros(6),
-            self._first(),
-            Observer(zero, zero),
-            WheelRls(zero, zero, self._widest()),
-            jnp.log(jnp.asarray(self.mu, float)),
-            jnp.asarray(self.prior_mu**2, float),
-            none,
-            jnp.zeros(2),
-            inputs,
-            jnp.full((), 2 * _LONGEST),
-        )
+            jnp.zeros(6), self._first(), *wheel, jnp.log(mu[0]), mu[1] ** 2, none,
+            jnp.zeros(2), inputs, jnp.full((), 2 * _LONGEST),
+        )  # fmt: skip
 
-    def hold(
-        self, state: PathState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[PathState, Estimate]:
+    def hold(self, state: PathState, dt: Number, steps: Number) -> tuple[PathState, Estimate]:
         variance = jnp.minimum(state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2)
         held = state._replace(waited=state.waited + dt, mu_variance=variance)
         # Between samples there is no time to lane crossing.
@@ -283,19 +250,31 @@ class Path(AbstractVehicleMethod):
         torque = (sample["torque_fl"] + sample["torque_fr"]) / 2
         turned = wrapped(sample["road_heading"] - state.inputs["road_heading"])
         bend = jnp.where(anew, 0.0, turned / jnp.maximum(dt, 1e-3))
-        began = self._begun(state, sample, omega, torque)
-        wheel = (omega, torque, dt, self.radius, self.wheel_inertia)
-        moved = state._replace(
-            observer=observer_step(state.observer, *wheel, self.pole),
-            rls=wheel_rls_step(state.rls, *wheel, self.memory, self.omega_std),
+        aside = wrapped(sample["heading"] - sample["road_heading"])
+        # The motion initialised from this sample; the knowledge of the tires is kept.
+        motion = jnp.stack([sample["offset"], sample["v"] * aside, aside, sample["yaw_rate"]])
+        began = state._replace(
+            z=jnp.concatenate([motion, state.z[4:]]),
+            covariance=self._first().at[4:, 4:].set(state.covariance[4:, 4:]),
+            observer=Observer(omega, torque / self.radius),
+            rls=WheelRls(omega, torque / self.radius, self._widest()),
         )
-        moved = self._corrected(self._predicted(moved, dt, bend), sample)
-        rise = moved.observer.force - state.observer.force
-        steps = jnp.stack([rise, moved.rls.force - state.rls.force])
-        moved = moved._replace(rates=steps / jnp.maximum(dt, 1e-3))
+        wheel = (omega, torque, dt, self.radius, self.wheel_inertia)
+        observer = state.observer.after(*wheel, self.pole)
+        rls = state.rls.after(*wheel, self.memory, self.omega_std)
+        rise = jnp.stack([observer.force - state.observer.force, rls.force - state.rls.force])
+        moved = self._corrected(self._predicted(state, dt, bend), sample)
+        rates = rise / jnp.maximum(dt, 1e-3)
+        moved = moved._replace(observer=observer, rls=rls, rates=rates)
         state = choose(anew, began, moved)
         state, surprise = self._with_friction(state, sample, omega)
-        tlc = self._crossing(state, sample, bend)
+
+        def crossing(z: Float[Array, "6"]) -> Number:
+            a, drive = self._lane_rates(z, sample["steering"], sample["v"], bend)
+            return lane_crossing(z[:4], a, drive, self.lane, self.horizon)
+
+        time, slope = jax.value_and_grad(crossing)(state.z)
+        tlc = jnp.stack([time, jnp.sqrt(slope @ state.covariance @ slope)])
         kept = {name: sample[name] for name in state.inputs}
         state = state._replace(inputs=kept, waited=jnp.zeros(()))
         return state, self._estimate(state, tlc, jnp.where(anew, jnp.nan, surprise))
@@ -303,24 +282,8 @@ class Path(AbstractVehicleMethod):
     def _first(self) -> Float[Array, "6 6"]:
         return jnp.diag(floats(*_FIRST, *[self.prior_stiffness] * 2) ** 2)
 
-    def _widest(self) -> Float[Array, ""]:
+    def _widest(self) -> Number:
         return jnp.asarray(self.mass * GRAVITY, float) ** 2
-
-    def _begun(
-        self, state: PathState, sample: Sample, omega: Float[Array, ""], torque: Float[Array, ""]
-    ) -> PathState:
-        """The motion initialised from one sample; the knowledge of the tires is kept."""
-        aside = wrapped(sample["heading"] - sample["road_heading"])
-        motion = [sample["offset"], sample["v"] * aside, aside, sample["yaw_rate"]]
-        first = self._first()
-        covariance = first.at[4:, 4:].set(state.covariance[4:, 4:])
-        force = torque / self.radius
-        return state._replace(
-            z=jnp.concatenate([jnp.stack(motion), state.z[4:]]),
-            covariance=covariance,
-            observer=Observer(omega, force),
-            rls=WheelRls(omega, force, self._widest()),
-        )
 
     def stiffness(self, z: Float[Array, "6"]) -> Float[Array, "2"]:
         """C_f and C_r [N/rad] of the axles, of a state's z (6,)."""
@@ -329,20 +292,14 @@ class Path(AbstractVehicleMethod):
         return expected * jnp.exp(z[4:])
 
     def _lane_rates(
-        self,
-        z: Float[Array, "6"],
-        steering: Float[Array, ""],
-        v: Float[Array, ""],
-        bend: Float[Array, ""],
+        self, z: Float[Array, "6"], steering: Number, v: Number, bend: Number
     ) -> tuple[Float[Array, "4 4"], Float[Array, "4"]]:
         """A (4, 4) and the terms of the inputs (4,) of the bicycle with stiffness of z."""
         c_f, c_r = self.stiffness(z)
         a, steered, bent = bicycle(c_f, c_r, self.mass, self.yaw_inertia, self.l_f, self.l_r, v)
         return a, steered * steering + bent * bend
 
-    def _predicted(
-        self, state: PathState, dt: Float[Array, ""], bend: Float[Array, ""]
-    ) -> PathState:
+    def _predicted(self, state: PathState, dt: Number, bend: Number) -> PathState:
         steering, v = state.inputs["steering"], jnp.maximum(state.inputs["v"], 0.5)
 
         def ahead(z: Float[Array, "6"]) -> Float[Array, "6"]:
@@ -362,15 +319,14 @@ class Path(AbstractVehicleMethod):
         aside = wrapped(sample["heading"] - sample["road_heading"])
         seen = jnp.stack([sample["offset"], aside, sample["yaw_rate"]])
         rows = jnp.eye(6)[jnp.array([0, 2, 3])]
-        stds = floats(self.gps_std, self.heading_std, self.gyro_std)
-        z, covariance = kalman_update(
-            state.z, state.covariance, rows, seen - rows @ state.z, jnp.diag(stds**2)
-        )
+        noise = jnp.diag(floats(self.gps_std, self.heading_std, self.gyro_std) ** 2)
+        error = seen - rows @ state.z
+        z, covariance = kalman_update(state.z, state.covariance, rows, error, noise)
         return state._replace(z=z, covariance=covariance)
 
     def _with_friction(
-        self, state: PathState, sample: Sample, omega: Float[Array, ""]
-    ) -> tuple[PathState, Float[Array, ""]]:
+        self, state: PathState, sample: Sample, omega: Number
+    ) -> tuple[PathState, Number]:
         """ln mu after one sample of the forces of the front axle, S(21)."""
         v, force = sample["v"], 2 * state.observer.force
         load = self.loads[0] - self.height / self.base * self.mass * sample["a_x"]
@@ -379,7 +335,7 @@ class Path(AbstractVehicleMethod):
         v_y = state.z[1] - v * state.z[2]
         angle, _ = axle_angles(v, v_y, state.z[3], sample["steering"], self.l_f, self.l_r)
 
-        def shares(log_mu: Float[Array, ""]) -> Float[Array, "2"]:
+        def shares(log_mu: Number) -> Float[Array, "2"]:
             return jnp.stack(brush_share(sigma, angle, self.stiffness_f, jnp.exp(log_mu)))
 
         error = jnp.stack([force, across]) / load - shares(state.log_mu)
@@ -396,18 +352,6 @@ class Path(AbstractVehicleMethod):
         )
         along = slope @ error / jnp.sqrt(size * (noise + held * size) + 1e-20)
         return after, along
-
-    def _crossing(
-        self, state: PathState, sample: Sample, bend: Float[Array, ""]
-    ) -> Float[Array, "2"]:
-        """Time to lane crossing [s] and its standard deviation."""
-
-        def time(z: Float[Array, "6"]) -> Float[Array, ""]:
-            a, drive = self._lane_rates(z, sample["steering"], sample["v"], bend)
-            return lane_crossing(z[:4], a, drive, self.lane, self.horizon)
-
-        value, slope = jax.value_and_grad(time)(state.z)
-        return jnp.stack([value, jnp.sqrt(slope @ state.covariance @ slope)])
 
     def _estimate(self, state: PathState, tlc: Float[Array, "2"], surprise: Scalar) -> Estimate:
         mu, mu_std = jnp.exp(state.log_mu), jnp.sqrt(state.mu_variance)

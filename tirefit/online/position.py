@@ -29,30 +29,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from tirefit.arrays import Scalar
-from tirefit.online.base import (
-    Estimate,
-    Flag,
-    Method,
-    Sample,
-    choose,
-    code,
-    excitation,
-    flag_of,
-    floats,
-    force_noise,
-)
+from tirefit.arrays import Number, Scalar
+from tirefit.online import base
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.online.regression import SLIDING, Regressors, regressors
 from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
 
 _SIGNALS = ("offset", "aside", "road_heading", "yaw_rate", "steering")
 """The signals that are filtered first; aside: heading - that of the road."""
-_SETTLED = 8.0
-"""Filter times 1/a after a start until the filter has forgotten it to 0.3 %."""
+_SETTLED = 8.0  # filter times 1/a after a start until the filter has forgotten it to 0.3 %
 _LONGEST = 1.0  # filter times between samples after which the filter starts again
-_SAMPLES_OF_NOISE = 20.0
-"""Weight, in samples, of the stated noise relative to the observed errors."""
+_SAMPLES_OF_NOISE = 20.0  # weight, in samples, of the stated noise relative to the observed errors
 _FARTHEST = 0.5  # largest step per sample, where the slope is valid
 _LEAST_INVERSE = 0.1  # smallest expected mu over mu: mu is limited to ten times that
 _EXPECTED = (0.0, 1.0)
@@ -80,9 +68,7 @@ class Filtered(NamedTuple):
         return a * a * (self.u - 2 * a * self.once + a * a * self.twice)
 
 
-def filtered_step(
-    state: Filtered, u: Float[Array, " k"], dt: Float[Array, ""], a: float
-) -> Filtered:
+def filtered_step(state: Filtered, u: Float[Array, " k"], dt: Number, a: float) -> Filtered:
     """The filter after ``dt`` [s], by the trapezoidal (Tustin) rule; a in 1/s."""
     keep, take = (2 - a * dt) / (2 + a * dt), dt / (2 + a * dt)
     once = keep * state.once + take * (u + state.u)
@@ -90,7 +76,7 @@ def filtered_step(
 
 
 def _moved(
-    before: Filtered, u: Float[Array, " k"], dt: Float[Array, ""], a: float, anew: Bool[Array, ""]
+    before: Filtered, u: Float[Array, " k"], dt: Number, a: float, anew: Bool[Array, ""]
 ) -> Filtered:
     """The filter after one step, or initialised as settled on the signals."""
     settled = Filtered(u, u / a, u / (a * a))
@@ -103,7 +89,7 @@ class LawState(NamedTuple):
 
     x: Float[Array, "2"]
     products: Float[Array, "4 4"]
-    weight: Float[Array, ""]
+    weight: Number
 
 
 def coefficients(x: Float[Array, "2"]) -> Float[Array, "3"]:
@@ -118,9 +104,9 @@ class PositionState(NamedTuple):
 
     signals: Filtered
     regression: Filtered
-    waited: Float[Array, ""]
-    age: Float[Array, ""]
-    peak: Float[Array, ""]
+    waited: Number
+    age: Number
+    peak: Number
     law: LawState
 
 
@@ -128,13 +114,10 @@ class Position(AbstractVehicleMethod):
     """Friction and cornering stiffness of the front axle, from positions."""
 
     method: ClassVar[Method] = Method(
-        "position",
-        "front axle's brush from position on the road and yaw rate",
-        ("offset", "heading", "road_heading", "yaw_rate", "steering", "v"),
-        ("mu", "C_f"),
-        "40 to 90 % of the friction, in bends; below, mu is flagged",
-        "S §3.3",
-    )
+        "position", "front axle's brush from position on the road and yaw rate",
+        ("offset", "heading", "road_heading", "yaw_rate", "steering", "v"), ("mu", "C_f"),
+        "40 to 90 % of the friction, in bends; below, mu is flagged", "S §3.3",
+    )  # fmt: skip
 
     prior_stiffness: float = par(
         0.3, (1e-4, 3.0), "-", "relative std of the expected stiffness", "", r"\sigma_C"
@@ -153,8 +136,8 @@ class Position(AbstractVehicleMethod):
     model_error: float = par(
         0.015, (0.0, 0.5), "-", "relative error of the force, constant in a drive", "", r"\epsilon"
     )
-    force_noise: float = force_noise(0.05, "S §3.3")
-    least_use: float = excitation("S §3.3")
+    force_noise: float = base.force_noise(0.05, "S §3.3")
+    least_use: float = base.excitation("S §3.3")
 
     def init(self) -> PositionState:
         of_signals = Filtered(*[jnp.zeros(len(_SIGNALS))] * 3)
@@ -168,8 +151,17 @@ class Position(AbstractVehicleMethod):
     def step(self, state: PositionState, sample: Sample) -> tuple[PositionState, Estimate]:
         a, dt = self.bandwidth, state.waited
         anew = a * dt > _LONGEST
-        signals = self._signals(state, sample, anew)
-        terms = jnp.stack(self._terms(*self.force_and_slip(signals, sample["v"])))
+        road = state.signals.u[2]
+        road = road + wrapped(sample["road_heading"] - road)
+        aside = wrapped(sample["heading"] - sample["road_heading"])
+        u = [sample["offset"], aside, road, sample["yaw_rate"], sample["steering"]]
+        signals = _moved(state.signals, jnp.stack(u), dt, self.signal_bandwidth, anew)
+        force, slip = self.force_and_slip(signals, sample["v"])
+        load = self.loads[0]
+        given = {"sigma_x": slip, "fx": force, "fz": jnp.asarray(load)}
+        # The terms of S(49) [-] with the sign of the slip.
+        folded = regressors(given, self.stiffness_f * load / 2, self.mu, 0.0)
+        terms = jnp.where(slip < 0, -1.0, 1.0) * jnp.stack(folded)
         regression = _moved(state.regression, terms, dt, a, anew)
         age = jnp.where(anew, 0.0, state.age + dt)
         filtered = Regressors(*regression.value(a))
@@ -177,13 +169,13 @@ class Position(AbstractVehicleMethod):
         moved, flag, surprise = self._adapted(state.law, filtered)
         law = choose(settled & (flag == 0), moved, state.law)
         surprise = jnp.where(settled & (flag == 0), surprise, jnp.nan)
-        flag = jnp.where(settled, flag, code(Flag.SETTLING))
+        flag = jnp.where(settled, flag, base.code(Flag.SETTLING))
         peak = jnp.maximum(self.forgetting * state.peak, settled * abs(filtered.u0))
         after = PositionState(signals, regression, jnp.zeros(()), age, peak, law)
         return after, self._estimate(after, flag, surprise)
 
     def hold(
-        self, state: PositionState, dt: Float[Array, ""], steps: Float[Array, ""]
+        self, state: PositionState, dt: Number, steps: Number
     ) -> tuple[PositionState, Estimate]:
         law = self._forgotten(state.law, self.forgetting**steps)
         held = state._replace(waited=state.waited + dt, law=law)
@@ -193,9 +185,7 @@ class Position(AbstractVehicleMethod):
         law = self._forgotten(state.law, _KEPT)
         return state._replace(law=law, peak=jnp.zeros_like(state.peak))
 
-    def force_and_slip(
-        self, filtered: Filtered, v: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def force_and_slip(self, filtered: Filtered, v: Number) -> tuple[Number, Number]:
         """Force [N] of the front axle and tangent [-] of its slip angle, from the signals
         in the order ``offset``, heading - that of the road, ``road_heading``,
         ``yaw_rate``, ``steering``."""
@@ -208,31 +198,12 @@ class Position(AbstractVehicleMethod):
         angle = value[steering] - jnp.arctan(across / v)
         return force / self.base, jnp.tan(angle)
 
-    def _terms(self, force: Float[Array, ""], slip: Float[Array, ""]) -> Regressors:
-        """The terms of S(49) [-] with the sign of the slip."""
-        load, _ = self.loads
-        sample = {"sigma_x": slip, "fx": force, "fz": jnp.asarray(load)}
-        folded = regressors(sample, self.stiffness_f * load / 2, self.mu, 0.0)
-        side = jnp.where(slip < 0, -1.0, 1.0)
-        return Regressors(*(side * term for term in folded))
-
-    def _signals(self, state: PositionState, sample: Sample, anew: Bool[Array, ""]) -> Filtered:
-        """The filter of the signals with this sample."""
-        before = state.signals
-        road = before.u[2] + wrapped(sample["road_heading"] - before.u[2])
-        aside = wrapped(sample["heading"] - sample["road_heading"])
-        rest = [sample[name] for name in ("yaw_rate", "steering")]
-        u = jnp.stack([sample["offset"], aside, road, *rest])
-        return _moved(before, u, state.waited, self.signal_bandwidth, anew)
-
     def _forgotten(self, law: LawState, share: Scalar) -> LawState:
         """The state with the weight of the past multiplied by this share."""
         products, weight = law.products * share, law.weight * share
         return law._replace(products=products, weight=weight)
 
-    def _adapted(
-        self, law: LawState, terms: Regressors
-    ) -> tuple[LawState, Int[Array, ""], Float[Array, ""]]:
+    def _adapted(self, law: LawState, terms: Regressors) -> tuple[LawState, Int[Array, ""], Number]:
         """The law with one more sample, the flag of the reason to skip it, surprise."""
         side = jnp.where(terms.u0 < 0, -1.0, 1.0)
         y, *u = (side * term for term in terms)
@@ -243,8 +214,14 @@ class Position(AbstractVehicleMethod):
         slope = jax.jacfwd(coefficients)(law.x).T @ row[:3]
         error = y - coefficients(law.x) @ row[:3]
         surprise = error / jnp.sqrt(noise * noise + slope @ covariance @ slope)
-        for _ in range(2):
-            moved = moved._replace(x=self._closer(moved))
+        for _ in range(2):  # a step of Gauss and Newton on all samples and the prior
+            noise_now = self._noise(moved)
+            information, slopes, prior = self._information(moved, noise_now)
+            left = moved.products[:3, 3] - moved.products[:3, :3] @ coefficients(moved.x)
+            expected = (jnp.array(_EXPECTED) - moved.x) / prior**2
+            change = jnp.linalg.solve(information, slopes.T @ left / noise_now**2 + expected)
+            x = moved.x + jnp.clip(change, -_FARTHEST, _FARTHEST)
+            moved = moved._replace(x=x.at[1].set(jnp.maximum(x[1], _LEAST_INVERSE)))
         steepest = jnp.minimum(jnp.exp(law.x[0]), _STIFFEST)
         flag = flag_of(
             (y < SLIDING * steepest * u[0] - 3 * noise, Flag.OUT_OF_RANGE),
@@ -252,7 +229,7 @@ class Position(AbstractVehicleMethod):
         )
         return moved, flag, surprise
 
-    def _noise(self, law: LawState) -> Float[Array, ""]:
+    def _noise(self, law: LawState) -> Number:
         """Std [-] of the force over the load, from stated noise and observed errors."""
         theta = jnp.append(-coefficients(law.x), 1.0)
         seen = jnp.maximum(theta @ law.products @ theta, 0.0)
@@ -260,27 +237,17 @@ class Position(AbstractVehicleMethod):
         return jnp.sqrt((stated + seen) / (_SAMPLES_OF_NOISE + law.weight))
 
     def _information(
-        self, law: LawState, noise: Float[Array, ""]
+        self, law: LawState, noise: Number
     ) -> tuple[Float[Array, "2 2"], Float[Array, "3 2"], Float[Array, "2"]]:
         slope = jax.jacfwd(coefficients)(law.x)
-        prior = floats(self.prior_stiffness, self.prior_mu)
+        prior = base.floats(self.prior_stiffness, self.prior_mu)
         gathered = slope.T @ law.products[:3, :3] @ slope / noise**2
         return gathered + jnp.diag(1 / prior**2), slope, prior
 
-    def uncertainty(self, law: LawState) -> tuple[Float[Array, "2 2"], Float[Array, ""]]:
+    def uncertainty(self, law: LawState) -> tuple[Float[Array, "2 2"], Number]:
         """Covariance (2, 2) of x, and the noise [-]."""
         noise = self._noise(law)
         return jnp.linalg.inv(self._information(law, noise)[0]), noise
-
-    def _closer(self, law: LawState) -> Float[Array, "2"]:
-        """x after one step of Gauss and Newton on all samples and the prior."""
-        noise = self._noise(law)
-        information, slope, prior = self._information(law, noise)
-        left = law.products[:3, 3] - law.products[:3, :3] @ coefficients(law.x)
-        pull = slope.T @ left / noise**2 + (jnp.array(_EXPECTED) - law.x) / prior**2
-        change = jnp.linalg.solve(information, pull)
-        x = law.x + jnp.clip(change, -_FARTHEST, _FARTHEST)
-        return x.at[1].set(jnp.maximum(x[1], _LEAST_INVERSE))
 
     def _estimate(
         self, state: PositionState, flag: Int[Array, ""] | int, surprise: Scalar

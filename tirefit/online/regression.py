@@ -17,19 +17,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from tirefit.arrays import Scalar
-from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
-    Flag,
-    Sample,
-    excitation,
-    flag_of,
-    floats,
-    force_noise,
-    nominal_friction,
-    nominal_stiffness,
-)
+from tirefit.arrays import Number, Scalar
+from tirefit.online import base
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, Sample, flag_of
 from tirefit.params import par
 
 SLIDING = 0.37
@@ -41,10 +31,10 @@ _LEAST_THETA = 1e-3
 class Regressors(NamedTuple):
     """Output y and regressors of one sample [-], braking or driving alike."""
 
-    y: Float[Array, ""]
-    u0: Float[Array, ""]
-    u1: Float[Array, ""]
-    u2: Float[Array, ""]
+    y: Number
+    u0: Number
+    u1: Number
+    u2: Number
 
     @property
     def u(self) -> Float[Array, "2"]:
@@ -91,8 +81,8 @@ def corrected(
 class AbstractRegression(AbstractEstimator):
     """Settings and derived parameters that estimators on theta share."""
 
-    cpa2: float = nominal_stiffness()
-    mu: float = nominal_friction()
+    cpa2: float = base.nominal_stiffness()
+    mu: float = base.nominal_friction()
     d: float = par(0.0, (-1 / 3, 0.99), "-", "asymmetry of the pressure", "S(41)", "d")
     start0: float = par(0.8, (0.01, 100.0), "-", "first theta_0", "S §5.3", r"\theta_0")
     start1: float = par(0.8, (0.0, 100.0), "-", "first theta_1", "S §5.3", r"\theta_1")
@@ -101,18 +91,18 @@ class AbstractRegression(AbstractEstimator):
     third: float = par(
         1.0, (0.0, 1.0), "-", "share of the cubic term that is kept; 0: two terms", "S §5.4", "c_3"
     )
-    force_noise: float = force_noise()
-    least_use: float = excitation()
+    force_noise: float = base.force_noise()
+    least_use: float = base.excitation()
 
     def prior(self) -> Float[Array, "2 2"]:
         """Covariance of the first theta."""
-        return jnp.diag(floats(self.prior0, self.prior1) ** 2)
+        return jnp.diag(base.floats(self.prior0, self.prior1) ** 2)
 
     def regressors(self, sample: Sample) -> Regressors:
         return regressors(sample, self.cpa2, self.mu, self.d, self.third)
 
     def beyond(
-        self, x: Regressors, theta0: Float[Array, ""], count: Float[Array, ""]
+        self, x: Regressors, theta0: Number, count: Number
     ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
         """Whether a sample is too close to zero slip, and whether the tire slides.
 

@@ -14,11 +14,8 @@ from tirefit.online.methods import METHODS
 from tirefit.results import Outcome
 
 SCHEMA = "tirefit.estimate/1"
-
-_FAR = 3.0
-"""A detected change is reported if the estimate moved by this many standard deviations."""
-_SETTLE = 20
-"""Rows before an alarm in which a change may already have moved the estimate."""
+_FAR = 3.0  # a detected change is reported if the estimate moved by this many standard deviations
+_SETTLE = 20  # rows before an alarm in which a change may already have moved the estimate
 
 
 @dataclass(frozen=True)
@@ -111,36 +108,24 @@ class Estimates(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """``summary.json``."""
+        units, methods = dict[str, str](), dict[str, Any]()
+        for name, method in self.methods.items():
+            final = {}
+            for key in method.parameters:
+                units[key] = PARAMETERS[key].unit
+                last = {"value": method[key][-1], "std": method.std_of(key)[-1]}
+                final[key] = last | {"unit": units[key]}
+            methods[name] = {
+                "final": final, "model": METHODS[name].method.model,
+                "supported": bool(method.flag[-1] == 0), "flags": method.counts(),
+                "changes": [vars(change) for change in changes(self.time, method)],
+                "settings": dict(method.settings),
+            }  # fmt: skip
         content = {
-            "schema": SCHEMA,
-            "version": self.version,
-            "seed": self.seed,
-            "convention": "braking, SI",
-            "units": {
-                parameter: PARAMETERS[parameter].unit
-                for method in self.methods.values()
-                for parameter in method.parameters
-            },
-            "data": dict(self.data),
-            "methods": {
-                name: {
-                    "final": {
-                        parameter: {
-                            "value": method[parameter][-1],
-                            "std": method.std_of(parameter)[-1],
-                            "unit": PARAMETERS[parameter].unit,
-                        }
-                        for parameter in method.parameters
-                    },
-                    "model": METHODS[name].method.model,
-                    "supported": bool(method.flag[-1] == 0),
-                    "flags": method.counts(),
-                    "changes": [vars(change) for change in changes(self.time, method)],
-                    "settings": dict(method.settings),
-                }
-                for name, method in self.methods.items()
-            },
-        }
+            "schema": SCHEMA, "version": self.version, "seed": self.seed,
+            "convention": "braking, SI", "units": units, "data": dict(self.data),
+            "methods": methods,
+        }  # fmt: skip
         return json_safe(content)
 
 
@@ -160,6 +145,5 @@ def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
             before, after = method.value[early, k], method.value[end, k]
             spread = np.hypot(method.own_std[early, k], method.own_std[end, k])
             if abs(after - before) > _FAR * spread:
-                moved = (time[alarm], before, after)
-                there.append(Change(float(moved[0]), parameter, *map(float, moved[1:])))
+                there.append(Change(float(time[alarm]), parameter, float(before), float(after)))
     return there

@@ -17,19 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tirefit.arrays import Tree
+from tirefit.arrays import Number, Tree
 from tirefit.online.base import AbstractEstimator, Estimate, Flag, Sample, code, flag_of
 from tirefit.online.scatter import Scatter, reported
 from tirefit.padding import padded_size
 
 GUARDED = ("time", "run", "v", "omega")
 """Columns that the guard checks if a log has them, in addition to those of the method."""
-
 _CHUNK = 16
 """Samples of an inner scan. XLA runs the kernels of a loop in sequence only if all its
 arrays are smaller than about 512 bytes (measured: two columns of 32 rows are fast, of 64
 are not); otherwise it schedules each kernel, with half the samples per second."""
-
 STANDSTILL = 0.5
 """Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
 LOCKED_SLIP = 5.0
@@ -43,23 +41,22 @@ curve by F'' 0.02^2 / 8, 1 % of the load for the tire of S section 5."""
 CUSUM_DRIFT, CUSUM_ALARM = 0.5, 12.0
 """Threshold of Page's test: it detects a shift of one standard deviation in 24 steps, and
 has one false alarm in 5e5 steps of Gaussian noise (Siegmund's approximation)."""
-_MOST_SURPRISING = 4.0
-"""Limit of a single sample in the test, so that one outlier is not a change."""
+_MOST_SURPRISING = 4.0  # limit of a single sample in the test, so that one outlier is not a change
 
 
 class Guarded(NamedTuple):
     """State of a run: that of the method, and that of the guard."""
 
     inner: Any
-    time: Float[Array, ""]  # [s] of the last sample that had one
-    interval: Float[Array, ""]  # [s] mean interval between samples
-    sums: dict[str, Float[Array, ""]]  # of the inputs since the last step
-    gathered: Float[Array, ""]  # number of samples in them
+    time: Number  # [s] of the last sample that had one
+    interval: Number  # [s] mean interval between samples
+    sums: dict[str, Number]  # of the inputs since the last step
+    gathered: Number  # number of samples in them
     flag: Int[Array, ""]  # of the last step
     scatter: Scatter  # of the recent estimates of mu
-    rise: Float[Array, ""]  # cumulative sum for a rise
-    fall: Float[Array, ""]  # cumulative sum for a fall
-    run: Float[Array, ""]  # code of the run
+    rise: Number  # cumulative sum for a rise
+    fall: Number  # cumulative sum for a fall
+    run: Number  # code of the run
 
 
 def start(estimator: AbstractEstimator) -> Guarded:
@@ -118,10 +115,12 @@ def guarded_step(
     events = flag_of((usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (broken, Flag.RESET))
     counted = jnp.where(usable, dt, 0.0)
     scatter, estimate = reported(estimator, state.scatter, estimate, counted, alarm | broken)
+    # The mean interval between samples, without lost samples.
+    learned = jnp.where(known, state.interval + _USUAL * (dt - state.interval), dt)
     after = kept._replace(
         scatter=scatter,
         time=jnp.where(jnp.isnan(now), state.time, now),
-        interval=_usual_interval(state.interval, dt, steps),
+        interval=jnp.where((dt > 0) & (steps <= _GAP), learned, state.interval),
         run=jnp.asarray(sample.get("run", state.run), float),
     )
     flag = jnp.maximum(estimate.flag, events)
@@ -136,7 +135,14 @@ def _stepped(
     count = jnp.maximum(state.gathered, 1.0)
     mean = {name: total / count for name, total in state.sums.items()}
     moved, estimate = estimator.step(state.inner, {**mean, "count": count})
-    rise, fall, alarm = _cusum(state, jnp.asarray(estimate.surprise))
+    # Page's two-sided test on the surprises; both sums are reset at an alarm.
+    surprise = jnp.asarray(estimate.surprise)
+    there = jnp.isfinite(surprise)
+    z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
+    drift = jnp.where(there, CUSUM_DRIFT, 0.0)
+    rise = jnp.maximum(state.rise + z - drift, 0.0)
+    fall = jnp.maximum(state.fall - z - drift, 0.0)
+    alarm = jnp.maximum(rise, fall) > CUSUM_ALARM
     moved = _either(alarm, estimator.open(moved), moved)
     finite = _all_finite(moved, began.inner)
     after = state._replace(
@@ -144,8 +150,8 @@ def _stepped(
         sums=began.sums,
         gathered=began.gathered,
         flag=jnp.asarray(estimate.flag),
-        rise=rise,
-        fall=fall,
+        rise=jnp.where(alarm, 0.0, rise),
+        fall=jnp.where(alarm, 0.0, fall),
     )
     return _strong((after, estimate, alarm, ~finite))
 
@@ -157,7 +163,7 @@ def _either(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
 
 def _gathered(
     state: Guarded, sample: Sample, usable: Bool[Array, ""], gap: Bool[Array, ""]
-) -> tuple[dict[str, Float[Array, ""]], Float[Array, ""]]:
+) -> tuple[dict[str, Number], Number]:
     """Sums and count with this sample; after a gap or a jump, of this sample only."""
     jump = gap
     if "sigma_x" in state.sums:
@@ -192,28 +198,6 @@ def _unusable(
     # slip. At standstill no slip is missing and no wheel counts as locked.
     reason = jnp.where(locked & ~back, flag_of((locked, Flag.LOCKED)), reason)
     return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), reason)
-
-
-def _cusum(
-    state: Guarded, surprise: Float[Array, ""]
-) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
-    """Page's two-sided test on the surprises; both sums are reset at an alarm."""
-    there = jnp.isfinite(surprise)
-    z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
-    drift = jnp.where(there, CUSUM_DRIFT, 0.0)
-    rise = jnp.maximum(state.rise + z - drift, 0.0)
-    fall = jnp.maximum(state.fall - z - drift, 0.0)
-    alarm = jnp.maximum(rise, fall) > CUSUM_ALARM
-    return jnp.where(alarm, 0.0, rise), jnp.where(alarm, 0.0, fall), alarm
-
-
-def _usual_interval(
-    usual: Float[Array, ""], dt: Float[Array, ""], steps: Float[Array, ""]
-) -> Float[Array, ""]:
-    """The mean interval between samples, without lost samples."""
-    regular = (dt > 0) & (steps <= _GAP)
-    learned = jnp.where(jnp.isnan(usual), dt, usual + _USUAL * (dt - usual))
-    return jnp.where(regular, learned, usual)
 
 
 def _all_finite(inner: Any, began: Any) -> Bool[Array, ""]:

@@ -17,34 +17,20 @@ import jax.numpy as jnp
 from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float
 
-from tirefit.arrays import Scalar
-from tirefit.online.base import (
-    RESOLVED,
-    AbstractEstimator,
-    Estimate,
-    Flag,
-    Method,
-    Sample,
-    brake_gain,
-    choose,
-    flag_of,
-    floats,
-    force_noise,
-    slip_noise,
-    widest,
-)
+from tirefit.arrays import Number, Scalar
+from tirefit.online import base
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.params import par
 
 ROADS = ("asphalt", "gravel", "snow", "ice")
 """The four roads of S section 3.1; estimates number them from 1, by falling friction."""
-
 STIFF, SOFT = 0.75, 0.45
 """Limits between asphalt, snow and ice on a smooth road, as slopes over that of asphalt."""
 _MEMORY = 0.98  # weight of the previous mean square error: a memory of about 50 steps
 _STEPS = 1 / (1 - _MEMORY)
 
 
-def road_of(relative: Float[Array, ""], rough: Bool[Array, ""]) -> Float[Array, ""]:
+def road_of(relative: Number, rough: Bool[Array, ""]) -> Number:
     """Number of the road in :data:`ROADS`, from 1.
 
     Args:
@@ -69,21 +55,17 @@ class SlipSlopeState(NamedTuple):
 
     x: Float[Array, "2"]
     covariance: Float[Array, "2 2"]
-    square: Float[Array, ""]
+    square: Number
 
 
 class SlipSlope(AbstractEstimator):
     """Kalman filter of the slope at low slip, the slip offset and the road."""
 
     method: ClassVar[Method] = Method(
-        "slip-slope",
-        "slope and offset of the slip by Kalman filter; road",
-        ("sigma_x", "fx", "fz"),
-        ("slip_slope", "slip_offset", "radius_std", "road"),
-        "up to 30 % of the load; does not measure the peak",
-        "S §3.1",
-        "straight line",
-    )
+        "slip-slope", "slope and offset of the slip by Kalman filter; road",
+        ("sigma_x", "fx", "fz"), ("slip_slope", "slip_offset", "radius_std", "road"),
+        "up to 30 % of the load; does not measure the peak", "S §3.1", "straight line",
+    )  # fmt: skip
 
     slope: float = par(
         18.5, (0.5, 500.0), "-", "slope on asphalt, to be calibrated", "S §3.1", "k_0", scale="log"
@@ -104,21 +86,21 @@ class SlipSlope(AbstractEstimator):
     rough: float = par(
         0.003, (0.0, 1.0), "-", "relative std of the radius on a rough road", "S §3.1", "r_g"
     )
-    force_noise: float = force_noise()
-    slip_noise: float = slip_noise()
+    force_noise: float = base.force_noise()
+    slip_noise: float = base.slip_noise()
 
     def init(self) -> SlipSlopeState:
         inverse = jnp.asarray(1 / self.slope, float)
-        return SlipSlopeState(floats(inverse, 0.0), self._first(), self._noise(inverse))
+        return SlipSlopeState(base.floats(inverse, 0.0), self._first(), self._noise(inverse))
 
     def _first(self) -> Float[Array, "2 2"]:
-        return jnp.diag(floats(self.prior_slope / self.slope, self.prior_offset) ** 2)
+        return jnp.diag(base.floats(self.prior_slope / self.slope, self.prior_offset) ** 2)
 
-    def use(self, sample: Sample) -> Float[Array, ""]:
+    def use(self, sample: Sample) -> Number:
         """Force over load [-] of a sample."""
         return sample["fx"] / sample["fz"]
 
-    def applies(self, use: Float[Array, ""]) -> Bool[Array, ""]:
+    def applies(self, use: Number) -> Bool[Array, ""]:
         """Whether a sample with this force over load is in the linear range."""
         return jnp.abs(use) <= self.most_use
 
@@ -144,18 +126,18 @@ class SlipSlope(AbstractEstimator):
         return after, self._estimate(after, unused, surprise)
 
     def hold(
-        self, state: SlipSlopeState, dt: Float[Array, ""], steps: Float[Array, ""]
+        self, state: SlipSlopeState, dt: Number, steps: Number
     ) -> tuple[SlipSlopeState, Estimate]:
-        walk = floats(self.drift_slope / self.slope, self.drift_offset) ** 2
+        walk = base.floats(self.drift_slope / self.slope, self.drift_offset) ** 2
         held = state._replace(covariance=state.covariance + dt * jnp.diag(walk))
         return held, self._estimate(held, False, jnp.nan)
 
     def open(self, state: SlipSlopeState) -> SlipSlopeState:
         """Restore the uncertainty of the slope; that of the radius is kept."""
         first = self._first().at[1, 1].set(0.0)
-        return state._replace(covariance=widest(state.covariance, first))
+        return state._replace(covariance=base.widest(state.covariance, first))
 
-    def _noise(self, inverse: Float[Array, ""]) -> Float[Array, ""]:
+    def _noise(self, inverse: Number) -> Number:
         """Variance of the error of one sample on a smooth road."""
         return self.slip_noise**2 + (self.force_noise * inverse) ** 2
 
@@ -172,8 +154,18 @@ class SlipSlope(AbstractEstimator):
         radius = jnp.sqrt(variance)
         # Error of a root: by its slope away from zero, else the root of the spread.
         radius_std = variance_std / jnp.maximum(2 * radius, jnp.sqrt(variance_std))
-        road, road_std = self._road(slope, slope * relative, variance, variance_std)
-        resolved = relative < RESOLVED
+        road = road_of(slope / self.slope, variance > self.rough**2)
+        limits = [(limit * self.slope - slope) / (slope * relative) for limit in (STIFF, SOFT)]
+        above = [norm.sf(limit) for limit in limits]
+        rough = norm.sf((self.rough**2 - variance) / variance_std)
+        chances = (
+            (1 - rough) * above[0],
+            rough * above[1],
+            (1 - rough) * (above[1] - above[0]) + rough * (1 - above[1]),
+            (1 - rough) * (1 - above[1]),
+        )
+        road_std = jnp.sqrt(sum(p * (k - road) ** 2 for k, p in enumerate(chances, start=1)))
+        resolved = relative < base.RESOLVED
         nothing = jnp.where(resolved, 0.0, jnp.nan)
         flag = flag_of((unused, Flag.OUT_OF_RANGE), (~resolved, Flag.LITTLE_EXCITATION))
         return Estimate(
@@ -182,22 +174,6 @@ class SlipSlope(AbstractEstimator):
             flag,
             jnp.asarray(surprise),
         )
-
-    def _road(
-        self, slope: Array, slope_std: Array, variance: Array, variance_std: Array
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The number of the road and its standard deviation."""
-        number = road_of(slope / self.slope, variance > self.rough**2)
-        above = [norm.sf((limit * self.slope - slope) / slope_std) for limit in (STIFF, SOFT)]
-        rough = norm.sf((self.rough**2 - variance) / variance_std)
-        chances = (
-            (1 - rough) * above[0],
-            rough * above[1],
-            (1 - rough) * (above[1] - above[0]) + rough * (1 - above[1]),
-            (1 - rough) * (1 - above[1]),
-        )
-        square = sum(p * (k - number) ** 2 for k, p in enumerate(chances, start=1))
-        return number, jnp.sqrt(square)
 
 
 class SlipSlopeBraking(SlipSlope):
@@ -209,17 +185,13 @@ class SlipSlopeBraking(SlipSlope):
     """
 
     method: ClassVar[Method] = Method(
-        "slip-slope-braking",
-        "slip-slope from braking, force by brake pressure",
-        ("sigma_x", "brake_pressure", "fz"),
-        ("slip_slope", "slip_offset", "radius_std", "road"),
-        "braking with up to 50 % of the load",
-        "S §3.1",
-        "straight line",
-    )
+        "slip-slope-braking", "slip-slope from braking, force by brake pressure",
+        ("sigma_x", "brake_pressure", "fz"), ("slip_slope", "slip_offset", "radius_std", "road"),
+        "braking with up to 50 % of the load", "S §3.1", "straight line",
+    )  # fmt: skip
 
     most_use: float = _most_use(0.5)
-    gain: float = brake_gain()
+    gain: float = base.brake_gain()
     gain_spread: float = par(
         0.1, (0.0, 1.0), "-", "relative std of the brake's gain", "S §3.1", r"\sigma_g"
     )
@@ -227,10 +199,10 @@ class SlipSlopeBraking(SlipSlope):
         0.05, (0.0, 1.0), "-", "least force over load that counts as braking", "S §3.1", "u_{min}"
     )
 
-    def use(self, sample: Sample) -> Float[Array, ""]:
+    def use(self, sample: Sample) -> Number:
         return self.gain * sample["brake_pressure"] / sample["fz"]
 
-    def applies(self, use: Float[Array, ""]) -> Bool[Array, ""]:
+    def applies(self, use: Number) -> Bool[Array, ""]:
         return (use >= self.least_use) & (use <= self.most_use)
 
     def gain_std(self) -> float:

@@ -22,17 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tirefit.arrays import Numbers
-from tirefit.online.base import (
-    AbstractSingleSample,
-    Flag,
-    Method,
-    Sample,
-    Single,
-    flag_of,
-    force_noise,
-    nominal_stiffness,
-)
+from tirefit.arrays import Number, Numbers
+from tirefit.online import base
+from tirefit.online.base import AbstractSingleSample, Flag, Method, Sample, Single, flag_of
 from tirefit.params import Values, par
 
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
@@ -104,17 +96,13 @@ class TireSensor(AbstractSingleSample):
     """Slip angle and friction from force and moment of every single sample."""
 
     method: ClassVar[Method] = Method(
-        "tire-sensor",
-        "network from lateral force and aligning moment",
-        ("fy", "fz", "mz"),
-        ("mu", "alpha", "used"),
-        "50 to 100 % of the friction; below, mu is flagged",
-        "S §3.6",
-    )
+        "tire-sensor", "network from lateral force and aligning moment", ("fy", "fz", "mz"),
+        ("mu", "alpha", "used"), "50 to 100 % of the friction; below, mu is flagged", "S §3.6",
+    )  # fmt: skip
 
-    cpa2: float = nominal_stiffness()
+    cpa2: float = base.nominal_stiffness()
     half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a")
-    force_noise: float = force_noise()
+    force_noise: float = base.force_noise()
     moment_noise: float = par(
         0.005, (1e-6, 1.0), "-", "std of the moment over a F_z", "S §3.6", r"\sigma_M", scale="log"
     )
@@ -140,7 +128,7 @@ class TireSensor(AbstractSingleSample):
         # Far out of the range there is no estimate; near the edge it is flagged.
         return Single(value, std), inside, flag_of((~inside, Flag.OUT_OF_RANGE))
 
-    def _outputs(self, x: Float[Array, "2"], stiffness: Float[Array, ""]) -> Float[Array, "3"]:
+    def _outputs(self, x: Float[Array, "2"], stiffness: Number) -> Float[Array, "3"]:
         """mu, slip angle [rad] and used friction of one point (2,)."""
         theta, used = network(trained(), x[0], x[1])
         return jnp.stack([x[0] / used, jnp.arctan(theta / stiffness), used])

@@ -99,12 +99,9 @@ def clipped(omega: Array, v: Array, radius: Scalar, slowest: float = 0.01) -> Ar
 
 
 def kalman_update(
-    x: Float[Array, " n"],
-    covariance: Float[Array, "n n"],
-    slope: Float[Array, "m n"],
-    error: Float[Array, " m"],
-    noise: Float[Array, "m m"],
-) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+    x: Float[Array, " n"], covariance: Float[Array, "n n"], slope: Float[Array, "m n"],
+    error: Float[Array, " m"], noise: Float[Array, "m m"],
+) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:  # fmt: skip
     """A state (n,) and its covariance after a measurement (m,), in Joseph's form.
 
     Args:

@@ -30,19 +30,11 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from tirefit.arrays import Scalar
-from tirefit.online.base import (
-    AbstractEstimator,
-    Estimate,
-    Flag,
-    Method,
-    Sample,
-    brake_gain,
-    choose,
-    flag_of,
-)
+from tirefit.arrays import Number, Scalar
+from tirefit.online import base
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.params import par
 
 _NODES, _FREQUENCIES = 256, 4096
@@ -59,11 +51,11 @@ _INTERVAL_OFF = 0.2
 class Section(NamedTuple):
     """A filter of second order: b0 + b1/z + b2/z^2 over 1 + a1/z + a2/z^2."""
 
-    b0: Float[Array, ""] | float
-    b1: Float[Array, ""] | float
-    b2: Float[Array, ""] | float
-    a1: Float[Array, ""] | float
-    a2: Float[Array, ""] | float
+    b0: Number | float
+    b1: Number | float
+    b2: Number | float
+    a1: Number | float
+    a2: Number | float
 
     def step(self, state: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], Array]:
         """(state (s1, s2), output) after the input x: direct form II transposed."""
@@ -109,16 +101,14 @@ def speed_spectrum(angle: np.ndarray, pole: float, corner: float, period: float)
 
 class Relation(NamedTuple):
     """The result of least squares for each pole: arrays (nodes,), by rising pole.
-    ``variance``, ``mixed``, ``alone``: N times the variance of the estimate [1/s2] of N
-    samples, due to the square of the signal, signal times sensor noise, and the square
-    of the noise, each over its power; ``noise0``, ``noise1``: for white noise of
-    variance one, the mean square of an increment and the mean product of two."""
+    ``spreads``: N times the variance of the estimate [1/s2] of N samples, due to the square
+    of the signal, signal times sensor noise, and the square of the noise, each over its
+    power; ``noise0``, ``noise1``: for white noise of variance one, the mean square of an
+    increment and the mean product of two."""
 
     square: np.ndarray  # p^2 [1/s2]
     printed: np.ndarray  # the estimate O(3)-(7) [1/s]
-    variance: np.ndarray
-    mixed: np.ndarray
-    alone: np.ndarray
+    spreads: np.ndarray  # (3, nodes)
     noise0: float
     noise1: float
 
@@ -162,9 +152,7 @@ def relation(
     # there: of two poles the faster one is used, as the other would be unstable.
     turn = int(np.argmin(table[:, 1]))
     table[:turn, 1] = table[turn, 1] - 1e-9 * np.arange(turn, 0, -1)
-    square, printed, variance, mixed, alone = table.T
-    noises = float(noise0), float(noise1)
-    return Relation(square, printed, variance, mixed, alone, *noises)
+    return Relation(table[:, 0], table[:, 1], table[:, 2:].T, float(noise0), float(noise1))
 
 
 def rate_in_use(slope: Array, stiffness: float, direction: Scalar = 0.0) -> Array:
@@ -190,10 +178,10 @@ class Sums(NamedTuple):
     """Sums weighted by age: squares and products of increments [m2/s2]; weights, and
     squares of weights."""
 
-    square: Float[Array, ""]
-    product: Float[Array, ""]
-    weight: Float[Array, ""]
-    weight2: Float[Array, ""]
+    square: Number
+    product: Number
+    weight: Number
+    weight2: Number
 
     def forgotten(self, share: Scalar) -> "Sums":
         """The sums with all weights multiplied by this share."""
@@ -207,18 +195,18 @@ class XbsState(NamedTuple):
     sums; number of samples since the start of the filter, and the speed then; whether the
     last interval differed from the rate; the last speed [m/s], force and load [N]."""
 
-    high: tuple[Float[Array, ""], Float[Array, ""]]
-    low: tuple[Float[Array, ""], Float[Array, ""]]
-    filtered: Float[Array, ""]
-    increment: Float[Array, ""]
-    power: Float[Array, ""]
+    high: tuple[Number, Number]
+    low: tuple[Number, Number]
+    filtered: Number
+    increment: Number
+    power: Number
     sums: Sums
-    age: Float[Array, ""]
-    origin: Float[Array, ""]
-    irregular: Float[Array, ""]
-    speed: Float[Array, ""]
-    force: Float[Array, ""]
-    fz: Float[Array, ""]
+    age: Number
+    origin: Number
+    irregular: Number
+    speed: Number
+    force: Number
+    fz: Number
 
 
 class Xbs(AbstractEstimator):
@@ -230,14 +218,10 @@ class Xbs(AbstractEstimator):
     """
 
     method: ClassVar[Method] = Method(
-        "xbs",
-        "slope of force over slip velocity from wheel vibration",
-        ("omega",),
-        ("xbs", "used"),
-        "steady braking; slopes with a break frequency near or in the band",
-        "O(3)-(7)",
-        "first-order wheel",
-    )
+        "xbs", "slope of force over slip velocity from wheel vibration", ("omega",),
+        ("xbs", "used"), "steady braking; slopes with a break frequency near or in the band",
+        "O(3)-(7)", "first-order wheel",
+    )  # fmt: skip
 
     judged: ClassVar[bool] = False
 
@@ -317,28 +301,21 @@ class Xbs(AbstractEstimator):
         )  # fmt: skip
         return after, self._estimate(after)
 
-    def hold(
-        self, state: XbsState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[XbsState, Estimate]:
+    def hold(self, state: XbsState, dt: Number, steps: Number) -> tuple[XbsState, Estimate]:
         """After lost samples, the filter starts again and the past has less weight."""
         begun = state.age > 0
         off = begun & (jnp.abs(dt * self.rate - 1) > _INTERVAL_OFF)
         gap = begun & ((steps > 0) | (dt * self.rate > 1 + _INTERVAL_OFF))
         forget = jnp.where(gap, self.forgetting ** (dt * self.rate), 1.0)
-        fresh = self.init()._replace(
-            sums=state.sums.forgotten(forget),
-            origin=state.origin,
-            speed=state.speed,
-            force=state.force,
-            fz=state.fz,
-        )
-        kept = choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
-        return kept, self._estimate(kept)
+        kept = {name: getattr(state, name) for name in ("origin", "speed", "force", "fz")}
+        fresh = self.init()._replace(sums=state.sums.forgotten(forget), **kept)
+        held = choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
+        return held, self._estimate(held)
 
     def _settling(self) -> float:
         return _SETTLING * self.rate / self.low
 
-    def _force(self, sample: Sample) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def _force(self, sample: Sample) -> tuple[Number, Number]:
         """Braking force and load [N] of the sample, if known."""
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan)
 
@@ -357,13 +334,12 @@ class Xbs(AbstractEstimator):
         low, high = table.printed[0], table.printed[-1]
         square = jnp.interp(printed, table.printed, table.square)
         share = noise * table.noise0 / power
-        parts = [
-            jnp.interp(square, table.square, part)
-            for part in (table.variance, table.mixed, table.alone)
-        ]
+        parts = [jnp.interp(square, table.square, part) for part in table.spreads]
         variance = parts[0] + share * (parts[1] + share * parts[2])
         variance = variance * weight2 / weight**2
-        std = jnp.sqrt(variance) * self._steepness(square)
+        slopes = jnp.diff(table.square) / jnp.diff(table.printed)
+        middle = jnp.sqrt(table.square[1:] * table.square[:-1])
+        std = jnp.sqrt(variance) * jnp.interp(square, middle, slopes)
         pole = jnp.sqrt(square)
         # Error of a root: by its slope away from zero, else the root of the spread.
         std = jnp.minimum(std / (2 * pole), jnp.sqrt(std))
@@ -376,18 +352,16 @@ class Xbs(AbstractEstimator):
         )
         return pole + none, std + none, printed + none, flag
 
-    def _steepness(self, square: Float[Array, ""]) -> Float[Array, ""]:
-        """Slope of p^2 by the printed estimate at a p^2."""
-        table = self.relation
-        slopes = jnp.diff(table.square) / jnp.diff(table.printed)
-        middle = jnp.sqrt(table.square[1:] * table.square[:-1])
-        return jnp.interp(square, middle, slopes)
-
     def _estimate(self, state: XbsState) -> Estimate:
         pole, pole_std, _, flag = self.pole(state)
         scale = self.wheel_inertia / self.radius**2
         slope, slope_std = scale * (pole - self.servo_gain), scale * pole_std
-        used, used_std = self._used(state, slope, slope_std)
+        used = rate_in_use(state.speed * slope, self.stiffness)
+        share = jnp.clip(state.speed * slope / self.stiffness, 0.0, 1.0)
+        relative = state.speed * slope_std / self.stiffness
+        relative = jnp.hypot(relative, share * self.stiffness_spread)
+        # gamma = 1 - share^(3/2); near full use the spread of the share itself.
+        used_std = jnp.minimum(1.5 * jnp.sqrt(share + relative) * relative, 1.0)
         value, std = [slope, used], [slope_std, used_std]
         if "mu" in self.method.parameters:
             there = used > 0
@@ -395,17 +369,6 @@ class Xbs(AbstractEstimator):
             mu = jnp.where(there, state.force / (safe * state.fz), jnp.nan)
             value, std = [*value, mu], [*std, mu * used_std / safe]
         return Estimate(jnp.stack(value), jnp.stack(std), flag, jnp.full((), jnp.nan))
-
-    def _used(
-        self, s: XbsState, slope: Float[Array, ""], slope_std: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Friction in use and its standard deviation."""
-        used = rate_in_use(s.speed * slope, self.stiffness)
-        share = jnp.clip(s.speed * slope / self.stiffness, 0.0, 1.0)
-        relative = jnp.hypot(s.speed * slope_std / self.stiffness, share * self.stiffness_spread)
-        # gamma = 1 - share^(3/2); near full use the spread of the share itself.
-        wide = jnp.sqrt(share + relative)
-        return used, jnp.minimum(1.5 * wide * relative, 1.0)
 
 
 class XbsBraking(Xbs):
@@ -416,16 +379,12 @@ class XbsBraking(Xbs):
     """
 
     method: ClassVar[Method] = Method(
-        "xbs-braking",
-        "as xbs, and friction with the force by brake pressure",
-        ("omega", "brake_pressure", "fz"),
-        ("xbs", "used", "mu"),
-        "as xbs, with 30 to 100 % of the friction",
-        "S §3.5",
-        "brush",
-    )
+        "xbs-braking", "as xbs, and friction with the force by brake pressure",
+        ("omega", "brake_pressure", "fz"), ("xbs", "used", "mu"),
+        "as xbs, with 30 to 100 % of the friction", "S §3.5", "brush",
+    )  # fmt: skip
 
-    gain: float = brake_gain()
+    gain: float = base.brake_gain()
 
-    def _force(self, sample: Sample) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def _force(self, sample: Sample) -> tuple[Number, Number]:
         return self.gain * sample["brake_pressure"], sample["fz"]

@@ -32,18 +32,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from tirefit.arrays import Number
 from tirefit.models.combined import braking_slope
 from tirefit.online.base import Flag, code
-from tirefit.online.controller import AbstractController, Command, Measurement
+from tirefit.online.controller import AbstractController, Measurement
 from tirefit.online.xbs import Xbs, XbsState
-from tirefit.params import par
+from tirefit.params import par, specs
 from tirefit.results import UsageError
 
 Wheels = Float[Array, " w"]
-
 _STEADY = 0.05  # time [s] over which the deceleration of the vehicle is averaged
-_SLOWEST = 2.0
-"""Speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v."""
+_SLOWEST = 2.0  # speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v
 _FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as in O(8)
 _LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
@@ -81,15 +80,9 @@ def loop_matrix(gain: float, pole: float, rate: float, delay: int, lag: float) -
 
 
 def refuse_unstable(
-    gain: float,
-    least_slope: float,
-    most_slope: float,
-    radius: float,
-    inertia: float,
-    rate: float,
-    delay: int,
-    lag: float,
-) -> None:
+    gain: float, least_slope: float, most_slope: float, radius: float, inertia: float, rate: float,
+    delay: int, lag: float,
+) -> None:  # fmt: skip
     """Check O(11), and the stability of the loop with sampling, delay and lag.
 
     Args:
@@ -121,6 +114,12 @@ def refuse_unstable(
             )
 
 
+def _of_xbs(name: str, default: float) -> Any:
+    """The setting of the estimator, with another default."""
+    spec = specs(Xbs())[name]
+    return par(default, spec.bounds, spec.unit, spec.meaning, spec.source, spec.symbol)
+
+
 class XbsServoState(NamedTuple):
     """State of the servo and its estimators."""
 
@@ -128,8 +127,8 @@ class XbsServoState(NamedTuple):
     speed: Wheels  # [m/s] at the previous sample
     target: Wheels  # [Pa]
     coming: Float[Array, "d w"]  # delayed changes of pressure [Pa]
-    slowing: Float[Array, ""]  # filtered deceleration [m/s2]
-    vehicle: Float[Array, ""]  # speed [m/s]
+    slowing: Number  # filtered deceleration [m/s2]
+    vehicle: Number  # speed [m/s]
 
 
 class XbsServo(AbstractController):
@@ -156,8 +155,7 @@ class XbsServo(AbstractController):
     servo_gain: float = par(
         75.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
     )
-    stiffness: Any = 6e4
-    """K_s = 2 c_p a^2 [N] of each tire."""
+    stiffness: Any = 6e4  # k_s = 2 c_p a^2 [N] of each tire
     stiffness_ratio: float = par(
         0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness", "O(13)", r"K_\beta / K_s"
     )
@@ -167,52 +165,27 @@ class XbsServo(AbstractController):
     most_slope: float = par(
         3e4, (1.0, 1e7), "N s/m", "largest k at any speed that is controlled", "", r"k_{max}"
     )
-    radius: Any = 0.3
-    """Rolling radius r [m]."""
-    inertia: Any = 1.2
-    """J [kg m2] of each wheel."""
-    brake_gain: Any = 1.35e-4
-    """Torque over pressure [N m/Pa] of each brake."""
-    steered: Any = 0.0
-    """1 for steered wheels."""
-    ahead: Any = 0.0
-    """Distance [m] of each wheel ahead of the centre of gravity."""
-    rise: float = 40e6
-    """Fastest rise of a wheel's pressure through its inlet [Pa/s]."""
-    fall: float = 80e6
-    """Fastest fall through its outlet [Pa/s]."""
-    lag: float = 0.02
-    """Time constant [s] of an open valve."""
-    delay: float = eqx.field(static=True, default=0.01)
-    """Time [s] until a command takes effect."""
-    dead_band: float = 0.0
-    """Error of the pressure [Pa] below which no valve moves."""
-    reach: float = 1e6
-    """Largest distance [Pa] of the target from the pressure."""
+    radius: Any = 0.3  # rolling radius r [m]
+    inertia: Any = 1.2  # J [kg m2] of each wheel
+    brake_gain: Any = 1.35e-4  # torque over pressure [N m/Pa] of each brake
+    steered: Any = 0.0  # 1 for steered wheels
+    ahead: Any = 0.0  # distance [m] of each wheel ahead of the centre of gravity
+    rise: float = 40e6  # fastest rise of a wheel's pressure through its inlet [Pa/s]
+    fall: float = 80e6  # fastest fall through its outlet [Pa/s]
+    lag: float = 0.02  # time constant [s] of an open valve
+    delay: float = eqx.field(static=True, default=0.01)  # time [s] until a command takes effect
+    dead_band: float = 0.0  # error of the pressure [Pa] below which no valve moves
+    reach: float = 1e6  # largest distance [Pa] of the target from the pressure
     response: float = par(
         1.0, (0.05, 1.0), "-", "share of that error removed in an interval", "", "q"
     )
-    low: float = par(3.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
-    high: float = par(30.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h")
-    forgetting: float = par(
-        0.98, (0.5, 1.0), "-", "forgetting factor per sample", "O(3)-(7)", r"\lambda"
-    )
-    quiet: float = par(
-        0.6,
-        (0.0, 1.0),
-        "-",
-        "mean square over that of the memory below which the past has little weight",
-        "",
-        "q",
-    )
-    road_corner: float = par(
-        1.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)", "f_d"
-    )
-    speed_noise: float = par(
-        0.006, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
-    )
-    xbs: Any = None
-    """The estimator, computed from the settings above; its wheel has J / r^2 = 1."""
+    low: float = _of_xbs("low", 3.0)
+    high: float = _of_xbs("high", 30.0)
+    forgetting: float = _of_xbs("forgetting", 0.98)
+    quiet: float = _of_xbs("quiet", 0.6)
+    road_corner: float = _of_xbs("road_corner", 1.0)
+    speed_noise: float = _of_xbs("speed_noise", 0.006)
+    xbs: Any = None  # the estimator, computed from the settings above; its wheel has J / r^2 = 1
 
     def __post_init__(self) -> None:
         refuse_unstable(
@@ -225,17 +198,11 @@ class XbsServo(AbstractController):
             round(self.delay * self.rate),
             self.period / self.response,
         )
+        alike = ("rate", "servo_gain", "low", "high", "forgetting", "quiet")
         self.xbs = Xbs(
-            rate=self.rate,
-            forgetting=self.forgetting,
-            servo_gain=self.servo_gain,
-            road_corner=self.road_corner,
-            speed_noise=self.speed_noise,
+            **{name: getattr(self, name) for name in (*alike, "road_corner", "speed_noise")},
             radius=1.0,
             wheel_inertia=1.0,
-            quiet=self.quiet,
-            low=self.low,
-            high=self.high,
             # The mean of a ramp over an interval has a delay of half an interval.
             servo_delay=self.delay + (1 / self.response - 0.5) * self.period,
         )
@@ -262,20 +229,16 @@ class XbsServo(AbstractController):
         pull = jnp.where(unknown, self.start_pull, asked)
         pull = jnp.clip(pull, -self.most_pull, self.most_pull)
         change = -self.period * (slowing + pull)
-        by_speed = self._by_speed() * (m.wheel_speed - s.speed - change)
+        # Pressure per wheel speed above the reference [Pa s/m], J a / (r g).
+        torque = jnp.asarray(self.inertia) * self.servo_gain / jnp.asarray(self.radius)
+        by_speed = torque / jnp.asarray(self.brake_gain) * (m.wheel_speed - s.speed - change)
         acts = vehicle > _SLOWEST
         target = s.target + jnp.where(acts, by_speed, 0.0)
         target = jnp.clip(target, ready - self.reach, ready + self.reach)
         target = jnp.clip(target, 0.0, m.demand)
         valve, moved = self._valves(target - ready, ready, m.demand)
-        after = XbsServoState(
-            xbs,
-            m.wheel_speed,
-            target,
-            jnp.concatenate([s.coming, moved[None]])[1:],
-            slowing,
-            vehicle,
-        )
+        coming = jnp.concatenate([s.coming, moved[None]])[1:]
+        after = XbsServoState(xbs, m.wheel_speed, target, coming, slowing, vehicle)
         info = {
             "xbs": slope,
             "xbs_std": slope_std,
@@ -284,7 +247,7 @@ class XbsServo(AbstractController):
             "target_pressure": target,
             "target_deceleration": slowing + pull,
         }
-        return after, Command(valve), info
+        return after, valve, info
 
     def _slope(
         self, s: XbsServoState, speed: Wheels, use: Bool[Array, " w"]
@@ -295,7 +258,7 @@ class XbsServo(AbstractController):
         scale = jnp.asarray(self.inertia) / jnp.asarray(self.radius) ** 2
         return xbs, scale * made.value[:, 0], scale * made.std[:, 0], made.flag
 
-    def _wanted(self, m: Measurement, vehicle: Float[Array, ""]) -> Wheels:
+    def _wanted(self, m: Measurement, vehicle: Number) -> Wheels:
         """k_0 (w,) [N s/m] of O(22), with the direction of the force from steering and yaw
         rate, assuming no sideslip of the vehicle."""
         turning = jnp.maximum(m.wheel_speed, _SLOWEST)
@@ -306,11 +269,6 @@ class XbsServo(AbstractController):
         across = self.stiffness_ratio * jnp.tan(angle) * (1 + along)
         slope = braking_slope(self.share, jnp.asarray(self.stiffness), jnp.arctan2(across, along))
         return slope / turning
-
-    def _by_speed(self) -> Wheels:
-        """Pressure per wheel speed above the reference [Pa s/m], J a / (r g)."""
-        inertia, radius = jnp.asarray(self.inertia), jnp.asarray(self.radius)
-        return inertia * self.servo_gain / (radius * jnp.asarray(self.brake_gain))
 
     def _valves(self, error: Wheels, ready: Wheels, demand: Wheels) -> tuple[Wheels, Wheels]:
         """Commands (w,), and the changes of pressure [Pa] that they cause."""

@@ -26,12 +26,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.arrays import Numbers, Scalar
+from tirefit.arrays import Number, Numbers, Scalar
 from tirefit.online.controller import AbstractController, Measurement, Truth
 from tirefit.sim.brake_vehicle import Hydraulics, Road, RoadTire, Slips, Vehicle, wheel_slips
+from tirefit.sim.drive import pushed
 
 Wheels = Float[Array, " w"]
-Number = Float[Array, ""]
 
 
 class Plant(NamedTuple):
@@ -91,15 +91,11 @@ def rolling(plant: Plant, speed: Number) -> Motion:
     return Motion(**still | {"v_x": speed} | wheels)
 
 
-def _steer(plant: Plant) -> tuple[Array, Array]:
-    angle = jnp.asarray(plant.vehicle.steered) * plant.steering
-    return jnp.cos(angle), jnp.sin(angle)
-
-
 def contacts(plant: Plant, s: Motion) -> Contacts:
     """The :class:`Contacts` of a state."""
     car = plant.vehicle
-    cos, sin = _steer(plant)
+    turn = jnp.asarray(car.steered) * plant.steering
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
     ahead = s.v_x - s.yaw_rate * car.y
     left = s.v_y + s.yaw_rate * car.x
     along, across = ahead * cos + left * sin, left * cos - ahead * sin
@@ -110,20 +106,12 @@ def contacts(plant: Plant, s: Motion) -> Contacts:
     return Contacts(slips, along, mu, fz, jnp.where(fz > 0, fx, 0.0), fy * (fz > 0))
 
 
-def _pushed(plant: Plant, fx: Array, fy: Array) -> tuple[Array, Array, Array]:
-    """Force [N] on the car forward and to the left, and the yaw moment [N m]."""
-    car = plant.vehicle
-    cos, sin = _steer(plant)
-    ahead, left = -fx * cos + fy * sin, -fx * sin - fy * cos
-    moment = jnp.sum(jnp.asarray(car.x) * left - jnp.asarray(car.y) * ahead)
-    return jnp.sum(ahead), jnp.sum(left), moment
-
-
 def accelerations(plant: Plant, fx: Array, fy: Array) -> tuple[Array, Array, Array]:
     """Deceleration, acceleration to the left [m/s2], yaw acceleration [rad/s2], under
     forces (w,) [N] along and across the wheels."""
     car = plant.vehicle
-    forward, left, moment = _pushed(plant, fx, fy)
+    turn = jnp.asarray(car.steered) * plant.steering
+    forward, left, moment = pushed(turn, car.x, car.y, fx, -fy)
     return -forward / car.mass, left / car.mass, moment / car.yaw_inertia
 
 
@@ -302,78 +290,11 @@ def _read(
     )
 
 
-def _moves(s: Motion, start: Motion) -> Array:
-    """1 while the car has neither stopped nor spun."""
-    spun = jnp.abs(s.heading - start.heading) > SPUN
-    return ((s.v_x > STANDS) & ~spun).astype(float)
-
-
-def _loop(
-    plant: Plant,
-    controller: AbstractController,
-    sensors: Sensors,
-    start: Motion,
-    noise: Noise,
-    queue: int,
-    period: float,
-) -> Log:
-    """The scan: the log of a stop that begins in a state; leaves (n, ...)."""
-    static = jnp.asarray(plant.vehicle.fz, float)
-    forces = noise.road * static[None]
-    wheels = static.shape
-
-    def read(s: Motion, t: Array, at: Noise, d: Array) -> Measurement:
-        return _read(plant, sensors, s, contacts(plant, s), t, at, d)
-
-    at_samples = noise._replace(road=noise.road[:-1])
-    first = jax.tree.map(lambda part: part[0], at_samples)
-    memory = controller.init(read(start, jnp.zeros(()), first, forces[0]))
-
-    def sample(carry: Any, given: Any) -> tuple[Any, Log]:
-        s, memory, waiting = carry
-        k, at, begin, end = given
-        t = k * period
-        now = contacts(plant, s)
-        reading = _read(plant, sensors, s, now, t, at, begin)
-        memory, command, info = controller.step(memory, reading)
-        asked = jnp.clip(command.valve, -1.0, 1.0)
-        waiting = jnp.concatenate([waiting, asked[None]])
-        valve, waiting = waiting[0], waiting[1:]
-        moving = _moves(s, start)
-        drive = Drive(valve, begin, end, jnp.zeros(()), moving)
-        later, fine = advance(plant, s, drive, t, period)
-        row = Log(moving, s, now, xbs_true(plant, s), valve, begin, reading, info, fine)
-        return (later, memory, waiting), row
-
-    n = len(noise.deceleration)
-    given = (jnp.arange(n, dtype=float), at_samples, forces[:-1], forces[1:])
-    carry = (start, memory, jnp.zeros((queue, *wheels)))
-    _, log = jax.lax.scan(sample, carry, given)
-    return log
-
-
-def _started(plant: Plant, speed: Number) -> Motion:
-    """The state in which braking begins: straight ahead, or in a steady turn if steered."""
-    straight = rolling(plant, speed)
-    if plant.vehicle.steered.shape == (1,):
-        return straight
-    none = jnp.zeros_like(straight.omega)
-    drive = Drive(none, none, none, jnp.ones(()), jnp.ones(()))
-    turning, _ = advance(plant, straight, drive, jnp.zeros(()), _RUN_IN)
-    zero = jnp.zeros(())
-    return turning._replace(distance=zero, x=zero, y=zero, heading=zero)
-
-
 @eqx.filter_jit
 def simulate_stop(
-    plant: Plant,
-    controller: AbstractController,
-    sensors: Sensors,
-    speed: Number,
-    key: Array,
-    samples: int,
-    queue: int,
-) -> Log:
+    plant: Plant, controller: AbstractController, sensors: Sensors, speed: Number, key: Array,
+    samples: int, queue: int,
+) -> Log:  # fmt: skip
     """Simulate one stop.
 
     Args:
@@ -388,8 +309,37 @@ def simulate_stop(
     Returns:
         The log, leaves (samples, ...); after the stop its rows repeat.
     """
-    wheels = len(plant.vehicle.fz)
-    noise = draw_noise(key, sensors, samples, wheels, controller.rate)
-    start = _started(plant, speed)
-    period = 1 / controller.rate
-    return _loop(plant, controller, sensors, start, noise, queue, period)
+    period, zero = 1 / controller.rate, jnp.zeros(())
+    static = jnp.asarray(plant.vehicle.fz, float)
+    noise = draw_noise(key, sensors, samples, len(static), controller.rate)
+    start = rolling(plant, speed)
+    if len(static) > 1:  # begin in a steady turn, if steered
+        none = jnp.zeros_like(start.omega)
+        drive = Drive(none, none, none, jnp.ones(()), jnp.ones(()))
+        start, _ = advance(plant, start, drive, zero, _RUN_IN)
+        start = start._replace(distance=zero, x=zero, y=zero, heading=zero)
+    forces = noise.road * static[None]
+    at_samples = noise._replace(road=noise.road[:-1])
+    first = jax.tree.map(lambda part: part[0], at_samples)
+    now = contacts(plant, start)
+    memory = controller.init(_read(plant, sensors, start, now, zero, first, forces[0]))
+
+    def sample(carry: Any, given: Any) -> tuple[Any, Log]:
+        s, memory, waiting = carry
+        k, at, begin, end = given
+        t = k * period
+        now = contacts(plant, s)
+        reading = _read(plant, sensors, s, now, t, at, begin)
+        memory, asked, info = controller.step(memory, reading)
+        waiting = jnp.concatenate([waiting, jnp.clip(asked, -1.0, 1.0)[None]])
+        valve, waiting = waiting[0], waiting[1:]
+        spun = jnp.abs(s.heading - start.heading) > SPUN
+        moving = ((s.v_x > STANDS) & ~spun).astype(float)
+        later, fine = advance(plant, s, Drive(valve, begin, end, zero, moving), t, period)
+        row = Log(moving, s, now, xbs_true(plant, s), valve, begin, reading, info, fine)
+        return (later, memory, waiting), row
+
+    given = (jnp.arange(samples, dtype=float), at_samples, forces[:-1], forces[1:])
+    carry = (start, memory, jnp.zeros((queue, *static.shape)))
+    _, log = jax.lax.scan(sample, carry, given)
+    return log

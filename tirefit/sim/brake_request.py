@@ -29,10 +29,6 @@ from tirefit.sim.brake_vehicle import (
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
 """Name of a vehicle -> its constructor."""
 
-_LEAST_SHARE = 0.4  # share of the smallest friction that the default time limit assumes
-_GRACE = 3.0
-_FASTEST, _SHARPEST = 100.0, 0.6
-
 
 @dataclass(frozen=True)
 class Request:
@@ -55,7 +51,8 @@ class Request:
             return self.time_limit
         road = road_of(self.road)
         least = min(*road.before.tolist(), *road.after.tolist())
-        return round(self.speed / (GRAVITY * _LEAST_SHARE * least) + _GRACE, 2)
+        # 40 % of the smallest friction is used, and 3 s more.
+        return round(self.speed / (GRAVITY * 0.4 * least) + 3.0, 2)
 
     def samples(self, rate: float) -> int:
         """Number of samples until the time limit at a rate [1/s]."""
@@ -84,22 +81,15 @@ def arrays(tree: Tree) -> Tree:
 def plant_of(request: Request) -> Plant:
     """The plant of a checked request; its leaves are arrays."""
     vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
-    road = arrays(road_of(request.road))
-    tire = on_road(
-        arrays(request.tire),
-        jnp.asarray(request.speed, float),
-        jnp.mean(vehicle.fz),
-        jnp.concatenate([road.before, road.after]),
-    )
-    hydraulics = arrays(request.hydraulics)
-    return Plant(vehicle, tire, road, hydraulics, jnp.asarray(request.steer, float))
+    given: Any = road_of(request.road), request.speed, request.steer
+    road, speed, steer = arrays(given)
+    frictions = jnp.concatenate([road.before, road.after])
+    tire = on_road(arrays(request.tire), speed, jnp.mean(vehicle.fz), frictions)
+    return Plant(vehicle, tire, road, arrays(request.hydraulics), steer)
 
 
-_USUAL_SLOPE = (3.0, 150.0)
-"""Slope of the braking force at zero slip, over the load; 10 to 40 for car tires."""
-
-_LONGEST = 300.0  # longest manoeuvre [s]
-
+_OF_CAR = ("radius", "inertia", "brake_gain", "fz", "steered")
+_OF_VALVES = ("rise", "fall", "delay", "lag")
 _NUMBERS = {
     "demand": (1e3, 5e7, "Pa"),
     "ramp": (1e3, 1e10, "Pa/s"),
@@ -118,31 +108,27 @@ _NUMBERS = {
 
 
 def known_to_controllers(request: Request) -> dict[str, Any]:
-    """The data of the car that a controller may use, by name: radius [m], inertia
-    [kg m2], brake_gain [N m/Pa], fz [N], arrays (w,); rise, fall [Pa/s] and delay [s] of
-    the hydraulics; stiffness [N]: slope of F_x over kappa at zero slip, (w,)."""
+    """The data of the car that a controller may use, by name: radius [m], inertia [kg m2],
+    brake_gain [N m/Pa], fz [N], steered, ahead [m], arrays (w,); rise, fall [Pa/s], lag and delay
+    [s] of the hydraulics; stiffness [N]: slope of F_x over kappa at zero slip, (w,)."""
     car = VEHICLES[request.vehicle]()
-    tire, speed = request.tire, request.speed
 
     def force(sigma: Array, fz: Array) -> Array:
-        return jnp.asarray(tire(TireInputs(sigma, 0.0, fz, speed)).fx)
+        return jnp.asarray(request.tire(TireInputs(sigma, 0.0, fz, request.speed)).fx)
 
     slope = jax.vmap(jax.grad(force), (None, 0))(1e-6, jnp.asarray(car.fz))
-    wheels = ("radius", "inertia", "brake_gain", "fz", "steered")
-    valves = ("rise", "fall", "delay", "lag")
-    known = {name: getattr(car, name) for name in wheels}
-    known |= {name: getattr(request.hydraulics, name) for name in valves}
+    known = {name: getattr(car, name) for name in _OF_CAR}
+    known |= {name: getattr(request.hydraulics, name) for name in _OF_VALVES}
     return known | {"stiffness": np.asarray(slope), "ahead": car.x}
 
 
 def doubts(request: Request) -> list[str]:
     """A warning if the tire seems to be of another size than the car."""
     known = known_to_controllers(request)
-    slope = float(np.max(known["stiffness"] / known["fz"]))
-    low, high = _USUAL_SLOPE
+    slope, load = float(np.max(known["stiffness"] / known["fz"])), float(np.max(known["fz"]))
+    low, high = 3.0, 150.0  # slope at zero slip over the load; 10 to 40 for car tires
     if low <= slope <= high:
         return []
-    load = float(np.max(known["fz"]))
     return [
         f"the slope of the braking force of {request.tire_name} over the slip is {slope:.3g}"
         f" times the load of {load:.0f} N; car tires have {low:g} to {high:g}: the tire is"
@@ -154,11 +140,11 @@ def check(request: Request) -> None:
     """Raises UsageError with all problems of a request."""
     problems = _tire_problems(request)
     limits = [
-        ("--speed", request.speed, 0.5, _FASTEST, "m/s"),
-        ("--steer", request.steer, -_SHARPEST, _SHARPEST, "rad"),
+        ("--speed", request.speed, 0.5, 100.0, "m/s"),
+        ("--steer", request.steer, -0.6, 0.6, "rad"),
     ]
     if request.time_limit is not None:
-        limits.append(("--time-limit", request.time_limit, 0.1, _LONGEST, "s"))
+        limits.append(("--time-limit", request.time_limit, 0.1, 300.0, "s"))
     for record in (request.hydraulics, request.sensors):
         for name, value in record._asdict().items():
             limits.append((f"--plant {name}", value, *_NUMBERS[name]))
@@ -185,21 +171,15 @@ def _tire_problems(request: Request) -> list[InputProblem]:
     if tire.transient or "time" in tire.needs:
         remedy = "choose its steady-state model, such as brush for brush-relaxation"
         return [InputProblem(f"{name} is transient: its force lags behind the slip", remedy)]
+    # Whether a slip angle reduces the braking force and causes a lateral force.
+    straight, aside = (tire(TireInputs(0.2, alpha, 4e3, request.speed)) for alpha in (0.0, 0.3))
+    weaker = float(jnp.asarray(aside.fx)) < 0.99 * float(jnp.asarray(straight.fx))
     turns = request.steer or road_of(request.road).split
-    if turns and not _combines(tire, request.speed):
+    if turns and (aside.fy is None or not weaker):
         reason = f"{name} has no combined slip, which a turning car needs"
         remedy = "choose a model that has it: brush-m, lugre or magic-formula-combined"
         return [InputProblem(reason, remedy)]
     return []
-
-
-def _combines(tire: AbstractTire, speed: float) -> bool:
-    """Whether a slip angle reduces the braking force and causes a lateral force."""
-    inputs = [TireInputs(0.2, alpha, 4e3, speed) for alpha in (0.0, 0.3)]
-    straight, aside = (tire(each) for each in inputs)
-    if straight.fx is None or aside.fx is None or aside.fy is None:
-        return False
-    return float(aside.fx) < 0.99 * float(straight.fx)
 
 
 def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
@@ -210,36 +190,25 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
     """
     if values:
         check_names("--plant quantity", list(values), (*Hydraulics._fields, *Sensors._fields))
-    hydraulics = {k: v for k, v in values.items() if k in Hydraulics._fields}
-    sensors = {k: v for k, v in values.items() if k in Sensors._fields}
-    return replace(
-        request,
-        hydraulics=request.hydraulics._replace(**hydraulics),
-        sensors=request.sensors._replace(**sensors),
+    records: tuple[Any, ...] = request.hydraulics, request.sensors
+    hydraulics, sensors = (
+        record._replace(**{k: v for k, v in values.items() if k in record._fields})
+        for record in records
     )
+    return replace(request, hydraulics=hydraulics, sensors=sensors)
 
 
 def tire_curve(
     request: Request, most: float, points: int = 200
 ) -> dict[float, tuple[np.ndarray, np.ndarray]]:
-    """Friction of the road -> (kappa, F_x / F_z), each (points,).
-
-    Args:
-        request: its tire and roads are used, at the static load of the first wheel and
-            half the initial speed.
-        most: largest kappa.
-    """
+    """Friction of the road -> (kappa, F_x / F_z), (points,) each, to the kappa ``most``: of the
+    tire at the static load of the first wheel and half the initial speed."""
     plant = plant_of(request)
     kappa = jnp.linspace(0.0, min(most, 0.99), points)
-    speed = 0.5 * jnp.asarray(request.speed, float)
-    fz = plant.vehicle.fz[0]
+    speed, fz = 0.5 * jnp.full(points, float(request.speed)), jnp.full(points, plant.vehicle.fz[0])
+    slips = wheel_slips(speed, jnp.zeros(points), speed * (1 - kappa))
     curves = {}
     for mu in np.unique(np.r_[plant.road.before, plant.road.after]):
-
-        def one(k: Array, mu: float = mu) -> Array:
-            slips = wheel_slips(speed[None], jnp.zeros(1), speed * (1 - k)[None])
-            fx, _ = plant.tire.forces(jnp.full(1, mu), slips, fz[None])
-            return fx[0] / fz
-
-        curves[float(mu)] = (np.asarray(kappa), np.asarray(jax.vmap(one)(kappa)))
+        fx, _ = plant.tire.forces(jnp.full(points, mu), slips, fz)
+        curves[float(mu)] = np.asarray(kappa), np.asarray(fx / fz)
     return curves

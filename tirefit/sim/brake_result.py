@@ -28,24 +28,42 @@ _BUILT_UP = 0.5  # time [s] after which the first rise of the pressure is over
 _HELD = 0.1  # time [s] over which a recovered friction is averaged
 
 
+Each = Float[Array | np.ndarray, "*k"]
+
+
 class Summary(NamedTuple):
     """Numbers of one stop, or (k,) of many; NaN where there is none.
 
     Their units are in :data:`UNITS`, their meanings in :data:`MEANINGS`.
     """
 
-    stopping_distance: Float[Array | np.ndarray, "*k"]
-    stopping_time: Float[Array | np.ndarray, "*k"]
-    mean_friction_used: Float[Array | np.ndarray, "*k"]
-    locked_time: Float[Array | np.ndarray, "*k"]
-    pressure_rms_fluctuation: Float[Array | np.ndarray, "*k"]
-    slip_speed_rms_fluctuation: Float[Array | np.ndarray, "*k"]
-    recovery_time: Float[Array | np.ndarray, "*k"]
-    heading: Float[Array | np.ndarray, "*k"]
-    stopped: Float[Array | np.ndarray, "*k"]
-    end_time: Float[Array | np.ndarray, "*k"]
-    end_speed: Float[Array | np.ndarray, "*k"]
-    fine: Float[Array | np.ndarray, "*k"]
+    stopping_distance: Each
+    stopping_time: Each
+    mean_friction_used: Each
+    locked_time: Each
+    pressure_rms_fluctuation: Each
+    slip_speed_rms_fluctuation: Each
+    recovery_time: Each
+    heading: Each
+    stopped: Each
+    end_time: Each
+    end_speed: Each
+    fine: Each
+
+    @property
+    def reason(self) -> str:
+        """Why one stop ended, as text."""
+        time, speed = float(self.end_time), float(self.end_speed)
+        if float(self.fine) < 1:
+            return "the integration failed: a step needed more than 4096 substeps"
+        if float(self.stopped) > 0:
+            return f"stopped: slower than {STANDS:g} m/s"
+        if abs(float(self.heading)) > SPUN:
+            return f"spun: turned by more than 90 degrees after {time:.3g} s"
+        return (
+            f"did not stop: still {speed:.3g} m/s at the time limit of {time:.4g} s; brake"
+            " harder, or raise --time-limit"
+        )
 
 
 _NUMBERS = {
@@ -81,21 +99,6 @@ def _fluctuation(values: Array, counted: Array, samples: int) -> Array:
     return jnp.sqrt(total / jnp.maximum(values.shape[1] * jnp.sum(counted), 1.0))
 
 
-def _recovery(plant: Plant, log: Log, used: Array, period: float) -> Array:
-    """Time [s] from the jump of the friction until the new friction is used."""
-    car = plant.vehicle
-    behind = jnp.max(jnp.asarray(car.x)) - jnp.min(jnp.asarray(car.x))
-    on_it = (log.motion.distance >= plant.road.jump + behind) & (log.moving > 0)
-    held = max(round(_HELD / period), 1)
-    before = jnp.concatenate([jnp.zeros(1), jnp.cumsum(used)])
-    n = len(used)
-    start = jnp.maximum(jnp.arange(n) + 1 - held, 0)
-    mean = (before[1:] - before[start]) / held
-    there = on_it & (mean >= RECOVERED)
-    crossed, recovered = jnp.argmax(on_it), jnp.argmax(there)
-    return jnp.where(jnp.any(there), (recovered - crossed) * period, jnp.nan)
-
-
 def summarise(plant: Plant, log: Log, period: float) -> Summary:
     """The summary of one log; a pure function, for vmap."""
     n = len(log.moving)
@@ -112,6 +115,15 @@ def summarise(plant: Plant, log: Log, period: float) -> Summary:
     turning = s.omega * jnp.asarray(plant.vehicle.radius)[None]
     sliding = log.contacts.v_x - turning
     samples = min(round(_WINDOW / period), n)  # at most the whole log
+    # From the jump of the friction until the new friction is used.
+    car = plant.vehicle
+    behind = jnp.max(jnp.asarray(car.x)) - jnp.min(jnp.asarray(car.x))
+    on_it = (s.distance >= plant.road.jump + behind) & (moving > 0)
+    held = max(round(_HELD / period), 1)
+    before = jnp.concatenate([jnp.zeros(1), jnp.cumsum(used)])
+    mean = (before[1:] - before[jnp.maximum(jnp.arange(n) + 1 - held, 0)]) / held
+    adapted = on_it & (mean >= RECOVERED)
+    recovery = (jnp.argmax(adapted) - jnp.argmax(on_it)) * period
     time = last * period
     return Summary(
         stopping_distance=jnp.where(stopped, s.distance[last], jnp.nan),
@@ -120,7 +132,7 @@ def summarise(plant: Plant, log: Log, period: float) -> Summary:
         locked_time=jnp.sum(fast * locked) * period,
         pressure_rms_fluctuation=_fluctuation(s.pressure, judged, samples),
         slip_speed_rms_fluctuation=_fluctuation(sliding, judged, samples),
-        recovery_time=_recovery(plant, log, used, period),
+        recovery_time=jnp.where(jnp.any(adapted), recovery, jnp.nan),
         heading=s.heading[last],
         stopped=stopped.astype(float),
         end_time=time,
@@ -129,40 +141,16 @@ def summarise(plant: Plant, log: Log, period: float) -> Summary:
     )
 
 
-def reason_of(summary: Summary) -> str:
-    """Why one stop ended, as text."""
-    time, speed = float(summary.end_time), float(summary.end_speed)
-    if float(summary.fine) < 1:
-        return "the integration failed: a step needed more than 4096 substeps"
-    if float(summary.stopped) > 0:
-        return f"stopped: slower than {STANDS:g} m/s"
-    if abs(float(summary.heading)) > SPUN:
-        return f"spun: turned by more than 90 degrees after {time:.3g} s"
-    return (
-        f"did not stop: still {speed:.3g} m/s at the time limit of {time:.4g} s; brake"
-        " harder, or raise --time-limit"
-    )
-
-
-class Interval(NamedTuple):
-    """Mean of k values with its 95 % confidence interval; ``std`` of a single value."""
-
-    mean: float
-    low: float
-    high: float
-    std: float
-    k: int
-
-
-def interval(values: np.ndarray) -> Interval:
-    """The :class:`Interval` of values (k,) by Student's t; NaN are ignored."""
-    known: Any = np.asarray(values, float)
+def interval(values: np.ndarray) -> dict[str, float]:
+    """Mean of k values (k,) with its 95 % confidence interval by Student's t, and ``std`` of a
+    single value; NaN are ignored."""
+    known = np.asarray(values, float)
     known = known[np.isfinite(known)]
     k = len(known)
     mean = float(known.mean()) if k else np.nan
     std = float(known.std(ddof=1)) if k > 1 else np.nan
     half = float(stats.t.ppf(0.975, k - 1)) * std / np.sqrt(k)
-    return Interval(mean, mean - half, mean + half, std, k)
+    return {"mean": mean, "low": mean - half, "high": mean + half, "std": std, "k": k}
 
 
 # --- the result ---------------------------------------------------------------------
@@ -185,17 +173,10 @@ class Stop:
         log, s, c = self.log, self.log.motion, self.log.contacts
         read = log.reading
         table: dict[str, Any] = {
-            "time": read.time,
-            "distance": s.distance,
-            "v": s.v_x,
-            "v_y": s.v_y,
-            "yaw_rate": s.yaw_rate,
-            "heading": s.heading,
-            "x": s.x,
-            "y": s.y,
-            "deceleration": read.deceleration,
-            "demand": read.demand,
-        }
+            "time": read.time, "distance": s.distance, "v": s.v_x, "v_y": s.v_y,
+            "yaw_rate": s.yaw_rate, "heading": s.heading, "x": s.x, "y": s.y,
+            "deceleration": read.deceleration, "demand": read.demand,
+        }  # fmt: skip
         wheels = {
             "omega": s.omega, "slip": c.slips.kappa, "alpha": c.slips.alpha,
             "fx": c.fx, "fy": c.fy, "fz": c.fz, "mu": np.hypot(c.fx, c.fy) / c.fz,
@@ -214,7 +195,7 @@ class Stop:
     @property
     def reason(self) -> str:
         """Why the stop ended, as text."""
-        return reason_of(self.summary)
+        return self.summary.reason
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the stop, by the names in :data:`UNITS`."""
@@ -258,7 +239,7 @@ class Braking(Record):
         """Controller -> name of a number -> mean and 95 % interval over the seeds."""
         return {
             name: {
-                **{key: interval(getattr(all_, key))._asdict() for key in UNITS},
+                **{key: interval(getattr(all_, key)) for key in UNITS},
                 "stopped": int(np.sum(all_.stopped)),
                 "stops": len(all_.stopped),
             }
@@ -267,23 +248,15 @@ class Braking(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``summary.json``; the numbers of the first controller are on top."""
-        each = {
-            name: {**stop.to_dict(), "settings": dict(stop.settings)}
-            for name, stop in self.stops.items()
-        }
+        stops = self.stops.items()
+        each = {k: {**stop.to_dict(), "settings": dict(stop.settings)} for k, stop in stops}
         first = next(iter(self.stops.values()))
         head = {
-            "schema": SCHEMA,
-            "version": self.version,
-            "seed": self.seed,
-            "convention": "braking, SI",
-            "controller": first.name,
-            **first.to_dict(),
-            "units": UNITS,
-            "meanings": MEANINGS,
-            "manoeuvre": self.request.about(),
+            "schema": SCHEMA, "version": self.version, "seed": self.seed,
+            "convention": "braking, SI", "controller": first.name, **first.to_dict(),
+            "units": UNITS, "meanings": MEANINGS, "manoeuvre": self.request.about(),
             "controllers": each,
-        }
+        }  # fmt: skip
         return json_safe(head | ({"seeds": self.table()} if self.many else {}))
 
     def files(self, name: str = "") -> dict[str, str]:

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 from tirefit.data.table import WHEELS
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.online.vehicle import GRAVITY
@@ -32,20 +32,19 @@ from tirefit.sim.drive import Car
 from tirefit.slip import sigma_from_kappa
 
 Wheels = Float[Array | np.ndarray, " w"]
-Number = Float[Array | np.ndarray, ""] | float
 
 
 class Vehicle(NamedTuple):
     """Masses, geometry and brakes."""
 
-    mass: Number  # [kg]
-    yaw_inertia: Number  # [kg m2]
+    mass: Scalar  # [kg]
+    yaw_inertia: Scalar  # [kg m2]
     x: Wheels  # [m] position of the wheels ahead of the centre of gravity
     y: Wheels  # [m] position of the wheels to its left
     fz: Wheels  # [N] static loads
     pitch: Wheels  # [kg] change of load by each m/s2 of deceleration
     roll: Wheels  # [kg] change of load by each m/s2 of acceleration to the left
-    transfer_time: Number  # [s] time constant of these changes
+    transfer_time: Scalar  # [s] time constant of these changes
     radius: Wheels  # [m], effective
     inertia: Wheels  # [kg m2] of a wheel
     brake_gain: Wheels  # [N m/Pa] brake torque over pressure
@@ -71,21 +70,16 @@ def four_wheels() -> Vehicle:
     front = np.array([1.0, 1.0, 0.0, 0.0])
     left = np.array([1.0, -1.0, 1.0, -1.0])
     weight = car.mass * GRAVITY / base / 2
-    share = np.where(front == 1, car.l_r, car.l_f) / base
+    arm = np.where(front == 1, car.l_r, car.l_f)
     return Vehicle(
-        mass=car.mass,
-        yaw_inertia=car.yaw_inertia,
-        x=np.where(front == 1, car.l_f, -car.l_r),
-        y=left * car.track / 2,
-        fz=weight * np.where(front == 1, car.l_r, car.l_f),
+        mass=car.mass, yaw_inertia=car.yaw_inertia,
+        x=np.where(front == 1, car.l_f, -car.l_r), y=left * car.track / 2, fz=weight * arm,
         pitch=car.mass * car.height / base / 2 * (2 * front - 1),
-        roll=-left * share * car.mass * car.height / car.track,
+        roll=-left * (arm / base) * car.mass * car.height / car.track,
         transfer_time=_TRANSFER_TIME,
-        radius=np.full(4, car.radius),
-        inertia=np.full(4, car.wheel_inertia),
-        brake_gain=np.where(front == 1, _FRONT_GAIN, _REAR_GAIN),
-        steered=front,
-    )
+        radius=np.full(4, car.radius), inertia=np.full(4, car.wheel_inertia),
+        brake_gain=np.where(front == 1, _FRONT_GAIN, _REAR_GAIN), steered=front,
+    )  # fmt: skip
 
 
 def quarter_car() -> Vehicle:
@@ -141,7 +135,6 @@ class Hydraulics(NamedTuple):
 
 ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
 """Examples of the syntax of a road: constant; another friction after 20 m; split."""
-
 _LEAST, _MOST = 0.05, 2.0
 _PATCH = 0.2  # length [m] of the contact patch, over which a change of friction is linear
 
@@ -187,15 +180,13 @@ def road_of(text: str) -> Road:
     if constant is None and sides is None:
         remedy = f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
         raise UsageError(f"--road {text!r} is not a road", remedy)
-    if sides is not None:
+    if constant is not None:
+        before, after = float(constant[1]), float(constant[2] or constant[1])
+        road = Road(np.full(2, before), np.full(2, after), float(constant[3] or "inf"))
+    else:
+        assert sides is not None
         both = np.array([float(sides[1]), float(sides[2])])
         road = Road(both, both, np.inf)
-    else:
-        assert constant is not None
-        before = float(constant[1])
-        after = before if constant[2] is None else float(constant[2])
-        jump = np.inf if constant[3] is None else float(constant[3])
-        road = Road(np.full(2, before), np.full(2, after), jump)
     for mu in {*road.before.tolist(), *road.after.tolist()}:
         if not _LEAST <= mu <= _MOST:
             reason = f"--road {text!r}: friction {mu:g} is out of range"
@@ -213,8 +204,7 @@ _LOCKED = 0.99  # largest kappa, that of a standing wheel (sigma 99)
 _LEAST_KAPPA = -5.0
 _LEAST_LOAD = 1.0
 _SPEEDS, _LOADS, _SLIPS = 16, 5, 200
-_HALVINGS = 60
-"""Golden-section steps about the best slip of a grid: the peak is exact to rounding."""
+_HALVINGS = 60  # golden-section steps about the best slip of a grid: the peak is exact to rounding
 
 
 class Slips(NamedTuple):
@@ -242,7 +232,7 @@ class RoadTire(eqx.Module):
     """
 
     tire: AbstractTire
-    usual: Float[Array, ""]
+    usual: Number
     roads: Float[Array, " m"]
     speeds: Float[Array, " s"]
     loads: Float[Array, " l"]
@@ -253,15 +243,13 @@ class RoadTire(eqx.Module):
         self, mu: Float[Array, " w"], slips: Slips, fz: Float[Array, " w"]
     ) -> tuple[Float[Array, " w"], Float[Array, " w"]]:
         """Forces [N] (w,) along and across wheels on a road of friction mu (w,)."""
-        return jax.vmap(self._force)(mu, *slips, jnp.maximum(fz, _LEAST_LOAD))
 
-    def _force(
-        self, mu: Array, kappa: Array, alpha: Array, speed: Array, fz: Array
-    ) -> tuple[Array, Array]:
-        inputs = _similar(mu / self.usual, kappa, alpha, speed, fz)
-        made = self.tire(inputs)
-        across = jnp.zeros(()) if made.fy is None else made.fy
-        return mu / self.usual * jnp.asarray(made.fx), mu / self.usual * across
+        def one(mu: Array, *at: Array) -> tuple[Array, Array]:
+            made = self.tire(_similar(mu / self.usual, *at))
+            across = jnp.zeros(()) if made.fy is None else made.fy
+            return mu / self.usual * jnp.asarray(made.fx), mu / self.usual * across
+
+        return jax.vmap(one)(mu, *slips, jnp.maximum(fz, _LEAST_LOAD))
 
     def peaks(self, mu: Array, speed: Array, fz: Array) -> tuple[Array, Array]:
         """Largest braking force over load (w,) on roads mu (w,), at speeds [m/s] and

@@ -102,28 +102,22 @@ def lugre_tire(peak: float, v: float) -> LuGre:
 
 
 class WheelNumbers(NamedTuple):
-    """Numbers of :class:`tirefit.sim.settings.Braking`: the full torque [N m], period
-    [s], radius [m], inertia [kg m2], speed [m/s], load [N], time of the change of
-    friction [s] and sampling interval [s]."""
+    """Numbers of :class:`tirefit.sim.settings.Braking`."""
 
-    full: Any
-    period: Any
-    radius: Any
-    inertia: Any
-    v: Any
-    fz: Any
-    change: Any
-    interval: Any
+    full: Any  # [N m] torque at the end of a tooth
+    period: Any  # [s]
+    radius: Any  # [m]
+    inertia: Any  # [kg m2]
+    v: Any  # [m/s]
+    fz: Any  # [N]
+    change: Any  # [s] time of the change of friction
+    interval: Any  # [s] of sampling
 
 
 def braked_wheel(
-    numbers: WheelNumbers,
-    tires: tuple[Any, Any],
-    bristles: Bristles,
-    time: np.ndarray,
-    teeth: int,
+    numbers: WheelNumbers, tires: tuple[Any, Any], bristles: Bristles, time: np.ndarray, teeth: int,
     max_steps: int = 2**22,
-) -> tuple[np.ndarray, ...]:
+) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Wheel speed [rad/s], force [N] and mean deflection [m] at the times (n,).
 
     Args:
@@ -179,17 +173,10 @@ def _integrate(
     )
     rest = jnp.ones(()), jnp.zeros((len(bristles.weight), 2))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rate),
-        diffrax.Tsit5(),
-        time[0],
-        time[-1],
-        None,
-        rest,
-        saveat=diffrax.SaveAt(ts=time),
-        stepsize_controller=controller,
-        max_steps=max_steps,
-        throw=False,
-    )
+        diffrax.ODETerm(rate), diffrax.Tsit5(), time[0], time[-1], None, rest,
+        saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
+        max_steps=max_steps, throw=False,
+    )  # fmt: skip
 
     def seen(t: Array, y: Any) -> tuple[Array, Array, Array]:
         turning, force, _ = parts(t, y)
@@ -211,50 +198,42 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     n = round(how.teeth * how.period * how.rate)
     time = np.arange(n) / how.rate
     full = how.amplitude * how.radius * how.friction * how.load
-    mu = np.full(n, how.friction)
-    if how.drop is not None:
-        mu = np.where(time < how.drop[0], how.friction, how.drop[1])
-    change = np.inf if how.drop is None else how.drop[0]
+    change, after = (np.inf, how.friction) if how.drop is None else how.drop
+    mu = np.where(time < change, how.friction, after)
     numbers = WheelNumbers(
         full, how.period, how.radius, how.inertia, how.speed, how.load, change, 1 / how.rate
     )
-    ends, extra = (mu[0], mu[-1]), {}
+    extra = {}
     if how.tire == "lugre":
-        soft = lugre_tire(ends[0], how.speed), lugre_tire(ends[1], how.speed)
+        soft = lugre_tire(mu[0], how.speed), lugre_tire(mu[-1], how.speed)
         omega, fx, bent = braked_wheel(numbers, soft, PATCH, time, how.teeth)
         tire, extra = soft[0], {"deflection": bent}
         # Slope of the force at zero slip over the load [-]; it depends on the speed.
         slope = tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * how.speed
     else:
-        stiff = source_tire(ends[0]), source_tire(ends[1])
+        stiff = source_tire(mu[0]), source_tire(mu[-1])
         omega, fx, _ = braked_wheel(numbers, stiff, STEADY, time, how.teeth)
         slope = STIFFNESS / LOAD
     torque = full * (time % how.period) / how.period
-    steady = {
-        "fz": np.full(n, how.load),
-        "v": np.full(n, how.speed),
-        "torque": torque,
-        "brake_pressure": torque / how.radius / BRAKE_GAIN,
-    }
     free = how.speed / how.radius
     stands = omega <= 1.001 * SLOWEST * free
     sigma = np.where(stands, LOCKED, free / omega - 1)
     truth = {
-        "time": time,
-        "sigma_x": sigma,
-        "fx": fx,
-        **steady,
+        "time": time, "sigma_x": sigma, "fx": fx, "fz": np.full(n, how.load),
+        "v": np.full(n, how.speed), "torque": torque,
+        "brake_pressure": torque / how.radius / BRAKE_GAIN,
         "omega": np.where(stands, 0.0, omega),
-    }
+    }  # fmt: skip
     random = np.random.default_rng(how.seed)
     seen = sigma + np.sqrt(how.slip_variance) * random.standard_normal(n)
     seen = np.where(stands, LOCKED, seen)
     noise = np.sqrt(how.force_variance) * how.load * random.standard_normal(n)
     # The wheel speed from which the measured slip would be derived.
-    columns = truth | {
+    measured = {
         "sigma_x": seen,
         "fx": fx + noise,
         "omega": np.where(stands, 0.0, free / (1 + seen)),
     }
+    columns = truth | measured
     known = {"mu": mu, "cpa2": np.full(n, slope * how.load / 2), **extra}
     return SimulatedLog(columns, truth | known)

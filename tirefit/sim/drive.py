@@ -13,8 +13,7 @@ positive and :math:`F_y` to the left, in the axes of the car and of each wheel,
 which diffrax integrates. The stiffness of a tire is proportional to its load.
 """
 
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -26,37 +25,35 @@ from jaxtyping import Array
 from tirefit.arrays import Numbers
 from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
+from tirefit.params import Values
 from tirefit.results import UsageError
 from tirefit.sim.braking import SimulatedLog
 from tirefit.sim.settings import Drive
 
-_SLOWEST = 0.01
-"""Wheel speed over that of free rolling below which a brake only holds a wheel."""
+_SLOWEST = 0.01  # wheel speed over that of free rolling below which a brake only holds a wheel
 _LEAST_LOAD = 1.0
 _PREVIEW = 15.0  # distance [m] at which the driver looks at the lane
-_LEAD = 0.15
-"""Time [s] by which the driver steers before a bend: the lag of the car."""
+_LEAD = 0.15  # time [s] by which the driver steers before a bend: the lag of the car
 _FRONT_BRAKES = 0.6
 _PITCH_TIME = 0.1  # lag [s] of the axle loads behind the deceleration
 
 
-@dataclass(frozen=True)
-class Car:
+class Car(NamedTuple):
     """A mid-size car; stiffness: 2 c_p a^2 of a tire over its load, front and rear."""
 
-    mass: float = 1500.0
-    yaw_inertia: float = 2500.0
-    l_f: float = 1.2
-    l_r: float = 1.4
-    track: float = 1.5
-    height: float = 0.5
-    radius: float = 0.3
-    wheel_inertia: float = 1.2
-    roll_inertia: float = 500.0
-    roll_stiffness: float = 8e4
-    roll_damping: float = 5e3
-    stiffness_f: float = 11.0
-    stiffness_r: float = 13.0
+    mass: Any = 1500.0
+    yaw_inertia: Any = 2500.0
+    l_f: Any = 1.2
+    l_r: Any = 1.4
+    track: Any = 1.5
+    height: Any = 0.5
+    radius: Any = 0.3
+    wheel_inertia: Any = 1.2
+    roll_inertia: Any = 500.0
+    roll_stiffness: Any = 8e4
+    roll_damping: Any = 5e3
+    stiffness_f: Any = 11.0
+    stiffness_r: Any = 13.0
 
 
 class _State(NamedTuple):
@@ -77,9 +74,9 @@ class _State(NamedTuple):
 
 
 class _Numbers(NamedTuple):
-    """Traced numbers of a drive: of the car and the drive by name; mu before and after."""
+    """Traced numbers of a drive: of the car, and of the drive by name; mu before and after."""
 
-    car: dict[str, jax.Array]
+    car: Car
     how: dict[str, jax.Array]
     mu: tuple[jax.Array, jax.Array]
     change: jax.Array
@@ -99,11 +96,11 @@ def _road_rate(numbers: _Numbers, t: Numbers, v_x: Array) -> Array:
 def _steering(numbers: _Numbers, t: Numbers, s: _State) -> Array:
     """Road wheel angle [rad] of a driver who looks ahead along the lane."""
     car = numbers.car
-    base = car["l_f"] + car["l_r"]
+    base = car.l_f + car.l_r
     curvature = _road_rate(numbers, t + _LEAD, s.v_x) / s.v_x
     course = s.heading + s.v_y / s.v_x - s.road_heading
     aside = s.offset + _PREVIEW * course
-    softer = 1 / car["stiffness_f"] - 1 / car["stiffness_r"]
+    softer = 1 / car.stiffness_f - 1 / car.stiffness_r
     understeer = softer * s.v_x**2 * curvature / GRAVITY
     return base * curvature + understeer - 2 * base / _PREVIEW**2 * aside
 
@@ -119,69 +116,65 @@ def _torques(numbers: _Numbers, t: Numbers, s: _State) -> Array:
     share = jnp.array([_FRONT_BRAKES, _FRONT_BRAKES, rear, rear]) / 2
     wanted = jnp.clip(0.5 * (how["speed"] - s.v_x), -0.1 * grip, 0.2 * grip)
     driven = -wanted * jnp.array([0.0, 0.0, 0.5, 0.5])
-    full = car["mass"] * car["radius"]
+    full = car.mass * car.radius
     return full * jnp.where(braking, asked * share, driven)
 
 
-def _loads(car: dict[str, Array], s: _State) -> Array:
-    """Loads (4,) [N] of the wheels, with the transfer by roll and deceleration."""
-    base = car["l_f"] + car["l_r"]
-    weight = car["mass"] * GRAVITY / base
-    forward = car["mass"] * car["height"] * s.lag / base
-    front, rear = weight * car["l_r"] + forward, weight * car["l_f"] - forward
-    # A force to the left rolls the car to the right and loads the wheels there.
-    moment = car["roll_stiffness"] * s.roll + car["roll_damping"] * s.roll_rate
-    shift = moment / car["track"] * jnp.array([-0.5, 0.5, -0.5, 0.5])
-    loads = jnp.stack([front, front, rear, rear]) / 2 + shift
-    return jnp.maximum(loads, _LEAST_LOAD)
+def pushed(turn: Array, x: Values, y: Values, along: Array, across: Array) -> tuple[Array, ...]:
+    """Force [N] on a car forward and to the left, and its yaw moment [N m].
 
-
-def _tires(
-    numbers: _Numbers, t: Numbers, s: _State
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Steering, slips (4,), angles (2,), loads (4,), forces along and across (4,)."""
-    car = numbers.car
-    steering = _steering(numbers, t, s)
-    angles = jnp.stack(axle_angles(s.v_x, s.v_y, s.yaw_rate, steering, car["l_f"], car["l_r"]))
-    side = car["track"] / 2 * s.yaw_rate * jnp.array([-1.0, 1.0, -1.0, 1.0])
-    sigma = clipped(s.omega, s.v_x + side, car["radius"], _SLOWEST)
-    stiffness = jnp.repeat(jnp.stack([car["stiffness_f"], car["stiffness_r"]]), 2)
-    share = brush_share(sigma, jnp.repeat(angles, 2), stiffness, _mu(numbers, t))
-    loads = _loads(car, s)
-    return steering, sigma, angles, loads, loads * share.x, loads * share.y
-
-
-def _pushed(
-    numbers: _Numbers, steering: Array, along: Array, across: Array
-) -> tuple[Array, Array, Array]:
-    """Force [N] on the car forward and to the left, and the yaw moment [N m]."""
-    car = numbers.car
-    turn = jnp.array([1.0, 1.0, 0.0, 0.0]) * steering
+    Args:
+        turn: (w,) steering angles of the wheels [rad].
+        x, y: (w,) wheels ahead and to the left of the centre of gravity [m].
+        along, across: (w,) forces [N], braking and to the left.
+    """
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     ahead, left = -along * cos - across * sin, across * cos - along * sin
-    arm = jnp.stack([car["l_f"], car["l_f"], -car["l_r"], -car["l_r"]])
-    side = car["track"] / 2 * jnp.array([1.0, -1.0, 1.0, -1.0])
-    return jnp.sum(ahead), jnp.sum(left), jnp.sum(arm * left - side * ahead)
+    return jnp.sum(ahead), jnp.sum(left), jnp.sum(jnp.asarray(x) * left - jnp.asarray(y) * ahead)
+
+
+def _tires(numbers: _Numbers, t: Numbers, s: _State) -> tuple[Any, ...]:
+    """Steering, slips (4,), angles (2,), loads (4,), forces along and across (4,), and
+    what they make with the car: :func:`pushed`."""
+    car = numbers.car
+    steering = _steering(numbers, t, s)
+    angles = jnp.stack(axle_angles(s.v_x, s.v_y, s.yaw_rate, steering, car.l_f, car.l_r))
+    left = jnp.array([1.0, -1.0, 1.0, -1.0])
+    sigma = clipped(s.omega, s.v_x - car.track / 2 * s.yaw_rate * left, car.radius, _SLOWEST)
+    stiffness = jnp.repeat(jnp.stack([car.stiffness_f, car.stiffness_r]), 2)
+    share = brush_share(sigma, jnp.repeat(angles, 2), stiffness, _mu(numbers, t))
+    base = car.l_f + car.l_r
+    weight = car.mass * GRAVITY / base
+    forward = car.mass * car.height * s.lag / base
+    front, rear = weight * car.l_r + forward, weight * car.l_f - forward
+    # A force to the left rolls the car to the right and loads the wheels there.
+    moment = car.roll_stiffness * s.roll + car.roll_damping * s.roll_rate
+    loads = jnp.stack([front, front, rear, rear]) / 2 - moment / car.track * 0.5 * left
+    loads = jnp.maximum(loads, _LEAST_LOAD)
+    along, across = loads * share.x, loads * share.y
+    x = jnp.stack([car.l_f, car.l_f, -car.l_r, -car.l_r])
+    turn = jnp.array([1.0, 1.0, 0.0, 0.0]) * steering
+    on_car = pushed(turn, x, car.track / 2 * left, along, across)
+    return steering, sigma, angles, loads, along, across, on_car
 
 
 def _rate(t: Numbers, s: _State, numbers: _Numbers) -> _State:
     car = numbers.car
-    steering, _, _, _, along, across = _tires(numbers, t, s)
-    forward, left, moment = _pushed(numbers, steering, along, across)
+    *_, along, _, (forward, left, moment) = _tires(numbers, t, s)
     torque = _torques(numbers, t, s)
-    spun = car["radius"] * along - torque
-    holds = (s.omega * car["radius"] <= _SLOWEST * s.v_x) & (spun < 0)
+    spun = car.radius * along - torque
+    holds = (s.omega * car.radius <= _SLOWEST * s.v_x) & (spun < 0)
     askew = s.heading - s.road_heading
     sin, cos = jnp.sin(askew), jnp.cos(askew)
-    roll = car["height"] * left - car["roll_stiffness"] * s.roll
+    roll = car.height * left - car.roll_stiffness * s.roll
     return _State(
-        v_x=forward / car["mass"] + s.v_y * s.yaw_rate,
-        v_y=left / car["mass"] - s.v_x * s.yaw_rate,
-        yaw_rate=moment / car["yaw_inertia"],
-        omega=jnp.where(holds, 0.0, spun / car["wheel_inertia"]),
+        v_x=forward / car.mass + s.v_y * s.yaw_rate,
+        v_y=left / car.mass - s.v_x * s.yaw_rate,
+        yaw_rate=moment / car.yaw_inertia,
+        omega=jnp.where(holds, 0.0, spun / car.wheel_inertia),
         roll=s.roll_rate,
-        roll_rate=(roll - car["roll_damping"] * s.roll_rate) / car["roll_inertia"],
-        lag=(-forward / car["mass"] - s.lag) / _PITCH_TIME,
+        roll_rate=(roll - car.roll_damping * s.roll_rate) / car.roll_inertia,
+        lag=(-forward / car.mass - s.lag) / _PITCH_TIME,
         offset=s.v_x * sin + s.v_y * cos,
         heading=s.yaw_rate,
         road_heading=_road_rate(numbers, t, s.v_x),
@@ -195,7 +188,7 @@ def _integrate(numbers: _Numbers, time: Array, max_steps: int) -> tuple[_State, 
     """States (n, ...) at the times, and whether the integration reached them."""
     v = numbers.how["speed"]
     zero = jnp.zeros(())
-    rolling = jnp.full(4, v / numbers.car["radius"])
+    rolling = jnp.full(4, v / numbers.car.radius)
     still = dict.fromkeys(_State._fields, zero)
     start = _State(**still | {"v_x": v, "omega": rolling})
     controller = diffrax.PIDController(rtol=1e-7, atol=1e-8, dtmax=0.02)
@@ -212,8 +205,7 @@ def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.A
     """Measured and true columns from the states (n, ...) at the times."""
 
     def one(t: Array, s: _State) -> dict[str, Array]:
-        steering, sigma, angles, loads, along, across = _tires(numbers, t, s)
-        forward, left, _ = _pushed(numbers, steering, along, across)
+        steering, sigma, angles, loads, along, across, (forward, left, _) = _tires(numbers, t, s)
         wheels = {"omega": s.omega, "torque": _torques(numbers, t, s)}
         wheels |= {"sigma_x": sigma, "fx": along, "fz": loads}
         each = {
@@ -223,8 +215,8 @@ def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.A
         }
         return each | {
             "time": t, "v": s.v_x, "v_y": s.v_y, "yaw_rate": s.yaw_rate,
-            "roll_rate": s.roll_rate, "a_x": forward / numbers.car["mass"],
-            "a_y": left / numbers.car["mass"], "steering": steering,
+            "roll_rate": s.roll_rate, "a_x": forward / numbers.car.mass,
+            "a_y": left / numbers.car.mass, "steering": steering,
             "offset": s.offset, "heading": s.heading, "road_heading": s.road_heading,
             "x": s.x, "y": s.y, "alpha_f": angles[0], "alpha_r": angles[1],
             "fy_f": across[0] + across[1], "fy_r": across[2] + across[3],
@@ -232,22 +224,6 @@ def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.A
         }  # fmt: skip
 
     return jax.vmap(one)(time, states)
-
-
-def _noise_stds(how: Drive) -> dict[str, float]:
-    """Measured column -> standard deviation of its noise."""
-    stds = dict.fromkeys(("offset", "x", "y"), how.gps_std)
-    stds |= {"heading": how.heading_std, "v": how.speed_std}
-    stds |= dict.fromkeys(("yaw_rate", "roll_rate"), how.gyro_std)
-    stds |= dict.fromkeys(("a_x", "a_y"), how.acceleration_std)
-    for wheel in WHEELS:
-        stds |= {f"omega_{wheel}": how.omega_std, f"torque_{wheel}": how.torque_std}
-    return stds | {"time": 0.0, "steering": 0.0, "road_heading": 0.0}
-
-
-def _values(record: Car | Drive) -> dict[str, jax.Array]:
-    kept = {f.name: getattr(record, f.name) for f in fields(record)}
-    return {k: jnp.asarray(float(v)) for k, v in kept.items() if k != "drop"}
 
 
 def simulate_drive(
@@ -271,7 +247,9 @@ def simulate_drive(
     time = jnp.arange(n) / how.rate
     change, after = (np.inf, how.friction) if how.drop is None else how.drop
     mu = (jnp.asarray(how.friction), jnp.asarray(after))
-    numbers = _Numbers(_values(car), _values(how), mu, jnp.asarray(change))
+    values = {k: jnp.asarray(float(v)) for k, v in vars(how).items() if k != "drop"}
+    car = jax.tree.map(lambda value: jnp.asarray(value, float), car)
+    numbers = _Numbers(car, values, mu, jnp.asarray(change))
     states, followed = _integrate(numbers, time, max_steps)
     if not followed:
         raise UsageError(
@@ -281,9 +259,12 @@ def simulate_drive(
         )
     truth = {k: np.asarray(v) for k, v in _measured(numbers, time, states).items()}
     random = np.random.default_rng(how.seed)
-    stds = _noise_stds(how)
-    order = ("time", *(name for name in stds if name != "time"))
-    columns = {name: truth[name] for name in order}
-    for name in order:
-        columns[name] = truth[name] + stds[name] * random.standard_normal(n)
+    stds = {"time": 0.0} | dict.fromkeys(("offset", "x", "y"), how.gps_std)
+    stds |= {"heading": how.heading_std, "v": how.speed_std}
+    stds |= dict.fromkeys(("yaw_rate", "roll_rate"), how.gyro_std)
+    stds |= dict.fromkeys(("a_x", "a_y"), how.acceleration_std)
+    for wheel in WHEELS:
+        stds |= {f"omega_{wheel}": how.omega_std, f"torque_{wheel}": how.torque_std}
+    stds |= {"steering": 0.0, "road_heading": 0.0}
+    columns = {k: truth[k] + std * random.standard_normal(n) for k, std in stds.items()}
     return SimulatedLog(columns, {"time": truth.pop("time"), **truth})

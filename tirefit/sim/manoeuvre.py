@@ -16,12 +16,11 @@ from tirefit import __version__
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import given_tire
 from tirefit.fitting.tir import remarks
-from tirefit.models.base import AbstractTire
 from tirefit.online.controller import AbstractController
 from tirefit.online.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.precision import require_x64
-from tirefit.sim.brake import Log, Plant, Sensors, simulate_stop
+from tirefit.sim.brake import Plant, Sensors, simulate_stop
 from tirefit.sim.brake_request import (
     Request,
     arrays,
@@ -33,9 +32,7 @@ from tirefit.sim.brake_request import (
 )
 from tirefit.sim.brake_result import Braking, Stop, Summary, summarise
 
-_TOGETHER = 50
-"""Stops in one batch: more need much memory, and all wait for the slowest one."""
-
+_TOGETHER = 50  # stops in one batch: more need much memory, and all wait for the slowest one
 _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
 """A tire with a peak: the sliding friction is four fifths of the peak, S(33)."""
 
@@ -91,11 +88,14 @@ def brake(
     require_x64("a simulated stop")
     names = check_names("controller", controller, CONTROLLERS)
     chosen = by_owner(tune or {}, {name: CONTROLLERS[name]() for name in names})
-    named, made, notes = _tire(tire, dict(values or {}), signs)
-    request = Request(
-        made, named, road=road, speed=speed, vehicle=vehicle, steer=steer, time_limit=time_limit
-    )
-    request = with_numbers(request, plant or {})
+    source: Any = tire
+    if source is None:
+        source, values = _DEFAULT, _VALUES | dict(values or {})
+    given = given_tire(source, dict(values or {}), signs)
+    named = os.fspath(source) if isinstance(source, str | os.PathLike) else given.name
+    notes = [f"{named}: {text}" for text in remarks(given.tir, given.tire)] if given.tir else []
+    made = Request(given.tire, named, road, speed, vehicle, steer, time_limit=time_limit)
+    request = with_numbers(made, plant or {})
     check(request)
     car = known_to_controllers(request)
     controllers = {n: controller_of(n, car, own) for n, own in chosen.items()}
@@ -103,28 +103,11 @@ def brake(
     return replace(done, notes=(*notes, *doubts(request)))
 
 
-def _tire(
-    source: TireLike | None, values: dict[str, float], signs: str | None
-) -> tuple[str, AbstractTire, list[str]]:
-    """Name and record of the tire, and warnings on its file."""
-    if source is None:
-        source, values = _DEFAULT, _VALUES | values
-    given = given_tire(source, values, signs)
-    messages = remarks(given.tir, given.tire) if given.tir else ()
-    name = os.fspath(source) if isinstance(source, str | os.PathLike) else given.name
-    return name, given.tire, [f"{name}: {text}" for text in messages]
-
-
 @eqx.filter_jit
 def many_stops(
-    plants: Plant,
-    controller: AbstractController,
-    sensors: Sensors,
-    speed: Array,
-    keys: Array,
-    samples: int,
-    queue: int,
-) -> Summary:
+    plants: Plant, controller: AbstractController, sensors: Sensors, speed: Array, keys: Array,
+    samples: int, queue: int,
+) -> Summary:  # fmt: skip
     """Summaries (k,) of stops in one vmapped run.
 
     Args:
@@ -143,13 +126,9 @@ def many_stops(
 
 
 def braked(
-    request: Request,
-    controllers: Mapping[str, Any],
-    *,
-    seed: int = 0,
-    stops: int = 1,
+    request: Request, controllers: Mapping[str, Any], *, seed: int = 0, stops: int = 1,
     progress: Callable[[float, str], None] | None = None,
-) -> Braking:
+) -> Braking:  # fmt: skip
     """Brake with each of the controllers, under the same noise.
 
     Args:
@@ -175,24 +154,18 @@ def braked(
         run = partial(simulate_stop, plant, controller, sensors, speed)
         log = run(jax.random.key(seed), *how)
         summary = jax.jit(summarise, static_argnums=2)(plant, log, 1 / rate)
-        done[name] = _stop(name, log, summary, wheels, controller)
+        end = min(int(np.sum(log.moving)) + 1, len(log.moving))
+        kept, numbers = jax.tree.map(np.asarray, (log, summary))
+        kept = jax.tree.map(lambda leaf, end=end: leaf[:end], kept)
+        settings = {
+            key: np.asarray(value).tolist()
+            for key, value in vars(controller).items()
+            if isinstance(value, int | float | jax.Array | np.ndarray)
+        }
+        done[name] = Stop(name, kept, numbers, wheels, settings)
         if stops > 1:
             plants = jax.tree.map(lambda x: jnp.repeat(x[None], stops, 0), plant)
             keys = jax.vmap(jax.random.key)(jnp.arange(seed, seed + stops))
             all_ = many_stops(plants, controller, sensors, speed, keys, *how)
             many[name] = jax.tree.map(np.asarray, all_)
     return Braking(request, done, many, seed, __version__)
-
-
-def _stop(
-    name: str, log: Log, summary: Summary, wheels: tuple[str, ...], controller: AbstractController
-) -> Stop:
-    """The stop with its rows until the end, as NumPy arrays."""
-    end = min(int(np.sum(log.moving)) + 1, len(log.moving))
-    kept = jax.tree.map(lambda leaf: np.asarray(leaf)[:end], log)
-    leaves = {
-        key: np.asarray(value).tolist()
-        for key, value in vars(controller).items()
-        if isinstance(value, int | float | jax.Array | np.ndarray)
-    }
-    return Stop(name, kept, jax.tree.map(np.asarray, summary), wheels, leaves)

@@ -4,7 +4,7 @@ They are plain dataclasses, so the command line can show its options without JAX
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -35,23 +35,22 @@ class Settings:
         """Number of rows that are simulated."""
         raise NotImplementedError
 
-    def _checked(self) -> Iterator[tuple[str, float, float, float]]:
-        """(name, value, least, largest) of every number."""
-        for one in fields(self):  # type: ignore[arg-type]
-            value, (low, high) = getattr(self, one.name), one.metadata["limits"]
-            if one.name == "drop" and value is not None:
-                yield "time of the drop", value[0], 0.0, self.rows / self.rate  # type: ignore[attr-defined]
-                yield "friction of the drop", value[1], *_FRICTION
-            for each in value if isinstance(value, list | tuple) else (value,):
-                if one.name != "drop" and isinstance(each, int | float):
-                    yield one.name, each, low, high
-        yield "number of rows", self.rows, 1.0, _MOST_ROWS
-
     def problems(self) -> list[InputProblem]:
         """The problems: numbers out of their limits, an unknown tire."""
+        numbers: list[tuple[Any, ...]] = []  # (name, value, least, largest)
+        for one in fields(self):  # type: ignore[arg-type]
+            value, ends = getattr(self, one.name), one.metadata["limits"]
+            if one.name == "drop" and value is not None:
+                latest = self.rows / self.rate  # type: ignore[attr-defined]
+                numbers.append(("time of the drop", value[0], 0.0, latest))
+                numbers.append(("friction of the drop", value[1], *_FRICTION))
+            for each in value if isinstance(value, list | tuple) else (value,):
+                if one.name != "drop" and isinstance(each, int | float):
+                    numbers.append((one.name, each, *ends))
+        numbers.append(("number of rows", self.rows, 1.0, _MOST_ROWS))
         found = [
             InputProblem(f"{name} {value:g} is out of range", f"{low:g} to {high:g}")
-            for name, value, low, high in self._checked()
+            for name, value, low, high in numbers
             if not low <= value <= high
         ]
         if getattr(self, "tire", TIRES[0]) not in TIRES:

@@ -27,37 +27,22 @@ from tirefit.vehicle.trajectory import TrajectoryFit
 
 
 class CarFile(NamedTuple):
-    """A target for what was found of a car, without its tires.
+    """A target for what was found of a car, without its tires."""
 
-    Attributes:
-        ending: of the file.
-        what: description of the file.
-        holds: what it holds.
-        write: (source, vehicle.toml or None, first line) -> text of the file, and notes.
-    """
-
-    ending: str
-    what: str
-    holds: str
-    write: Any
+    ending: str  # of the file
+    what: str  # description of the file
+    holds: str  # what it holds
+    write: Any  # (source, vehicle.toml or None, first line) -> text of the file, and notes
 
 
 class _Key(NamedTuple):
-    """The keys of Autoware for a quantity, and when it is written.
+    """The keys of Autoware for a quantity, and when it is written."""
 
-    Attributes:
-        names: keys of Autoware.
-        most: largest standard error of a value that is written, in the unit of the quantity.
-        why: reason of this limit.
-        sign: of Autoware's value.
-        at_least_zero: whether Autoware's value cannot be negative.
-    """
-
-    names: tuple[str, ...]
-    most: float
-    why: str
-    sign: float = 1.0
-    at_least_zero: bool = False
+    names: tuple[str, ...]  # keys of Autoware
+    most: float  # largest standard error of a value that is written, in the unit of the quantity
+    why: str  # reason of this limit
+    sign: float = 1.0  # of Autoware's value
+    at_least_zero: bool = False  # whether Autoware's value cannot be negative
 
 
 _STEP = "half a step of Autoware's simulator, 0.025 s"
@@ -73,9 +58,7 @@ _KEYS = {
 }
 """Quantity -> its keys. The names are those of the parameters that the nodes declare, in
 ``simulator_model.param.yaml`` and ``mpc.param.yaml``."""
-
-_SURE = 2.0
-"""A negative value within as many standard errors of zero is written as zero."""
+_SURE = 2.0  # a negative value within as many standard errors of zero is written as zero
 
 
 class _Size(BaseModel):
@@ -104,21 +87,18 @@ _STOPPED = "the fit stopped before it converged: do not rely on these values and
 _SOURCES = "trajectory.json of `tirefit fit --vehicle`, or vehicle_diagnosis.json"
 
 
-def _is_trajectory(source: Any) -> bool:
-    """Whether a source or file is a fit by trajectory."""
-    if isinstance(source, Record):
-        return isinstance(source, TrajectoryFit)
-    remedy = f"give {_SOURCES}"
-    return TRAJECTORY.encode() in content_of(Path(source), RECORD, DataError, remedy)
-
-
 def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any, list[str]]:
     """Where the numbers come from, the quantities with their errors, the car, and notes."""
     if not isinstance(source, str | os.PathLike | TrajectoryFit | Diagnosis):
         reason = "--to autoware describes a car's steering, not a tire"
         remedy = f"give {_SOURCES}"
         raise UsageError(InputProblem(reason, remedy))
-    if _is_trajectory(source):
+    if isinstance(source, Record):
+        is_trajectory = isinstance(source, TrajectoryFit)
+    else:
+        text = content_of(Path(source), RECORD, DataError, f"give {_SOURCES}")
+        is_trajectory = TRAJECTORY.encode() in text
+    if is_trajectory:
         name, command = "trajectory.json", "tirefit fit --vehicle"
         fit = read_checked(source, _Trajectory, name, command, TRAJECTORY)
         if vehicle is not None:

@@ -20,22 +20,16 @@ from tirefit.targets.tire import ALWAYS, INPUTS, QUANTITIES, Tire
 
 
 class Language(NamedTuple):
-    """The syntax of the operations of a language.
+    """The syntax of the operations of a language."""
 
-    Attributes:
-        usual: name of a function, as a format of that of the operation.
-        calls: operation -> another name of its function, or a format of the arguments.
-        number: a constant.
-        line: a statement that gives a value a name.
-        within: operations that are written inline, as compilers do not vectorise loops
-            with boolean variables.
-    """
-
-    usual: str
+    usual: str  # name of a function, as a format of that of the operation
     calls: Mapping[str, str]
-    number: Callable[[float], str]
-    line: str
+    """Operation -> another name of its function, or a format of the arguments."""
+    number: Callable[[float], str]  # a constant
+    line: str  # a statement that gives a value a name
     within: frozenset[str] = frozenset()
+    """Operations that are written inline, as compilers do not vectorise loops with boolean
+    variables."""
 
 
 _SIGNS = {
@@ -128,7 +122,6 @@ def _expression(program: Program, language: Language, op: str, args: Sequence[Te
 
 PARAMETERS = "parameters (+- standard error):"
 """Line above the parameters in the head of a file."""
-
 _VECTORS = ((0.02, 0.01, 1.0), (-0.1, 0.05, 0.5), (0.0, -0.2, 1.5), (-0.9, 0.3, 2.0))
 """Slip, slip angle and share of the middle load of the test vectors."""
 
@@ -149,36 +142,24 @@ def header(tire: Tire, program: Program, convention: str) -> list[str]:
 
 
 class Draft(NamedTuple):
-    """The content from which a file is written.
+    """The content from which a file is written."""
 
-    Attributes:
-        tire: the tire; ``forces`` is its program in the signs of ``convention``.
-        above: lines that stand first in the file.
-        name: of the function, or of the file without its ending.
-        wheel: what was given of the wheel, in SI units.
-    """
-
-    tire: Tire
+    tire: Tire  # the tire; ``forces`` is its program in the signs of ``convention``
     forces: Program
     convention: str
-    above: Sequence[str]
-    name: str
-    wheel: Mapping[str, float] = MappingProxyType({})
+    above: Sequence[str]  # lines that stand first in the file
+    name: str  # of the function, or of the file without its ending
+    wheel: Mapping[str, float] = MappingProxyType({})  # what was given of the wheel, in SI units
+
+
+def _comments(lines: Iterable[str]) -> str:
+    return "\n".join(f"# {line}" for line in lines)
 
 
 def numpy_source(draft: Draft) -> str:
     """A Python module with one function of arrays; it needs only NumPy."""
-    return "\n".join(
-        [
-            *(f"# {line}" for line in draft.above),
-            "",
-            "import numpy as np",
-            "",
-            "",
-            *_numpy_function(draft.forces, draft.name),
-            "",
-        ]
-    )
+    function = "\n".join(_numpy_function(draft.forces, draft.name))
+    return f"{_comments(draft.above)}\n\nimport numpy as np\n\n\n{function}\n"
 
 
 def _numpy_function(program: Program, name: str) -> list[str]:
@@ -197,30 +178,35 @@ def compiled(program: Program) -> Callable[..., Any]:
     return scope["force"]
 
 
+_CASADI = """\
+{above}
+
+import casadi as ca
+
+
+def _build():
+{lines}
+    forces = ca.Function(
+        {name!r}, [{given}], [{found}],
+        {inputs}, {outputs},
+    )
+    slopes = ca.jacobian(ca.vertcat({found}), ca.vertcat({given}))
+    return forces, ca.Function('{name}_jacobian', [{given}], [slopes])
+
+
+{name}, {name}_jacobian = _build()
+"""
+
+
 def casadi_source(draft: Draft) -> str:
     """A Python module with a ``casadi.Function`` of scalars, and its Jacobian."""
-    program, name = draft.forces, draft.name
-    given, found = ", ".join(program.inputs), ", ".join(results(program, CASADI))
-    lines = [
-        *(f"# {line}" for line in draft.above),
-        "",
-        "import casadi as ca",
-        "",
-        "",
-        "def _build():",
-        *(f"    {one} = ca.SX.sym({one!r})" for one in program.inputs),
-        *body(program, CASADI),
-        "    forces = ca.Function(",
-        f"        {name!r}, [{given}], [{found}],",
-        f"        {list(program.inputs)}, {list(program.outputs)},",
-        "    )",
-        f"    slopes = ca.jacobian(ca.vertcat({found}), ca.vertcat({given}))",
-        f"    return forces, ca.Function({name + '_jacobian'!r}, [{given}], [slopes])",
-        "",
-        "",
-        f"{name}, {name}_jacobian = _build()",
-    ]
-    return "\n".join(lines) + "\n"
+    program, inputs = draft.forces, draft.forces.inputs
+    lines = [*(f"    {one} = ca.SX.sym({one!r})" for one in inputs), *body(program, CASADI)]
+    return _CASADI.format(
+        above=_comments(draft.above), lines="\n".join(lines), name=draft.name,
+        given=", ".join(inputs), found=", ".join(results(program, CASADI)),
+        inputs=list(inputs), outputs=list(program.outputs),
+    )  # fmt: skip
 
 
 def vectors(draft: Draft) -> list[str]:
@@ -232,14 +218,12 @@ def vectors(draft: Draft) -> list[str]:
         at = {"kappa": kappa, "alpha": alpha, "fz": share * load}
         at |= {"v": 10.0, "gamma": 0.02, "pressure": 0.0}
         given = [float(f"{at[name]:.6g}") for name in program.inputs]
-        found = force(*given)
-        lines.append(f"{_named(program.inputs, given)} -> {_named(names, found)}")
+        sides: Any = (program.inputs, given), (names, force(*given))
+        texts = (
+            [f"{name}={float(x):.17g}" for name, x in zip(*side, strict=True)] for side in sides
+        )
+        lines.append(" -> ".join(", ".join(text) for text in texts))
     return lines
-
-
-def _named(names: Iterable[str], values: Iterable[float]) -> str:
-    each = zip(names, values, strict=True)
-    return ", ".join(f"{name}={float(x):.17g}" for name, x in each)
 
 
 _C_HEAD = """\
@@ -283,20 +267,13 @@ def c_source(draft: Draft) -> str:
     messages = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
     force, slope = f"tirefit_real force[{count}]", f"slope[{count}][{ALWAYS}]"
     both = draft.tire.program(draft.convention, jacobian=True)
-    return "\n".join(
-        [
-            "/*",
-            *(f" * {line}" for line in messages),
-            " */",
-            _C_HEAD.format(guard=f"TIREFIT_FILE_{name}"),
-            *_c_function(draft.forces, name, [force], count),
-            "",
-            *_c_function(both, f"{name}_jacobian", [force, f"tirefit_real {slope}"], count),
-            "",
-            "#endif",
-            "",
-        ]
-    )
+    functions = [
+        *_c_function(draft.forces, name, [force], count), "",
+        *_c_function(both, f"{name}_jacobian", [force, f"tirefit_real {slope}"], count),
+    ]  # fmt: skip
+    comment = "\n".join(["/*", *(f" * {line}" for line in messages), " */"])
+    head = _C_HEAD.format(guard=f"TIREFIT_FILE_{name}")
+    return "\n".join([comment, head, *functions, "", "#endif", ""])
 
 
 def _c_function(program: Program, name: str, given: Iterable[str], count: int) -> list[str]:
@@ -364,12 +341,10 @@ def jax_source(draft: Draft) -> str:
         jax.config.update(_PATHS, before)
     above = [*draft.above, f"StableHLO of jax {jax.__version__}, for {_PLATFORMS}"]
     loader = _LOADER.format(
-        program="\n".join(textwrap.wrap(text, 88)),
-        name=draft.name,
-        inputs=", ".join(names),
-        outputs=", ".join(draft.forces.outputs),
-    )
-    return "\n".join([*(f"# {line}" for line in above), "", loader])
+        program="\n".join(textwrap.wrap(text, 88)), name=draft.name,
+        inputs=", ".join(names), outputs=", ".join(draft.forces.outputs),
+    )  # fmt: skip
+    return f"{_comments(above)}\n\n{loader}"
 
 
 _WIDE, _MANY = 0.2, 3.0

@@ -27,24 +27,15 @@ from tirefit.targets.program import Program, traced
 from tirefit.targets.tire import ALWAYS, INPUTS, Tire, tire_of, turned_range
 
 SCHEMA = "tirefit.explore/1"
-
 MOST = 6
 """Tires over each other that a reader can tell apart by colour."""
-
-_ROWS = 5000
-"""Measured rows on a page, at most: 300 kB."""
-
+_ROWS = 5000  # measured rows on a page, at most: 300 kB
 _STEP = 1e-4
 """Step of the central differences for the bands, in standard errors, as in `fitting.bands`."""
-
-_MARGIN = 0.25
-"""Range of a slider beyond that of the data, as a share of it."""
-
+_MARGIN = 0.25  # range of a slider beyond that of the data, as a share of it
 _FORCES = ("fx", "fy", "mz")
-
 _USUAL = {"kappa": (-0.3, 0.3), "alpha": (-0.25, 0.25), "gamma": (-0.1, 0.1), "v": (1.0, 40.0)}
 """Range of an input [SI] without data: up to 30 % of slip, 14 degrees, 6 degrees, 144 km/h."""
-
 _POSSIBLE = {"kappa": (-2.0, 0.98), "alpha": (-1.4, 1.4), "gamma": (-1.4, 1.4)}
 """Values of an input [SI, canonical] at which the forces are defined; others are positive."""
 
@@ -58,56 +49,38 @@ JAVASCRIPT = C._replace(
 
 @dataclass(frozen=True)
 class Shown:
-    """A tire on a page.
+    """A tire on a page."""
 
-    Attributes:
-        label: model and place of the file.
-        origin: sentences on where it comes from.
-        outputs: of fx, fy and mz, those that the model gives.
-        fitted: those of them that were fitted; empty without a fit.
-        program: JavaScript function of :data:`INPUTS` and of the parameters ``p``.
-        theta: values of the parameters (n,); empty without standard errors.
-        steps: (r, n) changes of ``theta`` along independent directions.
-        scale: the half width of a 95 % interval over the root of the sum of squares of the
-            differences between both sides of each step.
-        ranges: input -> least and largest value in the data; empty if not known.
-    """
-
-    label: str
-    origin: tuple[str, ...]
-    outputs: tuple[str, ...]
-    fitted: tuple[str, ...]
-    program: str
-    theta: Sequence[float]
-    steps: Sequence[Sequence[float]]
+    label: str  # model and place of the file
+    origin: tuple[str, ...]  # sentences on where it comes from
+    outputs: tuple[str, ...]  # of fx, fy and mz, those that the model gives
+    fitted: tuple[str, ...]  # those of them that were fitted; empty without a fit
+    program: str  # JavaScript function of :data:`INPUTS` and of the parameters ``p``
+    theta: Sequence[float]  # values of the parameters (n,); empty without standard errors
+    steps: Sequence[Sequence[float]]  # (r, n) changes of ``theta`` along independent directions
     scale: float
+    """The half width of a 95 % interval over the root of the sum of squares of the differences
+    between both sides of each step."""
     ranges: Mapping[str, tuple[float, float]]
+    """Input -> least and largest value in the data; empty if not known."""
 
 
 @dataclass(frozen=True, repr=False)
 class Explored(Record):
-    """The result of :func:`explore`: :meth:`save` writes the page.
-
-    Attributes:
-        convention: signs of all values, which are in SI units.
-        inputs: input -> least, largest and first value of its slider.
-        tires: at most :data:`MOST`.
-        rows: column -> values of measured rows, None where not measured.
-        data: the file of the rows, and their number.
-        warned: sentences on how it was read.
-    """
+    """The result of :func:`explore`: :meth:`save` writes the page."""
 
     text_by: ClassVar[str] = "tirefit.report.explore:explore_text"
     plot_by: ClassVar[str] = "tirefit.report.explore:explore_figure"
     page_by: ClassVar[str] = "tirefit.report.explore:explore_page"
     save_by: ClassVar[str] = "tirefit.report.explore:save_page"
-
-    convention: str
+    convention: str  # signs of all values, which are in SI units
     inputs: Mapping[str, tuple[float, float, float]]
-    tires: tuple[Shown, ...]
+    """Input -> least, largest and first value of its slider."""
+    tires: tuple[Shown, ...]  # at most :data:`MOST`
     rows: Mapping[str, Sequence[float | None]] = field(default_factory=dict)
-    data: str = ""
-    warned: tuple[str, ...] = ()
+    """Column -> values of measured rows, None where not measured."""
+    data: str = ""  # the file of the rows, and their number
+    warned: tuple[str, ...] = ()  # sentences on how it was read
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -38,24 +38,17 @@ if TYPE_CHECKING:
 
 
 class Target(NamedTuple):
-    """A program for which tires are exported.
+    """A program for which tires are exported."""
 
-    Attributes:
-        ending: of the file.
-        what: description of the file, with the data it needs.
-        holds: the models that it holds, and how exactly.
-        write: the text of the file, or of several by their endings.
-        prepare: (tire, version of the Magic Formula, values of the wheel) -> the tire
-            in the file; None if it holds every tire and has a function.
-        beside: endings of other files that are written beside it.
-    """
-
-    ending: str
-    what: str
-    holds: str
+    ending: str  # of the file
+    what: str  # description of the file, with the data it needs
+    holds: str  # the models that it holds, and how exactly
     write: Callable[[Draft], str | dict[str, str]]
+    """The text of the file, or of several by their endings."""
     prepare: Callable[..., Tire] | None = None
-    beside: tuple[str, ...] = ()
+    """(tire, version of the Magic Formula, values of the wheel) -> the tire in the file; None if
+    it holds every tire and has a function."""
+    beside: tuple[str, ...] = ()  # endings of other files that are written beside it
 
 
 TARGETS: dict[str, Target | ParameterFile | CarFile] = {
@@ -100,24 +93,15 @@ TARGETS: dict[str, Target | ParameterFile | CarFile] = {
 
 @dataclass(frozen=True)
 class Exported(Record):
-    """The result of :func:`export`.
-
-    Attributes:
-        target: the key of :data:`TARGETS`.
-        path: the file.
-        shape: how the tire behaves where simulators fail.
-        notes: what was assumed, and what the file does not hold.
-        texts: file name -> content.
-    """
+    """The result of :func:`export`."""
 
     text_by: ClassVar[str] = "tirefit.report.records:export_text"
     plot_by: ClassVar[str] = "tirefit.report.records:export_figure"
-
-    target: str
-    path: Path
-    shape: Shape
-    notes: tuple[str, ...]
-    texts: Mapping[str, str] = field(repr=False)
+    target: str  # the key of :data:`TARGETS`
+    path: Path  # the file
+    shape: Shape  # how the tire behaves where simulators fail
+    notes: tuple[str, ...]  # what was assumed, and what the file does not hold
+    texts: Mapping[str, str] = field(repr=False)  # file name -> content
 
     @property
     def limits(self) -> dict[Outcome, str]:

@@ -23,46 +23,33 @@ Values = Mapping[str, Any]
 
 
 class Curves(NamedTuple):
-    """A tire at a load, from which the parameters of a formula start.
-
-    Attributes:
-        x, y: B, C, D, E of the Magic Formula of the two pure slips; exact if the tire
-            is a Magic Formula.
-        load: the load [N].
-        fall: exponent by which the friction of F_y falls with load.
-        weights: coefficients of combined slip of a Magic Formula 5.2 or 6, by name.
-    """
+    """A tire at a load, from which the parameters of a formula start."""
 
     x: tuple[float, ...]
+    """B, C, D, E of the Magic Formula of the two pure slips; exact if the tire is a Magic
+    Formula."""
     y: tuple[float, ...]
-    load: float
-    fall: float
+    load: float  # the load [N]
+    fall: float  # exponent by which the friction of F_y falls with load
     weights: Mapping[str, float]
+    """Coefficients of combined slip of a Magic Formula 5.2 or 6, by name."""
 
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """The tire formula of a simulator.
+    """The tire formula of a simulator."""
 
-    Attributes:
-        outputs: the forces that it gives.
-        signs: of its slips and forces, as in :data:`tirefit.slip.CONVENTIONS`.
-        forces: parameters, kappa, alpha [rad] and load [N] to the forces [N].
-        start: parameters for a tire, by formula.
-        stages: in order, ``fx`` and ``fy`` of pure slip and ``both`` of combined slip,
-            each with the bounds of the parameters that least squares fits to it. A
-            force without a stage keeps the parameters of ``start``.
-        of_load: parameters of a stage that one load does not determine.
-        loss: sentences on what the formula cannot hold of any tire.
-    """
-
-    outputs: tuple[str, ...]
-    signs: Convention
+    outputs: tuple[str, ...]  # the forces that it gives
+    signs: Convention  # of its slips and forces, as in :data:`tirefit.slip.CONVENTIONS`
     forces: Callable[[Values, Any, Any, Any], tuple[Any, ...]]
-    start: Callable[[Curves], dict[str, float]]
+    """Parameters, kappa, alpha [rad] and load [N] to the forces [N]."""
+    start: Callable[[Curves], dict[str, float]]  # parameters for a tire, by formula
     stages: Mapping[str, Mapping[str, tuple[float, float]]]
-    of_load: tuple[str, ...] = ()
-    loss: tuple[str, ...] = ()
+    """In order, ``fx`` and ``fy`` of pure slip and ``both`` of combined slip, each with the bounds
+    of the parameters that least squares fits to it. A force without a stage keeps the parameters
+    of ``start``."""
+    of_load: tuple[str, ...] = ()  # parameters of a stage that one load does not determine
+    loss: tuple[str, ...] = ()  # sentences on what the formula cannot hold of any tire
 
     def canonical(
         self, values: Values, kappa: Numbers, alpha: Numbers, fz: Numbers
@@ -191,14 +178,8 @@ COMMONROAD = Formula(
         "fy": {"p_cy1": _SHAPE, "p_dy1": _FRICTION, "p_ey1": _CURVATURE, "p_ky1": (-1000.0, -0.01)},
         # Shifts are those of a Magic Formula, or zero so that there is no force at rest.
         "both": {
-            "r_bx1": _WEIGHT,
-            "r_bx2": _WEIGHT,
-            "r_cx1": _SHAPE,
-            "r_ex1": _CURVATURE,
-            "r_by1": _WEIGHT,
-            "r_by2": _WEIGHT,
-            "r_cy1": _SHAPE,
-            "r_ey1": _CURVATURE,
+            **{"r_bx1": _WEIGHT, "r_bx2": _WEIGHT, "r_cx1": _SHAPE, "r_ex1": _CURVATURE},
+            **{"r_by1": _WEIGHT, "r_by2": _WEIGHT, "r_cy1": _SHAPE, "r_ey1": _CURVATURE},
         },
     },
     loss=(
@@ -246,15 +227,9 @@ def _slipx_start(curves: Curves) -> dict[str, float]:
     (bx, cx, dx, _), (by, cy, dy, ey) = curves.x, curves.y
     load = curves.load
     return {
-        "nominal_load": load,
-        "c_alpha": by * cy * dy * load,
-        "mu_y0": dy,
-        "C": cy,
-        "E": ey,
-        "k_mu": curves.fall,
-        "c_kappa": bx * cx * dx * load,
-        "mu_x0": dx,
-    }
+        "nominal_load": load, "c_alpha": by * cy * dy * load, "mu_y0": dy, "C": cy, "E": ey,
+        "k_mu": curves.fall, "c_kappa": bx * cx * dx * load, "mu_x0": dx,
+    }  # fmt: skip
 
 
 SLIPX = Formula(
@@ -270,7 +245,7 @@ SLIPX = Formula(
             "E": (-5.0, 1.0),
             "k_mu": (0.0, 1.0),
         }
-    },
+    },  # fmt: skip
     of_load=("k_mu",),
     loss=(
         "SlipX takes F_x as a demand and limits both forces by an ellipse: c_kappa is the"

@@ -33,7 +33,6 @@ _GROUPS = re.compile(
     "|(be|le)(16|32|64)toh|hto(be|le)(16|32|64)"
 )
 """Groups of names in these headers."""
-
 _IN_FILES = frozenset("np ca jax jnp base64 null jac hess tirefit_real sysid_parameters".split())
 """Names with another meaning in exported files; CasADi reserves null, jac and hess."""
 

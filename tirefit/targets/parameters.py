@@ -23,26 +23,17 @@ from tirefit.targets.tire import Tire, turned_range
 
 _NO_LOG = {"time": "t", "x": "x", "y": "y", "yaw": "yaw"}
 """Columns of a vehicle.toml that describes a car and no log."""
-
 _MEANING = {"h_cg": "height of the centre of gravity [m]", "wheel_radius": "tire radius [m]"}
 
 
 class Axle(NamedTuple):
-    """A tire at its place in the vehicle.
+    """A tire at its place in the vehicle."""
 
-    Attributes:
-        name: ``front``, ``rear``, or empty for all wheels.
-        tire: the fitted tire; its load is that of its place in the vehicle.
-        wheels: wheels whose force and load the fit describes together, 1 or 2.
-        static: whether the load of the tire is the static one of a vehicle.
-        notes: sentences on what was assumed.
-    """
-
-    name: str
-    tire: Tire
-    wheels: int = 1
-    static: bool = False
-    notes: tuple[str, ...] = ()
+    name: str  # ``front``, ``rear``, or empty for all wheels
+    tire: Tire  # the fitted tire; its load is that of its place in the vehicle
+    wheels: int = 1  # wheels whose force and load the fit describes together, 1 or 2
+    static: bool = False  # whether the load of the tire is the static one of a vehicle
+    notes: tuple[str, ...] = ()  # sentences on what was assumed
 
     def named(self, lines: Sequence[str]) -> list[str]:
         """Sentences with the name of the axle in front."""
@@ -58,12 +49,16 @@ def vehicle_of(path: str | os.PathLike[str], target: str, needs: Sequence[str]) 
     content = read_toml(Path(path))
     content.setdefault("columns", _NO_LOG)
     vehicle = parse_settings(Vehicle, content, str(path))
-    problems = []
-    for key in [key for key in needs if getattr(vehicle, key) is None]:
-        reason = f"missing key {key!r}, which {target} needs"
-        remedy = f"add {key} = ..., {_MEANING[key]}"
-        problems.append(InputProblem(reason, remedy, str(path)))
-    UsageError.raise_for(problems)
+    UsageError.raise_for(
+        [
+            InputProblem(
+                f"missing key {key!r}, which {target} needs", f"add {key} = ..., {_MEANING[key]}",
+                str(path),
+            )
+            for key in needs
+            if getattr(vehicle, key) is None
+        ]
+    )  # fmt: skip
     return vehicle
 
 
@@ -113,9 +108,7 @@ def _placed(name: str, tire: Tire, vehicle: Vehicle | None, notes: tuple[str, ..
 
 SIGNS = "iso-w"
 """Signs of ranges and checks; the signs of a file are in its head."""
-
-_NEW_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-"""Characters that may end a line."""
+_NEW_LINE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # characters that may end a line
 
 
 def one_line(lines: Iterable[str]) -> list[str]:
@@ -124,30 +117,18 @@ def one_line(lines: Iterable[str]) -> list[str]:
 
 
 class Sheet(NamedTuple):
-    """The content from which a parameter file is written.
+    """The content from which a parameter file is written."""
 
-    Attributes:
-        above: lines that stand first.
-        axles: one, or front and rear.
-        fits: of each.
-        vehicle: the car, if known.
-        path: the file.
-    """
-
-    above: list[str]
-    axles: tuple[Axle, ...]
-    fits: tuple[Refit, ...]
-    vehicle: Vehicle | None
-    path: Path
+    above: list[str]  # lines that stand first
+    axles: tuple[Axle, ...]  # one, or front and rear
+    fits: tuple[Refit, ...]  # of each
+    vehicle: Vehicle | None  # the car, if known
+    path: Path  # the file
 
     @property
     def values(self) -> dict[str, float]:
         """Parameters of the first axle."""
         return self.fits[0].values
-
-    def by_axle(self, name: str) -> dict[str, dict[str, float]]:
-        """Parameters of front and rear, named ``name`` with f and r appended."""
-        return {f"{name}{k}": f.values for k, f in zip("fr", self.fits, strict=True)}
 
     def car(self, names: str) -> dict[str, float]:
         """Numbers of the vehicle under the names of the target, given as ``m=mass
@@ -158,40 +139,26 @@ class Sheet(NamedTuple):
 
 
 class ParameterFile(NamedTuple):
-    """A target with its own tire formula.
+    """A target with its own tire formula."""
 
-    Attributes:
-        ending: of the file.
-        what: description of the file, with the data it needs.
-        holds: the models that it holds, and how exactly.
-        formula: the formula.
-        write: the text of the file, or the content of a YAML file.
-        tires: 2 where front and rear have parameters of their own.
-        needs: keys of ``vehicle.toml`` that the car needs in addition to mass, yaw
-            inertia and the axles.
-        check: raises UsageError for what the file cannot hold.
-        ending: of the file.
-    """
-
-    what: str
-    holds: str
-    formula: Formula
+    what: str  # description of the file, with the data it needs
+    holds: str  # the models that it holds, and how exactly
+    formula: Formula  # the formula
     write: Callable[[Sheet], str | Mapping[str, Any]]
-    tires: int = 1
+    """The text of the file, or the content of a YAML file."""
+    tires: int = 1  # 2 where front and rear have parameters of their own
     needs: tuple[str, ...] = ()
+    """Keys of ``vehicle.toml`` that the car needs in addition to mass, yaw inertia and the
+    axles."""
     check: Callable[[Sheet], None] = lambda sheet: None
-    ending: str = ".yaml"
+    """Raises UsageError for what the file cannot hold."""
+    ending: str = ".yaml"  # of the file
 
 
 def parameter_text(
-    target: str,
-    tires: Mapping[str, Tire],
-    path: Path,
-    first: str,
-    vehicle: str | os.PathLike[str] | None = None,
-    over: Ranges | None = None,
-    force: bool = False,
-) -> tuple[str, Shape, tuple[str, ...]]:
+    target: str, tires: Mapping[str, Tire], path: Path, first: str,
+    vehicle: str | os.PathLike[str] | None = None, over: Ranges | None = None, force: bool = False,
+) -> tuple[str, Shape, tuple[str, ...]]:  # fmt: skip
     """The text of a parameter file, checks of the tire, and losses of the file.
 
     Args:
@@ -290,13 +257,9 @@ def _yaml(content: Mapping[str, Any], indent: str = "") -> list[str]:
         if isinstance(value, Mapping):
             lines += [f"{indent}{key}:", *_yaml(value, f"{indent}  ")]
         else:
-            if isinstance(value, str):
-                text = json.dumps(value, ensure_ascii=False)
-            elif isinstance(value, list):
-                text = f"[{', '.join(map(number, value))}]"
-            else:
-                text = number(value)
-            lines.append(f"{indent}{key}: {text}")
+            text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else ""
+            text = f"[{', '.join(map(number, value))}]" if isinstance(value, list) else text
+            lines.append(f"{indent}{key}: {text or number(value)}")
     return lines
 
 
@@ -304,13 +267,14 @@ _CAR = "m=mass lf=l_f lr=l_r I_z=yaw_inertia h_s=h_cg"
 
 
 def _gymkhana_stp(sheet: Sheet) -> dict[str, Any]:
-    axles = sheet.by_axle("_").items()
-    tire = {f"{k}{axle}": value for axle, one in axles for k, value in one.items()}
+    axles = zip("fr", sheet.fits, strict=True)
+    tire = {f"{k}_{axle}": value for axle, fit in axles for k, value in fit.values.items()}
     return {"mu": 1.0, **tire, **sheet.car(_CAR)}
 
 
 def _forzaeth(sheet: Sheet) -> dict[str, Any]:
-    tire = {key: list(one.values()) for key, one in sheet.by_axle("C_P").items()}
+    axles = zip("fr", sheet.fits, strict=True)
+    tire = {f"C_P{axle}": list(fit.values.values()) for axle, fit in axles}
     car = sheet.car("m=mass I_z=yaw_inertia l_f=l_f l_r=l_r l_wb=wheelbase h_cg=h_cg")
     return {**tire, **car, "tire_model": "pacejka", "mu": 1.0}
 
@@ -318,15 +282,13 @@ def _forzaeth(sheet: Sheet) -> dict[str, Any]:
 def _slipx(sheet: Sheet) -> dict[str, Any]:
     (axle,), values = sheet.axles, sheet.values
     compound, _, surface = sheet.path.stem.partition("_")
-    version = {"schema_version": "0.2.0"}
-    slopes = {name: values[name] / axle.wheels for name in ("c_alpha", "c_kappa")}
-    length = axle.tire.relaxation
+    version, length = {"schema_version": "0.2.0"}, axle.tire.relaxation
     return {
         **version,
         "compound": compound,
         "surface": surface,
         "nominal_load": values["nominal_load"] / axle.wheels,
-        "linear": slopes,
+        "linear": {name: values[name] / axle.wheels for name in ("c_alpha", "c_kappa")},
         "friction": {name: values[name] for name in ("mu_y0", "mu_x0", "k_mu")},
         "mf_lite": {name: values[name] for name in "CE"},
         **({"relaxation": {"sigma": length}} if length else {}),

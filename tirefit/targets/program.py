@@ -15,15 +15,10 @@ import numpy as np
 from jax.extend import core
 
 _COMMUTE = frozenset({"add", "mul", "min", "max", "eq"})
-
 MOST_OPERATIONS = 20_000
 """Largest number of operations that other compilers can handle."""
-
-_MOST_TRIED = 10 * MOST_OPERATIONS
-"""Largest number of operations including unused ones."""
-
+_MOST_TRIED = 10 * MOST_OPERATIONS  # largest number of operations including unused ones
 _TOO_LONG = f"it takes over {MOST_OPERATIONS} operations"
-
 LEAST = 1e-36
 """The smallest positive constant of a program."""
 
@@ -71,17 +66,11 @@ class Graph:
 
 
 class Program(NamedTuple):
-    """A function of scalars as operations.
+    """A function of scalars as operations."""
 
-    Attributes:
-        inputs: names of the arguments, in order.
-        outputs: name and value of each result: a :class:`Term` or a constant.
-        operations: in order; ``("input", (k,))`` is the k-th argument.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: dict[str, Any]
-    operations: list[Operation]
+    inputs: tuple[str, ...]  # names of the arguments, in order
+    outputs: dict[str, Any]  # name and value of each result: a :class:`Term` or a constant
+    operations: list[Operation]  # in order; ``("input", (k,))`` is the k-th argument
 
 
 def traced(
@@ -317,7 +306,6 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 """Operation of a program -> its function of constants. All but ``where`` have their names
 in JAX."""
-
 _UNCHANGED = ("stop_gradient", "convert_element_type", "copy")
 """Operations of JAX that do not change values, except for conversion to integers."""
 

@@ -23,7 +23,6 @@ from tirefit.targets.tire import ALWAYS, INPUTS, Tire, range_text, turned_range
 
 MOST = 0.05
 """Largest error over the load that is written without ``force``."""
-
 _SLIP_OF = {"fx": "kappa", "fy": "alpha"}
 
 
@@ -45,9 +44,9 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
     """
     if held.model is tire.model:
         return ()
-    compared = [f for f in _SLIP_OF if f in tire.modelled and f in held.modelled]
+    compared = {f: _SLIP_OF[f] for f in _SLIP_OF if f in tire.modelled and f in held.modelled}
     # A force whose slip was not measured, like fx of a fit to fy, is in the file as well.
-    slips = [_SLIP_OF[name] for name in compared]
+    slips = compared.values()
     ranges = dict.fromkeys(slips, (-USUAL_SLIP, USUAL_SLIP))
     ranges["fz"] = USUAL_SHARES[0] * tire.load, USUAL_SHARES[-1] * tire.load
     for name, ends in ranges.items():
@@ -74,24 +73,16 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
 
 EXACT = 1e-9
 """Error over load below which a formula represents a tire exactly."""
-
 OTHER_LOADS = 0.75, 1.25
 """Shares of a load at which the error is stated as well: with a track of 1.5 m and a
 centre of gravity at 0.55 m, a quarter of the load of a wheel shifts at 0.34 g."""
-
-_USUAL_SLIP = 0.2
-"""Largest |kappa| and |alpha| [rad] of the refit if no range was measured."""
-
-_NARROW = 0.01
-"""Smallest width of a measured range of slip [-] or angle [rad] that is used."""
-
+_USUAL_SLIP = 0.2  # largest |kappa| and |alpha| [rad] of the refit if no range was measured
+_NARROW = 0.01  # smallest width of a measured range of slip [-] or angle [rad] that is used
 _LOCKED, _SPIN = 0.95, -2.0
 """Largest canonical kappa of a range, as a locked wheel has no sigma_x."""
-
 _SHAPES = 1.4, 1.1, 1.9
 """Values of C from which a refit starts; that of a brush is 1.3. With only the first, one
 of 60 random Magic Formulas ended with an error of 120 % of F_z."""
-
 Ranges = Mapping[str, tuple[float, float]]
 """Smallest and largest canonical kappa, alpha [rad] and fz [N]."""
 
@@ -115,24 +106,19 @@ _KINDS = {
 
 
 class Refit(NamedTuple):
-    """A formula's parameters for a tire.
+    """A formula's parameters for a tire."""
 
-    Attributes:
-        values: the parameters.
-        ranges: where it was compared with the tire.
-        miss: largest error of a force over load, ``fx`` and ``fy`` in pure slip and
-            ``both`` in combined slip, as far as tire and formula have them.
-        loads: the largest error in pure slip at :data:`OTHER_LOADS` times the load, if
-            the fit is at one load; else None.
-        refitted: keys of ``miss`` whose parameters are a least-squares fit; the others
-            were converted by formula.
-    """
-
-    values: dict[str, float]
-    ranges: Ranges
+    values: dict[str, float]  # the parameters
+    ranges: Ranges  # where it was compared with the tire
     miss: dict[str, float]
+    """Largest error of a force over load, ``fx`` and ``fy`` in pure slip and ``both`` in combined
+    slip, as far as tire and formula have them."""
     loads: float | None
+    """The largest error in pure slip at :data:`OTHER_LOADS` times the load, if the fit is at one
+    load; else None."""
     refitted: tuple[str, ...]
+    """Keys of ``miss`` whose parameters are a least-squares fit; the others were converted by
+    formula."""
 
     @property
     def largest(self) -> float:
@@ -295,14 +281,11 @@ def _forces(tire: Tire, kinds: Sequence[str], grids: Sequence[np.ndarray]) -> li
     slip; zero if the tire has none."""
     kappa, alpha, fz = np.concatenate(grids, axis=1)
     given = forces(tire.model, TireInputs(sigma_from_kappa(kappa), alpha, fz, tire.speed))
-    ends, found = np.cumsum([grid.shape[1] for grid in grids])[:-1], {}
-    for name in ("fx", "fy"):
-        force = getattr(given, name)
-        share = np.zeros_like(fz) if force is None else np.asarray(force) / fz
-        found[name] = np.split(share, ends)
-    return [
-        np.stack([found[name][k] for name in _KINDS[kind].forces]) for k, kind in enumerate(kinds)
-    ]
+    ends = np.cumsum([grid.shape[1] for grid in grids])[:-1]
+    shares = [0 * fz if f is None else np.asarray(f) / fz for f in (given.fx, given.fy)]
+    rows = {"fx": [0], "fy": [1], "both": [0, 1]}
+    parts = np.split(np.stack(shares), ends, axis=1)
+    return [part[rows[kind]] for kind, part in zip(kinds, parts, strict=True)]
 
 
 def _off(
@@ -337,13 +320,9 @@ def _compiled(
 
 
 def _solved(
-    formula: Formula,
-    values: Mapping[str, float],
-    starts: Sequence[Mapping[str, float]],
-    kind: str,
-    names: tuple[str, ...],
-    *at: np.ndarray,
-) -> dict[str, float]:
+    formula: Formula, values: Mapping[str, float], starts: Sequence[Mapping[str, float]], kind: str,
+    names: tuple[str, ...], *at: np.ndarray,
+) -> dict[str, float]:  # fmt: skip
     """Least squares of the parameters ``names``: the best from all starts."""
     residuals, jacobian = _compiled(formula, kind, names)
     low, high = np.array([formula.stages[kind][name] for name in names]).T
@@ -369,10 +348,12 @@ def _curves(tire: Tire) -> list[Curves]:
     slips = np.concatenate([[1e-4, -1e-4], np.linspace(0.01, 0.9, 90)])
     zero, load = np.zeros_like(slips), np.full_like(slips, tire.load)
     pure = [(slips, zero, load), *((zero, slips, k * load) for k in (1.0, 0.9, 1.1))]
-    found = _forces(tire, ("fx", "fy", "fy", "fy"), [np.stack(one) for one in pure])
-    along, across, less, more = (_slope_and_peak(one[0]) for one in found)
-    fall = -np.log(more[1] / less[1]) / np.log(1.1 / 0.9)
-    fall = float(np.clip(fall, 0.0, 1.0))
+    found = []  # slope of each force over load, and its peak beyond
+    for (force,) in _forces(tire, ("fx", "fy", "fy", "fy"), [np.stack(one) for one in pure]):
+        peak = np.max(force[2:], where=np.isfinite(force[2:]), initial=1e-9)
+        found.append((float(force[0] - force[1]) / 2e-4, float(peak)))
+    along, across, less, more = found
+    fall = float(np.clip(-np.log(more[1] / less[1]) / np.log(1.1 / 0.9), 0.0, 1.0))
     along = along if "fx" in tire.modelled else across
     across = across if "fy" in tire.modelled else along
     own = magic_formula_of(tire.model)
@@ -382,9 +363,3 @@ def _curves(tire: Tire) -> list[Curves]:
         x, y = ((k / (shape * top), shape, top, 0.0) for k, top in (along, across))
         begun.append(Curves(x, y, tire.load, fall, weights))
     return begun
-
-
-def _slope_and_peak(force: np.ndarray) -> tuple[float, float]:
-    """Slope of a force over load at slips of 1e-4, -1e-4, and its peak beyond."""
-    peak = np.max(force[2:], where=np.isfinite(force[2:]), initial=1e-9)
-    return float(force[0] - force[1]) / 2e-4, float(peak)

@@ -11,24 +11,13 @@ from tirefit.targets.code import compiled
 from tirefit.targets.program import Program
 from tirefit.targets.tire import Tire
 
-_STEP = 1e-4
-"""Step of the slip at zero by which slopes and jumps are found."""
-
-_JUMP = 0.01
-"""Largest change of the force over load within such a step, in addition to its slope."""
-
-_SQUARE = 1.05
-"""Largest resultant over the ellipse of the pure forces."""
-
-_PLATEAU = 0.999
-"""Share of the largest force above which the peak is reached."""
-
+_STEP = 1e-4  # step of the slip at zero by which slopes and jumps are found
+_JUMP = 0.01  # largest change of the force over load within such a step, in addition to its slope
+_SQUARE = 1.05  # largest resultant over the ellipse of the pure forces
+_PLATEAU = 0.999  # share of the largest force above which the peak is reached
 _SLIPS, _ANGLES = np.linspace(-0.99, 0.99, 397), np.linspace(-1.2, 1.2, 241)
-_PURE = {"fx": ("kappa", _SLIPS), "fy": ("alpha", _ANGLES)}
-"""Force -> its slip, and values of it."""
-
-_FEW = _SLIPS[::4, None], _ANGLES[::4]
-"""The same for both slips together."""
+_PURE = {"fx": ("kappa", _SLIPS), "fy": ("alpha", _ANGLES)}  # force -> its slip, and values of it
+_FEW = _SLIPS[::4, None], _ANGLES[::4]  # the same for both slips together
 
 
 class Shape(NamedTuple):

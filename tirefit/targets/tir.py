@@ -7,7 +7,7 @@ coefficients.
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from textwrap import wrap
 
@@ -28,9 +28,7 @@ from tirefit.results import InputProblem, UsageError, unknown_names
 from tirefit.targets.code import PARAMETERS, Draft
 from tirefit.targets.tire import Tire, turned_range
 
-_WIDEST = 180
-"""Largest length of a comment line; some programs read lines of 200 characters."""
-
+_WIDEST = 180  # largest length of a comment line; some programs read lines of 200 characters
 _PARTS = {"fx": "longitudinal", "fy": "lateral", "mz": "aligning"}
 """Force -> the part of a Magic Formula that gives it."""
 
@@ -50,7 +48,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
             that is no Magic Formula and has no c_p a^2 and mu.
     """
     problems = _wheel_problems(wheel, ("radius",))
-    UsageError.raise_for([*problems, *unknown_names("--model", [model], MAGIC_FORMULAS)])
+    UsageError.raise_for(problems + unknown_names("--model", [model], MAGIC_FORMULAS))
     own = tire.model if tire.bare is None else tire.bare
     notes = [re.sub("^in the forces:", "not in this file:", one) for one in tire.notes]
     if isinstance(own, MFTire):
@@ -71,8 +69,10 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
         spread = {k: one.std for k, one in fit.coefficients.items() if one.std}
         tir = _new_file(replace(tire, model=fit.tire, spread=spread))
     held = own_tire(tir)
-    if isinstance(own, MFTire) and _alike(held, own):
-        held = own
+    if isinstance(own, MFTire):
+        # They may differ only by the rounding of a file.
+        pair = (jax.tree.map(lambda x: np.asarray(x, float), each) for each in (held, own))
+        held = own if eqx.tree_equal(*pair, rtol=1e-12) else held
     notes += [note for note in remarks(tir, held) if note not in notes]
     return replace(tire, model=held, bare=None, tir=tir, notes=tuple(notes))
 
@@ -121,20 +121,6 @@ def _new_file(tire: Tire) -> TirFile:
     return tir.with_values({"FE_METHOD": "YES"}) if model.ellipse else tir
 
 
-def _alike(one: MFTire, other: MFTire) -> bool:
-    """Whether two tires differ only by the rounding of a file."""
-    pair = (jax.tree.map(lambda x: np.asarray(x, float), tire) for tire in (one, other))
-    return bool(eqx.tree_equal(*pair, rtol=1e-12))
-
-
-def _comments(lines: Iterable[str]) -> str:
-    """Lines as comments of a ``.tir`` file, wrapped to the length that programs read."""
-    short: list[str] = []
-    for line in lines:
-        short += wrap(line, _WIDEST, subsequent_indent="  ", break_on_hyphens=False)
-    return "".join(f"$ {line}\n" for line in short)
-
-
 def _head_of(draft: Draft) -> list[str]:
     """The head without the parameters, which the file lists separately."""
     listed = {f"  {line}" for line in draft.tire.parameters()} | {PARAMETERS}
@@ -144,32 +130,23 @@ def _head_of(draft: Draft) -> list[str]:
 def tir_source(draft: Draft) -> str:
     """The text of the file, the head as comments above it."""
     assert draft.tire.tir is not None
-    text = _comments(_head_of(draft)) + draft.tire.tir.text
+    lines = []  # as comments, wrapped to the length that programs read
+    for line in _head_of(draft):
+        lines += wrap(line, _WIDEST, subsequent_indent="  ", break_on_hyphens=False)
+    text = "".join(f"$ {line}\n" for line in lines) + draft.tire.tir.text
     parse_tir(text)
     return text
 
 
 _VERSION = "mf52"
-
 _UNREAD = "PDX3 REX1 REX2 REY1 REY2 RHY2 QBZ10".split()
 """Coefficients of MF 5.2 that Chrono does not read."""
-
-_LIMIT = np.pi / 2 - 0.01
-"""Limit of B times the slip in Chrono, in pure slip."""
-
+_LIMIT = np.pi / 2 - 0.01  # limit of B times the slip in Chrono, in pure slip
 _SMALL, _SEEN = 1e-4, 1e-3
 """Step of the slip for the slope at zero; smallest share of the load that is mentioned."""
-
-_WHEEL = {
-    "mass": "MASS",
-    "ixx": "IXX",
-    "iyy": "IYY",
-    "vertical_stiffness": "VERTICAL_STIFFNESS",
-    "vertical_damping": "VERTICAL_DAMPING",
-    "width": "WIDTH",
-}
+_WHEEL = {name: name.upper() for name in ("mass", "ixx", "iyy")}
+_WHEEL |= {name: name.upper() for name in ("vertical_stiffness", "vertical_damping", "width")}
 """Quantity that Chrono needs in addition to the forces -> its key in a ``.tir``."""
-
 FRICTION = 0.8
 """Friction coefficient of the road of the tests; Chrono scales the force by that of the
 terrain over this one."""
@@ -203,14 +180,10 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     tir = _new_file(held)
     unread = [k for k in _UNREAD if tir.numbers.get(k)]
     combined = all(tir.numbers.get(k) for keys in WEIGHTS.values() for k in keys)
-    added: dict[str, float | str] = {
-        "PROPERTY_FILE_FORMAT": "PAC2002",
-        "USE_MODE": 4.0,
-        "TYRESIDE": held.tir.side,
-        "FE_METHOD": "YES" if held.model.ellipse or not combined else "NO",
-    }
-    added |= {key: whole[name] for name, key in _WHEEL.items()}
-    tir = tir.with_values(added)
+    by_ellipse = held.model.ellipse or not combined
+    added: dict[str, float | str] = {"PROPERTY_FILE_FORMAT": "PAC2002", "USE_MODE": 4.0}
+    added |= {"TYRESIDE": held.tir.side, "FE_METHOD": "YES" if by_ellipse else "NO"}
+    tir = tir.with_values(added | {key: whole[name] for name, key in _WHEEL.items()})
     notes = [
         "Chrono looks for the .tir in its folder of vehicle data: put both files there,"
         " or call chrono::vehicle::SetDataPath with their folder",
@@ -222,9 +195,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         notes.append("without coefficients of combined slip Chrono uses its ellipse")
     if tir.numbers.get("LKY", 1.0) != tir.numbers.get("LMUY", 1.0):
         notes.append("Chrono scales the cornering stiffness by LMUY, not by LKY")
-    own = held.model
-    if unread:
-        own = own_tire(tir.with_values(dict.fromkeys(unread, 0.0)))
+    own = own_tire(tir.with_values(dict.fromkeys(unread, 0.0))) if unread else held.model
     notes += _limited(own, held.load)
     return replace(held, model=own, tir=tir, notes=held.notes + tuple(notes))
 
@@ -284,14 +255,10 @@ def chrono_source(draft: Draft) -> dict[str, str]:
     assert tir is not None
     given = {name: tir.numbers[key] for name, key in _WHEEL.items()}
     content = {
-        "Name": draft.above[0],
-        "Type": "Tire",
-        "Template": "Pac02Tire",
-        "Mass": given["mass"],
+        "Name": draft.above[0], "Type": "Tire", "Template": "Pac02Tire", "Mass": given["mass"],
         "Inertia": [given[k] for k in ("ixx", "iyy", "ixx")],
         "Coefficient of Friction": draft.wheel.get("friction", FRICTION),
         "TIR Specification File": f"{draft.name}.tir",
-        "Visualization": {"Width": given["width"]},
-        "Notes": _head_of(draft)[1:],
-    }
+        "Visualization": {"Width": given["width"]}, "Notes": _head_of(draft)[1:],
+    }  # fmt: skip
     return {".json": json_text(content), ".tir": tir_source(draft)}

@@ -34,15 +34,10 @@ if TYPE_CHECKING:
 INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 """Arguments of an exported tire, in order: practical slip [-], slip angle [rad], load
 [N]; then speed [m/s], camber [rad], pressure [Pa], if they change a force."""
-
 ALWAYS = 3
 """The number of the first of them that every exported tire has."""
-
-_USUAL_LOAD = 4000.0
-"""Default load [N], of a tire of a passenger car."""
-
-_SPEED = 10.0
-"""Speed [m/s] at which tires are compared if it was measured, or nothing was."""
+_USUAL_LOAD = 4000.0  # default load [N], of a tire of a passenger car
+_SPEED = 10.0  # speed [m/s] at which tires are compared if it was measured, or nothing was
 
 QUANTITIES = {
     "kappa": ("-", "practical slip: sliding speed over forward speed of the wheel centre"),
@@ -62,37 +57,27 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Tire:
-    """A tire to export.
+    """A tire to export."""
 
-    Attributes:
-        model: steady-state tire with its values.
-        name: of the model.
-        origin: sentences on where it comes from.
-        load: a usual load [N], at which the tire is checked.
-        spread: standard errors of the fitted parameters.
-        measured: (smallest, largest) value of the known ones of :data:`INPUTS`, in canonical signs.
-        notes: sentences on what was assumed.
-        bare: the model without the effects of a diagnosis; None if it has none.
-        tir: the file that states the model, for targets that write one.
-        relaxation: relaxation length [m], which is not in the forces; None without.
-        asked: forces and moments to export; empty for all.
-        fitted: forces that were fitted to the measured range; empty without a fit.
-        ends: of the 95 % intervals of the fitted parameters.
-    """
-
-    model: AbstractTire
-    name: str
-    origin: str
-    load: float
+    model: AbstractTire  # steady-state tire with its values
+    name: str  # of the model
+    origin: str  # sentences on where it comes from
+    load: float  # a usual load [N], at which the tire is checked
     spread: Mapping[str, float] = field(default_factory=dict)
+    """Standard errors of the fitted parameters."""
     measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    """(smallest, largest) value of the known ones of :data:`INPUTS`, in canonical signs."""
+    notes: tuple[str, ...] = ()  # sentences on what was assumed
     bare: AbstractTire | None = None
-    tir: TirFile | None = None
+    """The model without the effects of a diagnosis; None if it has none."""
+    tir: TirFile | None = None  # the file that states the model, for targets that write one
     relaxation: float | None = None
-    asked: tuple[str, ...] = ()
+    """Relaxation length [m], which is not in the forces; None without."""
+    asked: tuple[str, ...] = ()  # forces and moments to export; empty for all
     fitted: tuple[str, ...] = ()
+    """Forces that were fitted to the measured range; empty without a fit."""
     ends: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """Of the 95 % intervals of the fitted parameters."""
 
     @property
     def speed(self) -> float:
@@ -140,21 +125,14 @@ class Tire:
         require_x64("an export")
         signs, outputs = CONVENTIONS[convention], self.outputs
 
-        def forces(
-            kappa: Numbers,
-            alpha: Numbers,
-            fz: Numbers,
-            v: Numbers,
-            gamma: Numbers,
-            pressure: Numbers,
-        ) -> tuple[Numbers, ...]:
+        def forces(*given: Numbers) -> tuple[Numbers, ...]:
+            kappa, alpha, fz, v, gamma, pressure = given
             kappa = signs.slip * kappa
             # A locked wheel has no finite sigma_x.
             turned = kappa / jnp.maximum(1 - kappa, 1 / (1 + LOCKED))
-            given = TireInputs(
-                turned, signs.alpha * alpha, signs.fz * fz, v, signs.gamma * gamma, pressure
-            )
-            found = self.model(given)._asdict()
+            at = TireInputs(turned, signs.alpha * alpha, signs.fz * fz, v)
+            inputs = at._replace(gamma=signs.gamma * gamma, pressure=pressure)
+            found = self.model(inputs)._asdict()
             return tuple(getattr(signs, name) * found[name] for name in outputs)
 
         return forces
@@ -217,21 +195,16 @@ def tire_of(
             values by run; or a diagnosis of another model.
         DataError: a file that cannot be read.
     """
-    tire = _given(source, values)
-    return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
-
-
-def _given(
-    source: "Fit | AbstractTire | str | os.PathLike[str]", values: Mapping[str, float] | None
-) -> Tire:
     path = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     given = given_tire(source, values)
     if given.tir is not None:
-        return _of_tir(given, path, values or {})
-    if given.content:
-        return _of_fit(given, path)
-    load = given.tire.nominal.FNOMIN if isinstance(given.tire, MFTire) else _USUAL_LOAD
-    return Tire(given.tire, given.name, f"model {given.name}, no data", float(load))
+        tire = _of_tir(given, path, values or {})
+    elif given.content:
+        tire = _of_fit(given, path)
+    else:
+        load = given.tire.nominal.FNOMIN if isinstance(given.tire, MFTire) else _USUAL_LOAD
+        tire = Tire(given.tire, given.name, f"model {given.name}, no data", float(load))
+    return _exportable(tire) if diagnosis is None else _with_effects(tire, diagnosis)
 
 
 def _of_fit(given: GivenTire, path: str) -> Tire:

@@ -19,16 +19,9 @@ from tirefit.models.mf.tire import (
 )
 
 __all__ = [
-    "MAGIC_FORMULAS",
-    "OTHER_SIDE",
-    "WEIGHTS",
-    "MFTire",
-    "Mirrored",
-    "Pair",
-    "curvatures",
-    "frictions",
-    "mf_tire",
-]
+    "MAGIC_FORMULAS", "OTHER_SIDE", "WEIGHTS", "MFTire", "Mirrored", "Pair", "curvatures",
+    "frictions", "mf_tire",
+]  # fmt: skip
 
 MAGIC_FORMULAS = {
     f"mf{version.replace('.', '')}": MFTire(

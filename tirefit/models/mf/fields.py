@@ -65,14 +65,9 @@ def coefficient(symbol: str, meaning: str, equation: str, default: float = 0.0) 
 def _scale(symbol: str, of: str, equation: str, default: float = 1.0) -> Any:
     """The field of a scaling factor, which is never estimated, as the coefficients are."""
     return par(
-        default,
-        (0.0, 1e3),
-        "-",
-        f"scales {of}",
-        f"P({equation})",
-        rf"\lambda_{{{symbol}}}",
+        default, (0.0, 1e3), "-", f"scales {of}", f"P({equation})", rf"\lambda_{{{symbol}}}",
         free=False,
-    )
+    )  # fmt: skip
 
 
 def _stated(

@@ -35,7 +35,6 @@ from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
 
 WEIGHTS = {"fx": ("RBX1", "RCX1"), "fy": ("RBY1", "RCY1")}
 """Force -> coefficients without which its weighting function is one."""
-
 COMBINATIONS = ("none", "similarity", "ellipse")
 """Names of the ways to combine both slips, see :func:`mf_tire`."""
 
@@ -133,8 +132,7 @@ class MFTire(AbstractTire):
         fz0 = nominal.FNOMIN * scale.LFZO
         kappa = -kappa_from_sigma(inputs.sigma_x)
         tan_alpha = jnp.tan(inputs.alpha)
-        own = inputs.pressure > 0
-        pressure = jnp.where(own, inputs.pressure, nominal.INFLPRES)
+        pressure = jnp.where(inputs.pressure > 0, inputs.pressure, nominal.INFLPRES)
         sliding = inputs.v * resultant(kappa, tan_alpha) / nominal.LONGVL
         fall = 1 / (1 + scale.LMUV * sliding)
         friction_x, friction_y = scale.LMUX * fall, scale.LMUY * fall
@@ -144,39 +142,28 @@ class MFTire(AbstractTire):
             return digression * friction / (1 + (digression - 1) * friction)
 
         return Point(
-            kappa,
-            tan_alpha if self.starred else inputs.alpha,
-            cos_arctan(tan_alpha),
-            jnp.sin(inputs.gamma) if self.starred else inputs.gamma,
-            inputs.gamma,
-            fz,
-            (fz - fz0) / fz0,
-            (pressure - nominal.NOMPRES) / nominal.NOMPRES,
-            friction_x,
-            friction_y,
-            shift(friction_x),
-            shift(friction_y),
-            camber_stiffness=not is_52,
+            kappa, tan_alpha if self.starred else inputs.alpha, cos_arctan(tan_alpha),
+            jnp.sin(inputs.gamma) if self.starred else inputs.gamma, inputs.gamma, fz,
+            (fz - fz0) / fz0, (pressure - nominal.NOMPRES) / nominal.NOMPRES, friction_x,
+            friction_y, shift(friction_x), shift(friction_y), camber_stiffness=not is_52,
             starred=self.starred,
-        )
+        )  # fmt: skip
 
 
 def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
     """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
     size = len(np.asarray(inputs.fz))
     padded = TireInputs(*(pad_rows(column, padded_size(size, 1024)) for column in inputs))
-    return {force: np.asarray(mu)[:size] for force, mu in _frictions(tire, padded).items()}
+    return {force: np.asarray(mu)[:size] for force, mu in _all_frictions(tire, padded).items()}
 
 
-@jax.jit
 def _frictions(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
-    def one(sample: TireInputs) -> dict[str, Scalar]:
-        at, fz0 = tire.point(sample), tire.nominal.FNOMIN * tire.scaling.LFZO
-        side = tire.lateral.pure(at, tire.scaling, fz0)
-        return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
+    at, fz0 = tire.point(inputs), tire.nominal.FNOMIN * tire.scaling.LFZO
+    side = tire.lateral.pure(at, tire.scaling, fz0)
+    return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
 
-    return jax.vmap(one)(inputs)
 
+_all_frictions = jax.jit(jax.vmap(_frictions, (None, 0)))
 
 OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz", "mx"))
 """Fields of a convention that change sign if a tire is mirrored in the plane of its
@@ -233,14 +220,9 @@ def turned_forces(forces: TireForces, turned: Set[str]) -> TireForces:
 
 
 def mf_tire(
-    version: str,
-    values: Mapping[str, float],
-    *,
-    starred: bool = False,
-    digression: float = 1.0,
-    combination: str | None = None,
-    lacks: Collection[str] = (),
-) -> MFTire:
+    version: str, values: Mapping[str, float], *, starred: bool = False, digression: float = 1.0,
+    combination: str | None = None, lacks: Collection[str] = (),
+) -> MFTire:  # fmt: skip
     """The tire of a set of coefficients.
 
     Args:
@@ -301,12 +283,7 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
         That of M_z does not include those of F_x and F_y, on which M_z also depends.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
-    return _all_largest(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
-
-
-@jax.jit
-def _all_largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
-    return jax.vmap(lambda sample: _largest(tire, sample))(inputs)
+    return _largest_of_all(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
 
 
 def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
@@ -338,3 +315,6 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     for force, weight in weights.items():
         found[force] = jnp.maximum(found[force], weighting(force, weight))
     return {force: value for force, value in found.items() if force not in tire.lacks}
+
+
+_largest_of_all = jax.jit(jax.vmap(_largest, (None, 0)))
