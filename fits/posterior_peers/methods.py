@@ -19,15 +19,7 @@ of a fit, to save time."""
 MOST_STEPS = 1000
 """Steps of a chain; a chain that is still too short is used and counted."""
 
-METHODS = (
-    "profile",
-    "covariance",
-    "lmfit",
-    "mean-field",
-    "full-rank",
-    "importance",
-    "emcee",
-)
+METHODS = ("profile", "covariance", "lmfit", "mean-field", "full-rank", "importance", "emcee")
 """The slow methods are last, so that the other results can be read earlier."""
 
 
