@@ -13,7 +13,7 @@ from tirefit.fitting.uncertainty.profile import Side
 from tirefit.params import Values
 
 _SETTLED = 1e-8  # share of the squares that one more step would take off
-_AT_BOUND = 6.0
+AT_BOUND = 6.0
 """|z| of an element at its bound, 0.25 % of the range away, where the squares hardly change."""
 
 
@@ -167,7 +167,7 @@ def minimised_inside(
     held = np.zeros(len(start.z), bool) if held is None else held
     bounds = np.where(held, start.z, -np.inf), np.where(held, start.z, np.inf)
     end = minimised(squares, start, bounds, tolerance)
-    at_bound = (np.abs(end.z) > _AT_BOUND) & ~held
+    at_bound = (np.abs(end.z) > AT_BOUND) & ~held
     if not at_bound.any():
         return end
     inside = squares.begun(jnp.where(at_bound, 0.0, end.z), end.starts)
@@ -210,7 +210,7 @@ def profile_ends(squares: Squares, end: End, element: int, std: float, level: fl
     best, least, ends = float(end.z[element]), squares.at(end), []
     held = np.arange(len(end.z)) == element
     for sign in (-1, 1):
-        side, at = Side(best, sign, min(std, _AT_BOUND), level), end
+        side, at = Side(best, sign, min(std, AT_BOUND), level), end
         for _ in range(_POINTS):
             distance = side.next_distance()
             z = at.z.at[element].set(best + sign * distance)

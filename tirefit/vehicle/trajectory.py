@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tirefit import __version__
+from tirefit.data.read import read_frame
 from tirefit.data.table import TireData
 from tirefit.data.vehicle.vehicle import Steering, Vehicle, vehicle_toml
 from tirefit.display import Record
@@ -46,6 +47,7 @@ from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import logged
 from tirefit.vehicle.shooting import (
+    AT_BOUND,
     Data,
     Squares,
     linearised,
@@ -87,6 +89,8 @@ WINDOW = 0.5
 _SHAPES = "brush", "brush-d", "magic-formula"  # to compare where the peak is not reached
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
+_ORDINARY_MU, _ORDINARY_SLOPE = 0.8, 8.0
+"""Friction, and slope of force over load [1/rad], of an ordinary tire."""
 _MOST_SLIPS = 99.5
 """Percentile of the derived slip angles that counts as their largest: few are errors."""
 
@@ -200,6 +204,7 @@ def fit_trajectory(
     *,
     unknowns: Sequence[str] = ("steering_delay", "steering_offset"),
     window: float = WINDOW,
+    progress: Callable[[float, str], None] | None = None,
 ) -> TrajectoryFit:
     """Fit both axles' tires, and unknowns of the car, to windows of its logs.
 
@@ -211,6 +216,7 @@ def fit_trajectory(
         rear: likewise.
         unknowns: names of :data:`UNKNOWNS` to estimate with the tires.
         window: length of a window [s].
+        progress: called with the share done and the present step.
 
     Returns:
         Tires and unknowns with standard errors and intervals; its ``save`` writes what
@@ -231,14 +237,17 @@ def fit_trajectory(
     vehicle = known_vehicle(vehicle)
     given = {"front": axle_tire(front), "rear": axle_tire(rear)}
     _check(vehicle, unknowns, given)
+    tell = progress or (lambda share, note: None)
+    tell(0.02, "reading logs")
     rate = vehicle.filter.sample_rate
     found = cut_in_windows(logs, vehicle, window)
     parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
-    tires = [started(tire, rows[axle]) for axle, tire in given.items()]
+    tell(0.05, "starting with the tires of derive")
+    tires = [_within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
-    return problem.solved(rows)
+    return problem.solved(rows, tell)
 
 
 def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenTire]) -> None:
@@ -262,6 +271,22 @@ def started(tire: GivenTire, rows: TireData) -> GivenTire:
     fit = problem.layout, solved.z, solved.covariance
     made = at_estimate(problem.model, problem.layout, solved.z)
     return replace(tire, tire=made, fit=fit)
+
+
+def _within(first: GivenTire, given: GivenTire, rows: TireData) -> GivenTire:
+    """The first tire of a search; if a fit to the derived rows left it at a bound, the same
+    model fitted to an ordinary curve.
+
+    An unknown delay or ratio of the steering makes derived slip angles of the front axle so wrong
+    that the force seems to fall with slip: the stiffness ends at its lower bound, from where the
+    search does not come back.
+    """
+    if given.fit is not None or first.fit is None or np.all(np.abs(first.fit[1]) < AT_BOUND):
+        return first
+    alpha, fz = np.linspace(-0.4, 0.4, 81), float(rows["fz"][0])
+    force = _ORDINARY_MU * fz * np.tanh(_ORDINARY_SLOPE / _ORDINARY_MU * alpha)
+    cells = {"alpha": alpha, "fy": force, "fz": np.full(81, fz), "v": np.full(81, rows["v"].mean())}
+    return started(given, read_frame(cells, "an ordinary curve"))
 
 
 class _Problem:
@@ -326,10 +351,14 @@ class _Problem:
         reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
-    def solved(self, rows: Mapping[str, TireData]) -> TrajectoryFit:
+    def solved(
+        self, rows: Mapping[str, TireData], tell: Callable[[float, str], None]
+    ) -> TrajectoryFit:
+        tell(0.1, "compiling")
         squares = Squares(self.run, jnp.ones(len(self.names)), self.pulls())
         end = squares.begun(jnp.asarray(self.z), jnp.asarray(self.data.start))
-        for _ in range(_ROUNDS):
+        for k in range(_ROUNDS):
+            tell(0.15 + 0.1 * k, f"search {k + 1} of {_ROUNDS}, {len(self.data.v_x)} windows")
             squares = squares._replace(noise=jnp.sqrt(jnp.mean(end.now[0] ** 2, axis=(0, 1))))
             end = minimised_inside(squares, end)
         at, (missed, by_z, by_start) = np.asarray(end.z), end.now
@@ -343,6 +372,8 @@ class _Problem:
             if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
                     level = reach**2 * widened[e]
+                    share = (e + 1) / self.first[-1]
+                    tell(0.4 + 0.55 * share, f"interval of parameter {e + 1} of {self.first[-1]}")
                     ends[:, e] = profile_ends(squares._replace(noise=noise), end, e, std[e], level)
         found = self.estimates(at, std, ends)
         axles = {
