@@ -193,7 +193,7 @@ def sandwich(
 _LEAST_PRECISION = 1e-6
 """Smallest 1/variance of an element of z: one at its bound has no slope; its interval is wide."""
 
-_POINTS = 12  # largest number of points on one side of a profile
+_POINTS = 8  # largest number of points on one side of a profile
 _ROUGHLY = 1e-6  # share of the squares that one more step would take off at one of them
 
 
