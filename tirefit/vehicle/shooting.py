@@ -198,7 +198,7 @@ _LEAST_PRECISION = 1e-6
 """Smallest 1/variance of an element of z: one at its bound has no slope; its interval is wide."""
 
 _POINTS = 8  # largest number of points on one side of a profile
-_RESTS, _ROUGHLY = 5, 0.01
+_RESTS, _ROUGHLY = 3, 0.01
 """The search of a point ends where so many steps take less than this share of the level off."""
 
 
