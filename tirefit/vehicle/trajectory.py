@@ -373,7 +373,9 @@ class _Problem:
         covariance, blocks, widened = sandwich(missed, by_z, by_start, noise, squares.pull)
         std, reach = np.sqrt(np.diag(covariance)), stdtrit(max(blocks - 1, 1), 0.975)
         ends, car = at + reach * np.outer((-1, 1), std), self.car(at)
-        for k, axle in enumerate(("front", "rear")):
+        # Profiles of a search that stopped short would begin at no minimum.
+        converged = bool(end.converged) and left_to_gain(squares, end) < _LEFT
+        for k, axle in enumerate(("front", "rear") if converged else ()):
             if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
                     level = reach**2 * widened[e]
@@ -393,7 +395,7 @@ class _Problem:
             len(self.data.v_x),
             blocks,
             self.found_vehicle(found),
-            bool(end.converged) and left_to_gain(squares, end) < _LEFT,
+            converged,
             axles,
             rows,
         )
