@@ -23,7 +23,7 @@ from tirefit.models import Brush, TireInputs, forces
 from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of
 from tirefit.vehicle import trajectory
-from tirefit.vehicle.trajectory import started
+from tirefit.vehicle.start import started, within
 from tirefit.vehicle.windows import cut_in_windows
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
@@ -274,11 +274,11 @@ def test_a_search_does_not_begin_where_the_derived_force_does_not_follow_the_sli
     cells = {"alpha": alpha, "fy": noise, "fz": np.full(50, 8.0), "v": np.full(50, 2.0)}
     rows, given = read_frame(cells, "late"), axle_tire("brush")
     assert np.abs(started(given, rows).fit[1]).max() > 6.0
-    tire = trajectory._within(started(given, rows), given, rows)
+    tire = within(started(given, rows), given, rows)
     force = forces(tire.tire, TireInputs(alpha=np.array([0.01, 1.2]), fz=8.0, v=2.0)).fy
     np.testing.assert_allclose(force / 8.0, [0.08, 0.8], rtol=0.2)
     sane = started(given, read_frame(cells | {"fy": 6.0 * np.tanh(alpha / 0.03)}, "sane"))
-    assert trajectory._within(sane, given, rows) is sane
+    assert within(sane, given, rows) is sane
 
 
 def test_an_interrupted_fit_says_where_it_stood(drive, tmp_path, monkeypatch):

@@ -29,8 +29,8 @@ from tirefit.vehicle.car import car_of
 from tirefit.vehicle.document import document_of
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import Model
+from tirefit.vehicle.start import started
 from tirefit.vehicle.subject import Windows
-from tirefit.vehicle.trajectory import started
 from tirefit.vehicle.windows import (
     LEAST_WINDOWS,
     CutLog,

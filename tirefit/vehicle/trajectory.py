@@ -21,7 +21,6 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tirefit import __version__
-from tirefit.data.read import read_frame
 from tirefit.data.table import TireData
 from tirefit.data.vehicle.vehicle import Steering, Vehicle, vehicle_toml
 from tirefit.display import Record
@@ -29,14 +28,10 @@ from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.result import TireLike
-from tirefit.fitting.problem.build import build
-from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
 from tirefit.fitting.result import TRAJECTORY, Estimate, layout_record
-from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.source import GivenTire, axle_tire
-from tirefit.fitting.store import at_estimate
 from tirefit.fitting.uncertainty.identified import limited
 from tirefit.fitting.verdict.family import NEAR_PEAK
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
@@ -47,7 +42,6 @@ from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import logged
 from tirefit.vehicle.shooting import (
-    AT_BOUND,
     Data,
     Squares,
     left_to_gain,
@@ -56,6 +50,7 @@ from tirefit.vehicle.shooting import (
     profile_ends,
     sandwich,
 )
+from tirefit.vehicle.start import started, within
 from tirefit.vehicle.windows import (
     CHANNELS,
     cut_in_windows,
@@ -90,8 +85,6 @@ WINDOW = 0.5
 _SHAPES = "brush", "brush-d", "magic-formula"  # to compare where the peak is not reached
 _ROUNDS = 3
 """Number of times that the noise of the channels is estimated again."""
-_ORDINARY_MU, _ORDINARY_SLOPE = 0.8, 8.0
-"""Friction, and slope of force over load [1/rad], of an ordinary tire."""
 _LEFT = 1e-3
 """Share of the squares that one more step may promise where a search has converged: 1e-9 on the
 f1tenth car, 0.15 where start states and tires explain the same."""
@@ -250,7 +243,7 @@ def fit_trajectory(
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
     tell(0.05, "starting with the tires of derive")
-    tires = [_within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
+    tires = [within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
     return problem.solved(rows, tell)
 
@@ -265,33 +258,6 @@ def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenT
             reason = f"the {axle} tire {tire.name} has no free parameters"
             problems.append(InputProblem(reason, "name a model, such as brush"))
     UsageError.raise_for(problems)
-
-
-def started(tire: GivenTire, rows: TireData) -> GivenTire:
-    """The tire of a fit; a model given by name is fitted to these rows."""
-    if tire.fit is not None or tire.name not in MODELS:
-        return tire
-    solved = solve_problem(build(rows, tire.name, FitConfig()), FitConfig())
-    problem = solved.problem
-    fit = problem.layout, solved.z, solved.covariance
-    made = at_estimate(problem.model, problem.layout, solved.z)
-    return replace(tire, tire=made, fit=fit)
-
-
-def _within(first: GivenTire, given: GivenTire, rows: TireData) -> GivenTire:
-    """The first tire of a search; if a fit to the derived rows left it at a bound, the same
-    model fitted to an ordinary curve.
-
-    An unknown delay or ratio of the steering makes derived slip angles of the front axle so wrong
-    that the force seems to fall with slip: the stiffness ends at its lower bound, from where the
-    search does not come back.
-    """
-    if given.fit is not None or first.fit is None or np.all(np.abs(first.fit[1]) < AT_BOUND):
-        return first
-    alpha, fz = np.linspace(-0.4, 0.4, 81), float(rows["fz"][0])
-    force = _ORDINARY_MU * fz * np.tanh(_ORDINARY_SLOPE / _ORDINARY_MU * alpha)
-    cells = {"alpha": alpha, "fy": force, "fz": np.full(81, fz), "v": np.full(81, rows["v"].mean())}
-    return started(given, read_frame(cells, "an ordinary curve"))
 
 
 class _Problem:
@@ -356,9 +322,7 @@ class _Problem:
         reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
-    def solved(
-        self, rows: Mapping[str, TireData], tell: Callable[[float, str], None]
-    ) -> TrajectoryFit:
+    def solved(self, rows: Mapping[str, TireData], tell: Callable[..., None]) -> TrajectoryFit:
         tell(0.1, "compiling")
         squares = Squares(self.run, jnp.ones(len(self.names)), self.pulls())
         end = squares.begun(jnp.asarray(self.z), jnp.asarray(self.data.start))
@@ -379,8 +343,7 @@ class _Problem:
             if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
                     level = reach**2 * widened[e]
-                    share = (e + 1) / self.first[-1]
-                    tell(0.4 + 0.55 * share, f"interval of parameter {e + 1} of {self.first[-1]}")
+                    tell(0.4 + 0.5 * e / self.first[-1], f"interval of parameter {e + 1}")
                     ends[:, e] = profile_ends(squares._replace(noise=noise), end, e, std[e], level)
         found = self.estimates(at, std, ends)
         axles = {
