@@ -133,6 +133,26 @@ def test_the_stated_spread_of_the_mit_rule_agrees_with_repeats():
     np.testing.assert_allclose(spread, claimed, rtol=0.25)
 
 
+def test_mit_states_what_a_constant_error_of_the_force_does_to_mu():
+    """Its derivative by such an error is that of the run; its std holds the error it makes."""
+    data = log(n=1000, largest=0.03)
+    ends = []
+    for error in (-1e-5, 1e-5):
+        wrong = data | {"fx": data["fx"] + error * LOAD}
+        ends.append(run(estimator_of("mit", LOAD, KNOWN | {"start1": 0.9}), wrong)[0].inner)
+    slope = (ends[1].theta - ends[0].theta) / 2e-5
+    # The slope g depends on theta, which the derivative neglects as the covariance does.
+    np.testing.assert_allclose(ends[0].by_offset, slope, rtol=0.25)
+    estimates = [
+        run(estimator_of("mit", LOAD, KNOWN | {"start1": 0.9, "offset": b}), data)[1]
+        for b in (0.0, 0.06)
+    ]
+    (mu, noise), (_, whole) = map(last, estimates)
+    theta = ends[0].theta
+    of_mu = mu * np.array([2 / theta[0], -1 / theta[1]]) @ ends[0].by_offset
+    np.testing.assert_allclose(np.sqrt(whole**2 - noise**2), 0.06 * of_mu, rtol=1e-3)
+
+
 def test_a_kalman_step_agrees_with_gaussian_conditioning(monkeypatch):
     # A force that is linear in the logarithms makes the filter exact.
     slope = np.array([3e3, 5e3])

@@ -18,9 +18,12 @@ from tirefit import fit_trajectory, replay
 from tirefit.cli.commands import app
 from tirefit.data.read import read_frame
 from tirefit.data.vehicle.vehicle import load_vehicle
-from tirefit.models import Brush
+from tirefit.fitting.source import axle_tire
+from tirefit.models import Brush, TireInputs, forces
 from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of
+from tirefit.vehicle import trajectory
+from tirefit.vehicle.start import started, within
 from tirefit.vehicle.windows import cut_in_windows
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
@@ -262,6 +265,35 @@ def test_the_command_writes_files_that_other_commands_read(drive, tmp_path):
     assert bad.exit_code == 2 and "--joint, --slip with --vehicle" in bad.stderr
     bad = CliRunner().invoke(app, [*line[:2], "--window", "1"])
     assert bad.exit_code == 2 and "without --vehicle" in bad.stderr
+
+
+def test_a_search_does_not_begin_where_the_derived_force_does_not_follow_the_slip():
+    """As derived with a steering that is late: the brush of these rows has no stiffness."""
+    alpha, noise = np.linspace(-0.1, 0.1, 50), np.random.default_rng(0).standard_normal(50)
+    noise -= alpha * (alpha @ noise) / (alpha @ alpha) * 1.1  # slope below zero, little of it
+    cells = {"alpha": alpha, "fy": noise, "fz": np.full(50, 8.0), "v": np.full(50, 2.0)}
+    rows, given = read_frame(cells, "late"), axle_tire("brush")
+    assert np.abs(started(given, rows).fit[1]).max() > 6.0
+    tire = within(started(given, rows), given, rows)
+    force = forces(tire.tire, TireInputs(alpha=np.array([0.01, 1.2]), fz=8.0, v=2.0)).fy
+    np.testing.assert_allclose(force / 8.0, [0.08, 0.8], rtol=0.2)
+    sane = started(given, read_frame(cells | {"fy": 6.0 * np.tanh(alpha / 0.03)}, "sane"))
+    assert within(sane, given, rows) is sane
+
+
+def test_an_interrupted_fit_says_where_it_stood(drive, tmp_path, monkeypatch):
+    def stopped(*given, progress, **how):
+        progress(0.5, "search 2 of 3")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trajectory, "fit_trajectory", stopped)
+    out = tmp_path / "out"
+    car = str(drive / "vehicle.toml")
+    line = ["fit", f"{drive}/drive.csv", "--vehicle", car, "--out", str(out)]
+    done = CliRunner().invoke(app, line)
+    assert done.exit_code == 130 and not out.exists()
+    assert done.stderr.startswith("fit: 1 %, loading")
+    assert "the fit was not complete, so its files are as before" in " ".join(done.stderr.split())
 
 
 def test_wrong_requests_are_refused(drive):

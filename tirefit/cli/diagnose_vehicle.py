@@ -1,14 +1,13 @@
 """``tirefit diagnose --vehicle``: find the effects that the model of a car lacks."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from tirefit.cli.options import complain, progress_bar, start_jax
-from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.cli.options import progress_bar, start_jax
+from tirefit.cli.output import check_results, claimed, told_where, write_result
 from tirefit.display import Record
 
 FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
@@ -47,7 +46,7 @@ def diagnose_car(
     check_results([out / name for name in names], [*logs, *sim_logs])
     # The first line of progress at once, as JAX takes seconds to load and to compile.
     with claimed(out):
-        with _told_where(out), progress_bar("diagnose", soon=0.0) as progress:
+        with told_where(out, "diagnosis"), progress_bar("diagnose", soon=0.0) as progress:
             progress(0.01, "loading")
             start_jax()
             from tirefit.vehicle.diagnose import diagnose_vehicle
@@ -62,13 +61,3 @@ def diagnose_car(
         drawn, page = ({names[1]: ""}, names[2]) if figures else ({}, "")
         text = result.summary() if sim_logs else result.summary(full=full)
         write_result(result, out, names, drawn, page, text=text)
-
-
-@contextmanager
-def _told_where(out: Path) -> Iterator[None]:
-    """Context manager: report, at an interrupt, the state of the folder of the results."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        complain(f"{out}: the diagnosis was not complete, so its files are as before")
-        raise

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from tirefit.cli.options import start_jax
-from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.cli.options import progress_bar, start_jax
+from tirefit.cli.output import check_results, claimed, told_where, write_result
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 FIGURE = "trajectory.png"
@@ -32,11 +32,13 @@ def fit_vehicle(
     """
     models, out = models_of(model), out or Path(f"{vehicle.stem}.fit")
     check_results([out / name for name in FILES], logs)
-    start_jax()
-    from tirefit.vehicle.trajectory import fit_trajectory
-
+    how = {k: v for k, v in how.items() if v is not None}
     with claimed(out):
-        how = {k: v for k, v in how.items() if v is not None}
-        result = fit_trajectory(logs, vehicle, **(models | how))
+        with told_where(out, "fit"), progress_bar("fit", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.trajectory import fit_trajectory
+
+            result = fit_trajectory(logs, vehicle, progress=progress, **(models | how))
         write_result(result, out, FILES, {FIGURE: ""})
     return exit_code(result.outcomes)

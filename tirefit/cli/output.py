@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tirefit import __version__
-from tirefit.cli.options import CONTEXT, say
+from tirefit.cli.options import CONTEXT, complain, say
 from tirefit.door import replaced_inputs
 from tirefit.files import PART, fcntl, remove_left, replace_together, took_lock
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
@@ -157,6 +157,16 @@ def _is(path: Path) -> bool:
         return path.exists()
     except OSError:  # no permission to read it
         return False
+
+
+@contextmanager
+def told_where(out: Path, work: str) -> Iterator[None]:
+    """Context manager: report, at an interrupt, the state of the folder of the results."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        complain(f"{out}: the {work} was not complete, so its files are as before")
+        raise
 
 
 @contextmanager

@@ -56,8 +56,8 @@ from tirefit.vehicle.car import car_of
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS as FACTORS
 from tirefit.vehicle.model import Model
+from tirefit.vehicle.start import started
 from tirefit.vehicle.subject import Windows
-from tirefit.vehicle.trajectory import started
 from tirefit.vehicle.windows import (
     CHANNELS,
     LEAST_WINDOWS,

@@ -13,7 +13,7 @@ from tirefit.fitting.uncertainty.profile import Side
 from tirefit.params import Values
 
 _SETTLED = 1e-8  # share of the squares that one more step would take off
-_AT_BOUND = 6.0
+AT_BOUND = 6.0
 """|z| of an element at its bound, 0.25 % of the range away, where the squares hardly change."""
 
 
@@ -145,18 +145,22 @@ def minimised(
     bounds: Sequence[np.ndarray | None] = (None, None),
     tolerance: float = _SETTLED,
     most: int = MAX_STEPS,
+    rest: tuple[int, float] = (MAX_STEPS, 0.0),
 ) -> End:
     """The end of least squares in z within its bounds and in all start states. It has converged
     if, after at most ``most`` trials, a step would change the cost by less than ``tolerance``
-    of it."""
+    of it; ``rest`` as in :func:`on_host`."""
     at = _Windows(squares, start)
     solver, (lower, upper) = NormalEquations(tolerance), bounds
-    found = on_host(at, start.z, solver, lower=lower, upper=upper, max_steps=most)
+    found = on_host(at, start.z, solver, lower=lower, upper=upper, max_steps=most, rest=rest)
     return at.end._replace(z=jnp.asarray(at.end.z), converged=found.converged)
 
 
 def minimised_inside(
-    squares: Squares, start: End, held: np.ndarray | None = None, tolerance: float = _SETTLED
+    squares: Squares,
+    start: End,
+    held: np.ndarray | None = None,
+    rest: tuple[int, float] = (MAX_STEPS, 0.0),
 ) -> End:
     """As :func:`minimised`. If free elements end at a bound, where the squares have no slope, the
     search also begins in the middle of their range, and the lower end counts.
@@ -166,12 +170,24 @@ def minimised_inside(
     """
     held = np.zeros(len(start.z), bool) if held is None else held
     bounds = np.where(held, start.z, -np.inf), np.where(held, start.z, np.inf)
-    end = minimised(squares, start, bounds, tolerance)
-    at_bound = (np.abs(end.z) > _AT_BOUND) & ~held
+    end = minimised(squares, start, bounds, rest=rest)
+    at_bound = (np.abs(end.z) > AT_BOUND) & ~held
     if not at_bound.any():
         return end
     inside = squares.begun(jnp.where(at_bound, 0.0, end.z), end.starts)
-    return min(end, minimised(squares, inside, bounds, tolerance), key=squares.at)
+    return min(end, minimised(squares, inside, bounds, rest=rest), key=squares.at)
+
+
+def left_to_gain(squares: Squares, end: End) -> float:
+    """Share of the squares that one whole step of z would take off if the residuals were linear,
+    without elements at a bound. A search that stops as no shorter step helps leaves more of it.
+    """
+    score, information, *_ = eliminate(*end.now, squares.noise)
+    inside = np.abs(end.z) < AT_BOUND
+    slope = (np.asarray(score.sum(axis=0)) + np.asarray(squares.pull * end.z))[inside]
+    normal = np.asarray(information.sum(axis=0)) + np.diag(squares.pull)
+    gain = slope @ np.linalg.pinv(normal[np.ix_(inside, inside)], hermitian=True) @ slope
+    return float(gain) / squares.at(end)
 
 
 def sandwich(
@@ -193,8 +209,9 @@ def sandwich(
 _LEAST_PRECISION = 1e-6
 """Smallest 1/variance of an element of z: one at its bound has no slope; its interval is wide."""
 
-_POINTS = 12  # largest number of points on one side of a profile
-_ROUGHLY = 1e-6  # share of the squares that one more step would take off at one of them
+_POINTS = 8  # largest number of points on one side of a profile
+_RESTS, _ROUGHLY = 3, 0.01
+"""The search of a point ends where so many steps take less than this share of the level off."""
 
 
 def profile_ends(squares: Squares, end: End, element: int, std: float, level: float) -> np.ndarray:
@@ -208,13 +225,13 @@ def profile_ends(squares: Squares, end: End, element: int, std: float, level: fl
         std: standard error of the element, by which the search begins.
     """
     best, least, ends = float(end.z[element]), squares.at(end), []
-    held = np.arange(len(end.z)) == element
+    held, rest = np.arange(len(end.z)) == element, (_RESTS, _ROUGHLY * level)
     for sign in (-1, 1):
-        side, at = Side(best, sign, min(std, _AT_BOUND), level), end
+        side, at = Side(best, sign, min(std, AT_BOUND), level), end
         for _ in range(_POINTS):
             distance = side.next_distance()
             z = at.z.at[element].set(best + sign * distance)
-            at = minimised_inside(squares, squares.begun(z, at.starts), held, _ROUGHLY)
+            at = minimised_inside(squares, squares.begun(z, at.starts), held, rest)
             side.add(distance, squares.at(at) - least)
             if side.done:
                 break

@@ -38,7 +38,7 @@ from tirefit.results import DataError, InputProblem
 from tirefit.vehicle.diagnose import WINDOW, Steps, check_effects, studied
 from tirefit.vehicle.effects import CAR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS, TIRES
-from tirefit.vehicle.trajectory import started
+from tirefit.vehicle.start import started
 from tirefit.vehicle.windows import CutLog, cut_in_windows, derived_rows, known_vehicle
 
 _NOISE = 1.0
