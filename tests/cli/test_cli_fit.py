@@ -332,8 +332,7 @@ def test_an_interrupted_chain_is_kept_like_a_short_one(
     """So that it can be resumed as that can."""
     from tirefit.fitting.uncertainty import posterior
 
-    start, chunk = posterior.SAMPLERS["emcee"]
-    calls = []
+    chunk, calls = posterior._chunk, []
 
     def interrupted(*arguments):
         calls.append(1)
@@ -342,7 +341,7 @@ def test_an_interrupted_chain_is_kept_like_a_short_one(
         return chunk(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setitem(posterior.SAMPLERS, "emcee", (start, interrupted))
+        patch.setattr(posterior, "_chunk", interrupted)
         files = (rig, write(tmp_path / "wet.csv"))
         result = run("fit", *files, "--config", "fit.toml", exit_code=4)
     assert "interrupted" in result.stdout

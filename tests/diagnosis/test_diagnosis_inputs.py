@@ -18,6 +18,7 @@ from tirefit.models import MODELS, Brush
 from tirefit.report.diagnosis_report import diagnosis_text
 from tirefit.results import DataError, TirefitError, UsageError
 
+ACROSS = Path(__file__).parents[2] / "fits" / "cmu_wheel" / "grouser_wheel.csv"
 FEW = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]
 """Enough where a test is not about what is named."""
 
@@ -230,6 +231,13 @@ def test_an_effect_that_fails_is_reported(change, said):
     )
     with pytest.raises(UsageError, match=re.escape(said)):
         tirefit.diagnose(read_frame(rig_data()), effects=(*FEW, mine))
+
+
+def test_an_effect_without_end_at_a_slip_angle_of_90_degrees_is_left_out():
+    """Friction that falls with the sliding speed, of a wheel that moves across its plane."""
+    falls = [effect for effect in EFFECTS if effect.id == "friction_speed_linear"]
+    found = tirefit.diagnose(ACROSS, effects=(*FEW, *falls))
+    assert "finite slips" in {n for x in found.untestable for n in x.needs}
 
 
 def test_two_noise_levels_of_one_force_are_refused(tmp_path):

@@ -44,7 +44,7 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
     UsageError.raise_for(problems)
     for directory in folders:
         if any(directory.glob(f".*{PART}")):
-            with claimed(directory):  # a killed command may have left temporary files
+            with claimed(directory):  # a killed command may have left its result in parts
                 pass
     check_inputs_kept(made, inputs)
     reason = "it would be replaced, but tirefit did not write it"

@@ -22,7 +22,7 @@ from tirefit.diagnosis.rows.prepared import Prepared, prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
 from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
-from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.case import Case, Untestable
 from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.readings import with_readings
 from tirefit.diagnosis.summary.result import Diagnosis, Settings
@@ -293,10 +293,16 @@ def studied(
     base = fit_base(prepared, model, effects, rig, given)
     testable, lacks = _testable(prepared, base.atoms, without)
     finite = np.asarray(np.isfinite(base.at_null.columns).all(axis=0))
-    if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
+    endless = {base.atoms[k].effect for k in testable if not finite[k]}
+    if wrong := sorted(effect.id for effect in endless if effect not in EFFECTS):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there and finite for all rows"
         raise UsageError(reason, remedy)
+    if endless:  # a wheel that moves across its plane has no end of slip
+        rest = tuple(effect for effect in effects if effect not in endless)
+        case = studied(prepared, model, rig, rest, without, given)
+        left = (Untestable(effect.id, ("finite slips",)) for effect in effects if effect in endless)
+        return replace(case, untestable=(*case.untestable, *left))
     base = replace(base, testable=tuple(testable))
     search = searched(base)
     # The remainder of the best set shows the noise better than that of no effect.

@@ -24,6 +24,7 @@ _NEEDS = {
     "temperature": "a temperature that varies",
     "gamma": "a camber gamma that varies",
     "other slip": "the other slip, not zero",
+    "finite slips": "slips of a wheel that rolls: none of 90 degrees",
     "other force": "the force of the other slip",
     "pressure": "an inflation pressure that varies",
     "work": "speed v with time: the work of sliding",
