@@ -60,7 +60,7 @@ def _link(page: Path, tires: list[str], to: str) -> None:
     from tirefit.report.fit_report import EXPLORE
 
     own = {page.parent.resolve(), page.with_suffix(".json").resolve()}
-    if is_page(page) and not own.isdisjoint(Path(one).resolve() for one in tires):
+    if is_page(page) and not own.isdisjoint(Path(tire).resolve() for tire in tires):
         text = page.read_text(encoding="utf-8")
         link = f'<a href="{quote(to)}">{EXPLORE.partition(":")[0]}</a>'
         if EXPLORE in text:

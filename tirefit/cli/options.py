@@ -175,9 +175,11 @@ def given_options() -> dict[str, str]:
     """Arguments and options on the command line: name -> text, as "--set" or "FILE.tir"."""
     context = CONTEXT.get()
     return {
-        one.name: one.opts[0] if one.param_type_name == "option" else one.metavar.strip("[]")
-        for one in context.command.params
-        if context.get_parameter_source(one.name).name == "COMMANDLINE"
+        param.name: param.opts[0]
+        if param.param_type_name == "option"
+        else param.metavar.strip("[]")
+        for param in context.command.params
+        if context.get_parameter_source(param.name).name == "COMMANDLINE"
     }
 
 

@@ -134,7 +134,11 @@ def _is_of_others(path: Path, made: Collection[Path]) -> bool:
     if b"tirefit" in content or path.suffix.lower() in (".html", ".mcap"):
         return b"tirefit" not in content
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
-    own = [one for one in documents if path.name.startswith(f"{one.name.partition('.')[0]}.")]
+    own = [
+        document
+        for document in documents
+        if path.name.startswith(f"{document.name.partition('.')[0]}.")
+    ]
     documents = own or documents
     return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)
 

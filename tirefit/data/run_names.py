@@ -40,7 +40,7 @@ def clipped(text: str, most: int) -> str:
 
 def _shared(pieces: list[list[str]]) -> int:
     """Number of pieces with which all names begin, leaving each at least one more."""
-    return min(len(commonprefix(pieces)), *(len(one) - 1 for one in pieces))
+    return min(len(commonprefix(pieces)), *(len(piece) - 1 for piece in pieces))
 
 
 def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
@@ -52,7 +52,7 @@ def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
         first = max(first - 1, 0)
     if all(one[first].isdigit() for one in pieces):
         first = max(first - 2, 0)
-    own = [one[first:] for one in pieces]
+    own = [piece[first:] for piece in pieces]
     last = _shared([one[::-1] for one in own])
     rest = ["".join(one[: len(one) - last]) for one in own]
     return "".join(pieces[0][:first]), rest, "".join(own[0][len(own[0]) - last :])

@@ -338,7 +338,7 @@ class FitResult(Record):
             "intervals": self.intervals,
             "derived": {k: asdict(v) for k, v in self.derived.items()},
             "peak_range": {k: v._asdict() for k, v in self.peak_range.items()},
-            "trials": [one._asdict() for one in self.trials],
+            "trials": [trial._asdict() for trial in self.trials],
             "reference": self.reference,
             "correlation": {"labels": list(self.labels), "matrix": self.correlation},
             "fit": asdict(self.statistics),

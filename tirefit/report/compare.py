@@ -35,7 +35,7 @@ def _by(value: float, std: float, unit: str, errors: float) -> str:
 
 
 def _on_numbers(found: Comparison) -> Iterator[str]:
-    tested = [one for one in found.numbers if one.p is not None]
+    tested = [number for number in found.numbers if number.p is not None]
     yield from (f"{one.name} differs: {_difference(one)}" for one in tested if one.differs)
     same = [f"{one.name} ({one.errors:.1f} errors)" for one in tested if not one.differs]
     if same:
@@ -84,7 +84,7 @@ def _named(found: Comparison) -> dict[str, list[str]]:
 
 
 def _on_effects(found: Comparison) -> Iterator[str]:
-    judging, named = [one for one in found.sources if one.kind in _JUDGING], _named(found)
+    judging, named = [source for source in found.sources if source.kind in _JUDGING], _named(found)
     if len(judging) > 1 and not named:
         yield "no diagnosis names an effect"
     for effect, where in named.items():
@@ -125,7 +125,7 @@ def sections_of(found: Comparison) -> list[Section]:
     """Parameters, effects, sources, notes."""
     if found.models:
         return [_ranking(found)]
-    names = [one.name for one in found.sources]
+    names = [source.name for source in found.sources]
     sources = [
         f"{one.name}: {one.kind}, {one.model}{f', {one.file}' * bool(one.file)}"
         for one in found.sources
@@ -174,7 +174,7 @@ def _ranking(found: Comparison) -> Section:
             for name, x in source.numbers.items()
         )
         notes.append(f"{one.model}: {', '.join(values)}")
-    effective = [one.n_effective for one in found.models]
+    effective = [model.n_effective for model in found.models]
     if max(effective) > 1.1 * min(effective):
         best = min(found.models, key=lambda one: one.rmse)
         notes.append(
@@ -185,7 +185,7 @@ def _ranking(found: Comparison) -> Section:
 
 
 def _title(found: Comparison) -> str:
-    return "COMPARISON of " + ", ".join(one.name for one in found.sources)
+    return "COMPARISON of " + ", ".join(source.name for source in found.sources)
 
 
 def comparison_text(found: Comparison) -> str:
@@ -197,7 +197,7 @@ def comparison_text(found: Comparison) -> str:
 
 
 def _panels(found: Comparison) -> list[Panel]:
-    panels, names = [_force_panel(one) for one in found.forces], [x.name for x in found.sources]
+    panels, names = [_force_panel(force) for force in found.forces], [x.name for x in found.sources]
     for given, what in ((found.numbers, "Parameters"), (found.effects, "Sizes of effects")):
         if shown := [one for one in given if one.difference is not None]:
             panels.append(_number_panel(shown, names, what))

@@ -266,7 +266,9 @@ def readings_section(both: Readings, unit: str) -> Section:
     table: list[tuple[str, ...]] = [(f"{both.model} with effects", "simulator", "measured")]
     sides = [dict(side.effects) if side else {} for side in (both.simulator, both.measured)]
     each: list[tuple[str, tuple[Estimate | None, ...]]] = []
-    each += [(k, (_simulated(both, k), one)) for k, one in both.measured.parameters.items()]
+    each += [
+        (k, (_simulated(both, k), parameter)) for k, parameter in both.measured.parameters.items()
+    ]
     each += [(words.name_of(k), tuple(side.get(k) for side in sides)) for k in sides[0] | sides[1]]
     for name, pair in each:
         said = words.said_unit(next(filter(None, pair[::-1])).unit)[1]

@@ -182,7 +182,9 @@ def set_name(effects: Sequence[str]) -> str:
 
 def sizes_of(result: Diagnosis, effect: str) -> list[Amplitude]:
     """The amplitudes of an effect that helps; empty for another one."""
-    return [one for name, one in result.amplitudes.items() if name.startswith(f"{effect}: ")]
+    return [
+        amplitude for name, amplitude in result.amplitudes.items() if name.startswith(f"{effect}: ")
+    ]
 
 
 def amplitude_text(amplitude: Amplitude) -> str:

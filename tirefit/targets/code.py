@@ -101,7 +101,7 @@ def body(program: Program, language: Language, indent: str = "    ") -> list[str
 
 def results(program: Program, language: Language) -> list[str]:
     """The outputs of a program as expressions."""
-    return [_argument(program, language, one) for one in program.outputs.values()]
+    return [_argument(program, language, output) for output in program.outputs.values()]
 
 
 def _argument(program: Program, language: Language, arg: Term | float) -> str:

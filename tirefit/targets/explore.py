@@ -258,7 +258,7 @@ def _slider(
     """Least, largest and first value of an input, in the signs of a convention."""
     first, usual = 0.0, _USUAL.get(name, (0.0, 0.0))
     # A .tir file may state that every slip is valid.
-    known = [one for one in tires if not (one.tir and name in INPUTS[:2])]
+    known = [tire for tire in tires if not (tire.tir and name in INPUTS[:2])]
     ends = [one.measured[name] for one in known if name in one.measured]
     if name == "fz":
         first, usual = tires[0].load, (0.5 * tires[0].load, 1.5 * tires[0].load)

@@ -239,7 +239,7 @@ def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
         return not any(isinstance(value, Term) for value in values)
 
     # A term is matched by its operation and arguments, a constant by its value.
-    match (op, *(one if known(one) else graph.operations[one.place] for one in args)):
+    match (op, *(arg if known(arg) else graph.operations[arg.place] for arg in args)):
         case ("add", 0.0, _):
             return y
         case ("sub", _, 0.0) | ("pow", _, 1.0):

@@ -66,7 +66,9 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
         loads = [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
         fit = converted(tir, model, USUAL_SLIP, loads)
         notes.append(f"refitted from Magic Formula {tir.version} to {fit.tire.version}")
-        spread = {k: one.std for k, one in fit.coefficients.items() if one.std}
+        spread = {
+            k: coefficient.std for k, coefficient in fit.coefficients.items() if coefficient.std
+        }
         tir = _new_file(replace(tire, model=fit.tire, spread=spread))
     held = own_tire(tir)
     if isinstance(own, MFTire):

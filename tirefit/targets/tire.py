@@ -265,7 +265,7 @@ def _with_effects(tire: Tire, diagnosis: "Diagnosis | str | os.PathLike[str]") -
         )
     except UsageError as error:
         file = os.fspath(diagnosis) if isinstance(diagnosis, str | os.PathLike) else ""
-        raise UsageError([replace(one, file=file) for one in error.problems]) from None
+        raise UsageError([replace(problem, file=file) for problem in error.problems]) from None
     own, before = document.extended_parameters, parameter_values(tire.model)
     notes = _exportable(tire).notes + report.sentences
     far = [k for k, x in own.items() if abs(x - before[k]) > abs(before[k])]

@@ -121,7 +121,9 @@ class _Document(AnyDocument):
     @property
     def sizes(self) -> dict[str, float]:
         """Effect -> amplitude."""
-        return {name.partition(": ")[0]: one.value for name, one in self.amplitudes.items()}
+        return {
+            name.partition(": ")[0]: amplitude.value for name, amplitude in self.amplitudes.items()
+        }
 
     @model_validator(mode="after")
     def _known(self) -> Any:

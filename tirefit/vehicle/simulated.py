@@ -156,7 +156,7 @@ def compare_with_simulator(
     simulator = studied(_noisy(simulated, car.base.noise), own, tires, library, window, tell)
     # The effects that help either, in the form of the car if it has them.
     fits = [case.chosen for case in (simulator, car)]
-    forms = {e: atom for one in fits for e, atom in zip(one.effects, one.atoms, strict=True)}
+    forms = {e: atom for fit in fits for e, atom in zip(fit.effects, fit.atoms, strict=True)}
     ranked = dict.fromkeys(e for one in fits[::-1] for e in one.effects)
     atoms = tuple(sorted([forms[effect] for effect in ranked][:MOST_EFFECTS]))
     sources = [
@@ -186,7 +186,7 @@ def _unlimited(found: Mapping[str, Apart]) -> dict[str, str]:
 def _without_bends(numbers: Sequence[Apart]) -> tuple[Apart, ...]:
     """The factors on the tires; the stiffness of an axle without a friction limit does not differ
     if it only makes up for the bend of the brush that stands for it."""
-    axles = _unlimited({one.name: one for one in numbers})
+    axles = _unlimited({number.name: number for number in numbers})
     return tuple(
         one._replace(differs=False)
         if one.name.endswith(".stiffness")

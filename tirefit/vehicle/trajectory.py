@@ -137,7 +137,9 @@ class TrajectoryFit(Record):
     def limits(self) -> dict[Outcome, str]:
         """Whether the search converged, the parameters that are not determined, and the
         axles whose friction follows from the shape of the model."""
-        loose = ", ".join(name for name, one in self.parameters.items() if not one.identified)
+        loose = ", ".join(
+            name for name, parameter in self.parameters.items() if not parameter.identified
+        )
         below = [
             f"{100 * share:.0f} % ({axle})"
             for axle, share in self.reached.items()

@@ -92,7 +92,8 @@ def cut_logs(
         if faults := compare(track, motion, vehicle, str(file)).problems:
             # --believe is an option of derive only, so do not mention it here.
             problems += [
-                replace(one, remedy=re.sub(r",? or [^,]*--.*", "", one.remedy)) for one in faults
+                replace(fault, remedy=re.sub(r",? or [^,]*--.*", "", fault.remedy))
+                for fault in faults
             ]
             continue
         windows = cut(track, motion)

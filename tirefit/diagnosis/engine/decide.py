@@ -252,7 +252,7 @@ def _features(
     each = {}
     for place, (atom, effect) in enumerate(zip(fit.atoms, fit.effects, strict=True)):
         sizes = sizes_by_group(fit, atom, groups, left)
-        spread = np.mean([one.spread for one in sizes]) if sizes else 0.0
+        spread = np.mean([size.spread for size in sizes]) if sizes else 0.0
         each[effect] = Features(
             # A spread of .05 is as good as none, above 3 none is distinguished.
             spread=math.log(min(float(spread), 3.0) + 0.05),

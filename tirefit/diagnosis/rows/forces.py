@@ -353,4 +353,4 @@ def _pull(prepared: Prepared, tire: Tire, design: Design, z: np.ndarray) -> dict
         inputs = type(design.inputs)(*earlier)
         then = design._replace(slip=slip, weight=alone, inputs=inputs, offset=offset)
         columns.append(tire.moments(z, then, prepared.n)[0])
-    return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}
+    return {c: np.stack([column[c] for column in columns], axis=1) for c in columns[0]}

@@ -184,7 +184,7 @@ def load_rig(path: str | Path | None) -> Rig:
     try:
         return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
     except UsageError as error:
-        problems = [replace(one, file=str(path)) for one in error.problems]
+        problems = [replace(problem, file=str(path)) for problem in error.problems]
         raise UsageError(problems) from None
 
 

@@ -207,20 +207,20 @@ def compared(opened: Sequence[Source], level: float = LEVEL) -> Comparison:
     fits = [one for one in opened if one.kind == "fit"]
     if len(shared) == len(opened) and all("fit" in one.content for one in opened):
         return Comparison(sources=tuple(opened), models=_ranked(opened), shared=shared)
-    same = len({(one.model, *one.numbers) for one in fits}) < 2
+    same = len({(fit.model, *fit.numbers) for fit in fits}) < 2
     of = {x.name: dict(x.numbers if same or x.kind != "fit" else x.derived) for x in opened}
     numbers, joint = _apart(of), _joint(opened) if same and not shared else None
-    tests = sum(one.p is not None for one in numbers) + (joint is not None)
+    tests = sum(number.p is not None for number in numbers) + (joint is not None)
     notes = [] if same else ["fits of several models: compared by what follows from all of them"]
     forces, more = differing_forces({x.name: x.tire for x in opened if x.tire}, level)
     effects = _apart({x.name: dict(x.effects) for x in opened if x.kind != "fit"}, 1)
     if shared:
         # Without claims, as the errors are not independent.
         forces = tuple(
-            one._replace(
-                curves={k: x._replace(error=None, differs=False) for k, x in one.curves.items()}
+            force._replace(
+                curves={k: x._replace(error=None, differs=False) for k, x in force.curves.items()}
             )
-            for one in forces
+            for force in forces
         )
         notes.append(f"{', '.join(shared)} are of the same rows: their errors are not independent")
     return Comparison(
@@ -280,7 +280,7 @@ def _joint(opened: Sequence[Source]) -> Joint | None:
     free = [(x["layout"]["free"], x["labels"]) for x in fits]
     if len(fits) < 2 or any(one != free[0] for one in free) or len(fits[0]["z"]) < 2:
         return None
-    z = np.array([one["z"] for one in fits])
+    z = np.array([fit["z"] for fit in fits])
     precision = np.array([np.linalg.pinv(np.array(x["covariance"]), hermitian=True) for x in fits])
     pull = np.einsum("kij,kj->i", precision, z)
     away = z - np.linalg.pinv(precision.sum(axis=0), hermitian=True) @ pull
@@ -291,7 +291,7 @@ def _joint(opened: Sequence[Source]) -> Joint | None:
 
 def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:
     """Models of the same rows, lowest AICc first."""
-    best = min((one.content["fit"] for one in fits), key=lambda s: s["rmse"])
+    best = min((fit.content["fit"] for fit in fits), key=lambda s: s["rmse"])
     rows, found = best["n"] * len(fits[0].content["forces"]), []
     for one in fits:
         s, likelihood = one.content["fit"], one.content["fit"]["minus_two_log_likelihood"]

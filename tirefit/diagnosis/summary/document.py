@@ -105,7 +105,7 @@ def document_of(
     # Its residuals contain the misfit of the model, which the noise does not.
     scores = np.split(base.at_null[0][:, None] * base.at_null[1], len(channels))
     inflations = [effective_inflation(part, base.rows.run, base.rows.time) for part in scores]
-    scale, looks = np.asarray(base.design.scale[main])[:n], [one.look for one in curves]
+    scale, looks = np.asarray(base.design.scale[main])[:n], [curve.look for curve in curves]
     others = parameter_changes(case), closed_by, scale, looks
     layout, verdict = base.tire.layout, case.verdict
     # The parameters of a simulator may explain the whole gap.
@@ -116,7 +116,7 @@ def document_of(
         model=model,
         simulator=_simulator(base, model, gaps[main].rms),
         n=data.n,
-        n_effective=float(np.mean([n / one for one in inflations])),
+        n_effective=float(np.mean([n / inflation for inflation in inflations])),
         noise=_noise(case),
         where=tuple(regions(base, missed, shown.gap)),
         next_measurement=steps,

@@ -67,7 +67,7 @@ def differing_forces(
     each = [given.content.get("forces") or modelled(given.tire) for given in tires.values()]
     names = [x for x in each[0] if x in ("fx", "fy", "mz") and all(x in other for other in each)]
     limits = [_ranges(given) for given in tires.values()]
-    speeds = [np.mean(one["v"]) for one in limits if "v" in one]
+    speeds = [np.mean(limit["v"]) for limit in limits if "v" in limit]
     speed = float(np.mean(speeds)) if speeds else _USUAL_SPEED
     found, notes = [], []
     for name in names:
@@ -113,7 +113,7 @@ def _common(
     limits: Iterable[Mapping[str, tuple[float, float]]], key: str
 ) -> tuple[float, float] | None:
     """The common range of an input, of the sources that state one; None if there is none."""
-    known = [one[key] for one in limits if key in one]
+    known = [limit[key] for limit in limits if key in limit]
     if not known:
         return None
     low, high = max(one[0] for one in known), min(one[1] for one in known)

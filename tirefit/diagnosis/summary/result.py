@@ -369,7 +369,14 @@ class Diagnosis(Record):
     def amplitudes(self) -> Mapping[str, Amplitude]:
         """``effect: parameter`` -> amplitude in the fit of the effects that help."""
         helping = {*self.verdict.helping}
-        return next((one.parameters for one in self.candidates if {*one.effects} == helping), {})
+        return next(
+            (
+                candidate.parameters
+                for candidate in self.candidates
+                if {*candidate.effects} == helping
+            ),
+            {},
+        )
 
     @property
     def readings(self) -> Readings | None:

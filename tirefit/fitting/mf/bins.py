@@ -75,7 +75,7 @@ def labels_of(settings: Sequence[Setting]) -> list[str]:
     several = {k for k in Setting._fields if len({getattr(s, k) for s in settings}) > 1}
     several |= {"fz", "held"}
     names = [k for k in ("fz", "gamma", "pressure", "held", "run") if k in several]
-    return [", ".join(one.text(name) for name in names) for one in settings]
+    return [", ".join(setting.text(name) for name in names) for setting in settings]
 
 
 def _slips(rows: ForceRows) -> dict[str, np.ndarray]:

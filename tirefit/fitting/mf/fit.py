@@ -392,7 +392,7 @@ def _ranges(rows: Sequence[ForceRows]) -> dict[str, tuple[float, float]]:
     """(Least, largest) value of each input, in ISO-W axes."""
     ranges = {}
     for name in ("sigma_x", "alpha", "gamma", "fz", "pressure"):
-        column = np.concatenate([getattr(one.inputs, name) for one in rows])
+        column = np.concatenate([getattr(row.inputs, name) for row in rows])
         if name == "sigma_x":
             name, column = "kappa", -np.asarray(kappa_from_sigma(column))
         ranges[name] = (float(np.min(column)), float(np.max(column)))

@@ -76,7 +76,7 @@ def _grid(tire: MFTire, ranges: Mapping[str, tuple[float, float]], within: bool)
     cambers = np.unique([*ranges["gamma"], 0.0])
     pressures = np.unique(ranges.get("pressure", (0.0, 0.0)))
     states = np.meshgrid(pressures, cambers, loads, indexing="ij")
-    pressure, gamma, fz = (one.ravel() for one in states)
+    pressure, gamma, fz = (state.ravel() for state in states)
     slips, some = {}, []
     for force, name in _SLIP_OF.items():
         low, high = ranges[name] if within else (-np.inf, np.inf)

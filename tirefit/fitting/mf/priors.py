@@ -115,7 +115,7 @@ def with_dimensions(
     QSX12 to QSX14 if M_x is not measured, unless settings or the data file give them.
     """
     wanted = ["UNLOADED_RADIUS"]
-    if not any(np.any(one.column("pressure") > 0) for one in rows.values()):
+    if not any(np.any(row.column("pressure") > 0) for row in rows.values()):
         wanted.append("NOMPRES")
     wanted += [] if "mx" in rows else NEVER_FITTED
     there = {k: like.numbers[k] for k in wanted if like.numbers.get(k)}

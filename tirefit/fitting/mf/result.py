@@ -129,8 +129,8 @@ class MagicFormulaFit(Record):
     def limits(self) -> dict[Outcome, str]:
         """Outcome -> its message with the stages, guards or coefficients concerned."""
         concerned = {
-            Outcome.NOT_CONVERGED: [one.name for one in self.stages if not one.converged],
-            Outcome.GUARD_FAILED: [one.name for one in self.guards if not one.holds_inside],
+            Outcome.NOT_CONVERGED: [stage.name for stage in self.stages if not stage.converged],
+            Outcome.GUARD_FAILED: [guard.name for guard in self.guards if not guard.holds_inside],
             Outcome.WORSENED: self.worsened,
             Outcome.NOT_IDENTIFIED: [k for k, c in self.coefficients.items() if c.origin == "held"],
         }
@@ -194,8 +194,8 @@ class MagicFormulaFit(Record):
             "noise": {f: stored.noise[f] for f in self.forces}
             | {"inflation": dict(self.inflation), "wider": dict(self.wider)},
             "coefficients": {
-                name: asdict(one) | {"unit": "-", "meaning": known[name].meaning}
-                for name, one in self.coefficients.items()
+                name: asdict(coefficient) | {"unit": "-", "meaning": known[name].meaning}
+                for name, coefficient in self.coefficients.items()
             },
             "origins": ORIGINS,
             "ranges": dict(self.ranges),
@@ -240,7 +240,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         other = " or borrowed" if "borrowed" in of else ""
         message = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
         comment.append(message)
-    lost = {k for k, one in fit.coefficients.items() if one.part in fit.tire.lacks}
+    lost = {k for k, coefficient in fit.coefficients.items() if coefficient.part in fit.tire.lacks}
     values = {k: v for k, v in parameter_values(fit.tire).items() if k not in lost}
     return new_tir(version, values, fit.ranges, notes, comment)
 

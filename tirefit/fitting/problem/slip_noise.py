@@ -243,7 +243,7 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
         # From a share of one more part with the ratios of the others unchanged: a lower limit
         # of the gain in log likelihood when all shares are fitted again.
         ratios = near[:, peaks].T / np.maximum(together, 1e-300) - 1
-        gains = np.array([np.max(np.log1p(_SHARES * one).sum(axis=1)) for one in ratios])
+        gains = np.array([np.max(np.log1p(_SHARES * ratio).sum(axis=1)) for ratio in ratios])
         # These exceed the penalty by themselves; the others are tried one by one.
         sure = gains > worth
         room = _MOST_STANDING - len(standing)

@@ -405,7 +405,7 @@ def _with_posterior(result: FitResult, u: np.ndarray, summary: PosteriorSummary)
         for i, label in enumerate(result.labels)
         for known in [result.least_squares[label]]
     }
-    ends = {label: one.ci95 for label, one in estimates.items()}
+    ends = {label: estimate.ci95 for label, estimate in estimates.items()}
     return judge(
         replace(
             result,

@@ -215,7 +215,7 @@ def probabilities(models: Mapping[str, Solved]) -> dict[str, float]:
 
     Every model counts the rows that the best one counts as independent.
     """
-    fits = {name: minus_two_log_likelihood(one) for name, one in models.items()}
+    fits = {name: minus_two_log_likelihood(model) for name, model in models.items()}
     best = min(fits, key=lambda name: fits[name])
     problem = models[best].problem
     independent = float(np.mean([1 / rule.inflation for rule in problem.rules.values()]))

@@ -160,12 +160,14 @@ def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     columns = result.solved.misfit.columns
     is_most = sum(one.share for one in columns) > _SYSTEMATIC
     outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
-    return [(outcome, f"{one.sentence}{_advice(result, one.column)}") for one in columns]
+    return [(outcome, f"{column.sentence}{_advice(result, column.column)}") for column in columns]
 
 
 def effects_to_try(result: FitResult) -> list[str]:
     """Columns whose effect the residuals show, for ``trials.tried``."""
-    columns = [] if _exactness(result) else [one.column for one in result.solved.misfit.columns]
+    columns = (
+        [] if _exactness(result) else [column.column for column in result.solved.misfit.columns]
+    )
     return columns + [SLIDING] * bool(_speed_limit(result))
 
 
