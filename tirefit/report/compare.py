@@ -22,8 +22,10 @@ _ROUNDING = 1e-16  # smallest probability that is printed as a number
 def answer(found: Comparison) -> list[str]:
     """What differs, and what does not: parameters, forces, effects."""
     lines = [*found.meanings, *_on_numbers(found)]
-    for one in found.forces:
-        lines += [_on_force(one, name, x) for name, x in one.curves.items() if x.slip is not None]
+    for force in found.forces:
+        lines += [
+            _on_force(force, name, x) for name, x in force.curves.items() if x.slip is not None
+        ]
     lines += _on_effects(found)
     lines.sort(key=lambda text: " not differ" in text)  # what differs is told first
     return lines or ["the sources have nothing in common to compare"]
@@ -90,10 +92,10 @@ def _on_effects(found: Comparison) -> Iterator[str]:
     for effect, where in named.items():
         sizes = [x for x in found.effects if x.name.startswith(f"{effect}: ") and x.p is not None]
         text = "in all" if len(where) == len(judging) > 1 else f"in {', '.join(where)} only"
-        for one in sizes:
-            same = f"its sizes agree ({one.errors:.1f} errors)"
-            of = one.name.removeprefix(f"{effect}: ").replace("amplitude", "its size")
-            text += f"; {f'{of} differs: {_difference(one)}' if one.differs else same}"
+        for size in sizes:
+            same = f"its sizes agree ({size.errors:.1f} errors)"
+            of = size.name.removeprefix(f"{effect}: ").replace("amplitude", "its size")
+            text += f"; {f'{of} differs: {_difference(size)}' if size.differs else same}"
         yield f"{effect} is named {text}"
 
 

@@ -148,9 +148,11 @@ def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]]
     if changes := result.verdict.parameters:
         rows = [("parameter", "simulated", "measured", "differs")]
-        for name, one in changes.items():
-            sizes = format_number(one.simulated), format_estimate(one.measured, one.std)
-            rows.append((f"{name} {units.get(name, '')}", *sizes, "yes" if one.differs else "no"))
+        for name, change in changes.items():
+            sizes = format_number(change.simulated), format_estimate(change.measured, change.std)
+            rows.append(
+                (f"{name} {units.get(name, '')}", *sizes, "yes" if change.differs else "no")
+            )
         return rows
     rows = [("parameter", "model alone", "with the answer")]
     for name, value in result.base_parameters.items():

@@ -282,11 +282,13 @@ def _noise(fit: TrajectoryFit) -> str:
 def trajectory_text(fit: TrajectoryFit) -> str:
     """The report: tires and unknowns of the car, noise, assumptions."""
     rows = [["parameter", "value ± std", "95 % interval", "unit", ""]]
-    for name, one in fit.parameters.items():
-        interval = " to ".join(format_number(end, 3) for end in one.ci95)
+    for name, parameter in fit.parameters.items():
+        interval = " to ".join(format_number(end, 3) for end in parameter.ci95)
         note = UNKNOWNS[name].meaning if name in UNKNOWNS else ""
-        note = note if one.identified else "NOT IDENTIFIED"
-        rows.append([name, format_estimate(one.value, one.std), interval, one.unit, note])
+        note = note if parameter.identified else "NOT IDENTIFIED"
+        rows.append(
+            [name, format_estimate(parameter.value, parameter.std), interval, parameter.unit, note]
+        )
     notes = [
         "95 % by covariance; by profile for a tire whose peak is not reached",
         f"{fit.blocks} blocks of windows count as independent",

@@ -149,10 +149,10 @@ class MagicFormulaFit(Record):
     def stored(self) -> StoredFit:
         """The fit in the form of one read from a file, for predictions."""
         known, free = specs(self.tire), []
-        for name, one in self.coefficients.items():
-            if one.origin != "given":
-                reach = _REACH * one.prior_std
-                low, high = one.value - reach, one.value + reach
+        for name, coefficient in self.coefficients.items():
+            if coefficient.origin != "given":
+                reach = _REACH * coefficient.prior_std
+                low, high = coefficient.value - reach, coefficient.value + reach
                 free.append(FreeParameter(name, known[name]._replace(lower=low, upper=high)))
         names = [parameter.name for parameter in free]
         at = [list(self.coefficients).index(name) for name in names]

@@ -66,10 +66,10 @@ def _tried(
     if other is None:
         return None
     known, estimates = specs(MODELS[name]), estimates_of(other)[1]
-    for label, one in estimates.items():
-        if at_bound(known[label.partition("[")[0]], one.value):
+    for label, estimate in estimates.items():
+        if at_bound(known[label.partition("[")[0]], estimate.value):
             return Trial(column, name, f"{label} stops at its bound")
-        if not one.identified:
+        if not estimate.identified:
             return Trial(column, name, f"{label} is not identified")
     before, after = (errors_left_out(each, task) for each in (solved, other))
     forces = list(before)
