@@ -298,7 +298,7 @@ def studied(
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there and finite for all rows"
         raise UsageError(reason, remedy)
-    if endless:  # a wheel that moves across its plane has no end of slip
+    if endless:  # at an angle of 90 degrees the sliding speed is infinite
         rest = tuple(effect for effect in effects if effect not in endless)
         case = studied(prepared, model, rig, rest, without, given)
         left = (Untestable(effect.id, ("finite slips",)) for effect in effects if effect in endless)

@@ -92,9 +92,8 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
         if effect in shares:
             text += f", {words.share_text(shares[effect])} of the error's mean square"
         # The first remedy; all are under the effects.
-        remedy = words.words_on(effect, result.library, bool(result.data.motion))[1].partition(";")[
-            0
-        ]
+        remedies = words.words_on(effect, result.library, bool(result.data.motion))[1]
+        remedy = remedies.partition(";")[0]
         parts.append(f"{text}: {remedy}" if remedy and not each.twins else text)
     beside = ""
     if verdict.status == Status.INCOMPLETE:

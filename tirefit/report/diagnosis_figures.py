@@ -253,8 +253,8 @@ def draw_look(figure: Any, panel: LookCurve, beside: str) -> None:
 
 def panels_of(result: Diagnosis) -> dict[str, Panel]:
     """Name of a panel -> the panel."""
-    base, after, on = "base fit", after_label(result), result.ladder.on
-    base = "simulator" if result.simulator else base
+    base = "simulator" if result.simulator else "base fit"
+    after, on = after_label(result), result.ladder.on
     bars, note = ladder_bars(result), "no part of these rows can be left out"
     if on:
         note = f"{on}; bar: standard error"

@@ -195,10 +195,12 @@ def amplitude_text(amplitude: Amplitude) -> str:
 
 def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
     """The amplitude of a slip or force in the signs of the file, if these differ."""
-    channel, signs = result.data.channels[0], CONVENTIONS.get(result.data.convention)
+    if not result.data.convention:
+        return ""  # of a car
+    channel, signs = result.data.channels[0], CONVENTIONS[result.data.convention]
     kinds = {"of slip": "slip" if channel == "fx" else "alpha", "F_z": channel}
     kind = next((kind for of, kind in kinds.items() if of in amplitude.unit), "")
-    if getattr(signs, kind, 1) > 0:  # a car has no convention
+    if getattr(signs, kind, 1) > 0:
         return ""
     text = amount_text(-amplitude.value, None, amplitude.unit)
     return f" ({text} in the file's signs, {result.data.convention})"
@@ -248,7 +250,7 @@ def closed_text(
     worse`` if the effects double the gap or more."""
     if closed is None:
         return "-"
-    known = [closed, *(end for end in ends or () if end is not None)]
+    known = [closed, *(ends if ends and None not in ends else ())]
     worse = [" or worse" * (share <= WORST) for share in known]
     message, *more = (share_text(x) + tail for x, tail in zip(known, worse, strict=True))
     message += f" [{', '.join(more)}]" * bool(more)

@@ -108,12 +108,12 @@ def summary_table(fits: Sequence[FileRecord]) -> str:
     columns = list(dict.fromkeys(name for known in parameters for name in known))
     rows = [["fit", *columns, "RMSE", "verdict"]]
     directories = run_names([fit.result for fit in fits])
-    for name, fit, known in zip(directories.short, fits, parameters, strict=True):
+    for directory, fit, known in zip(directories.short, fits, parameters, strict=True):
         rmse = f"{fit.of_kind('statistic')['rmse'].value:.4g}"
         cells = [
             _cell(known[name].value, known[name].std) if name in known else "" for name in columns
         ]
-        rows.append([name, *cells, rmse, fit.status])
+        rows.append([directory, *cells, rmse, fit.status])
     of = f" of {directories.pattern}" if directories.pattern else ""
     return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])
 

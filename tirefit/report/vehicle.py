@@ -204,9 +204,9 @@ def _path_panels(result: Replay) -> list[Panel]:
     """Errors over the horizon, and a stretch of the path with its predictions."""
     name, fans = _longest(result)
 
-    def errors_of(axes: Any, name: str) -> None:
+    def errors_of(axes: Any, quantity: str) -> None:
         for model, errors in result.models.items():
-            values = [np.nan if v is None else v for v in errors.rms()[name]]
+            values = [np.nan if v is None else v for v in errors.rms()[quantity]]
             style, (label, color) = ".:" if model == "floor" else ".-", _MODELS[model]
             axes.plot(result.horizons, values, style, color=color, label=label)
         axes.set(xscale="log", yscale="log")
@@ -222,7 +222,7 @@ def _path_panels(result: Replay) -> list[Panel]:
     for key in ("lateral", "yaw_rate"):
         title = f"Error of the {_NAMES[key]} over the horizon"
         y_label = f"rms error of the {_NAMES[key]} [{QUANTITIES[key]}]"
-        panels.append(axes_panel(partial(errors_of, name=key), title, x_label, y_label))
+        panels.append(axes_panel(partial(errors_of, quantity=key), title, x_label, y_label))
     return [*panels, axes_panel(draw, f"A stretch of {name}, with predictions", "x [m]", "y [m]")]
 
 

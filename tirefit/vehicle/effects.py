@@ -111,7 +111,7 @@ CODE: Code = {
     "yaw_inertia": adds("car.inertia", lambda a, c, rows: jnp.expm1(a)),
     "centre_of_gravity": adds("car.ahead", lambda a, c, rows: a * rows.wheelbase),
     "lateral_load_transfer": _scales("friction", lambda a, rows: -a * rows.across**2),
-    # Height over wheelbase times the forward acceleration.
+    # The load that moves, over that at rest: height over wheelbase times the acceleration.
     "longitudinal_load_transfer": lambda setting, height, c, rows: scaled_axles(
         setting, "load", (1 - 2 * (height * rows.along), 1 + 2 * (height * rows.along))
     ),

@@ -269,10 +269,8 @@ and ``Samples`` in the place of ``State`` and ``Covariates``."""
 
 def library(package: str, codes: Code) -> tuple[Effect, ...]:
     """The effects of ``effects.toml`` in a package, each with its code."""
-    tables, found = (
-        tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8")),
-        [],
-    )
+    tables = tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8"))
+    found = []
     for id, table in tables.items():
         own = codes[id]
         fields = {key: _tuples(value) for key, value in table.items()}

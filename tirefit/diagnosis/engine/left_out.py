@@ -104,7 +104,7 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     first = [out & (unit > 0) for out in outs]
 
     def mean_squares(left: Sequence[np.ndarray]) -> np.ndarray:
-        """Of residuals (m,) on the part that each of them is for, first channel."""
+        """Of the first channel, for residuals (m,) of each part left out."""
         return np.array([np.mean((x * unit)[own] ** 2) for x, own in zip(left, first, strict=True)])
 
     def squares(left: Sequence[np.ndarray]) -> np.ndarray:

@@ -140,9 +140,9 @@ class Search:
     def refit(self, starts: Mapping[tuple[int, ...], Sequence[Start]]) -> None:
         """Refit sets of atoms, each from its starts; the better one of several counts."""
         new = [(s, start) for s in starts if s and s not in self.fits for start in starts[s]]
-        for fit in (
-            self.subject.refit([start for _, start in new], [s for s, _ in new]) if new else ()
-        ):
+        if not new:
+            return
+        for fit in self.subject.refit([start for _, start in new], [s for s, _ in new]):
             known = self.fits.get(fit.atoms)
             if np.isfinite(fit.log_evidence) and (
                 known is None or fit.log_evidence > known.log_evidence
@@ -212,7 +212,7 @@ class Search:
         values = zip(self._screened(self.gram, self.scores, sets), sets, strict=True)
         for _, pair in sorted(values, reverse=True)[: self.effort.pairs]:
             index, starts[pair] = list(pair), []
-            # The linear step from no effect, and a small one of the other sign.
+            # The linear step from no effect, and a small negative one.
             products = self.gram[np.ix_(index, index)] + np.eye(2)
             step = np.clip(np.linalg.solve(products, self.scores[index]), -_FAR, _FAR)
             center, sign = self.subject.priors.center[index], self.sign[index]

@@ -92,7 +92,8 @@ def refit(
             gradient[k, own] -= rows @ missed
         return Normal(cost, normal, gradient)
 
-    # Until one more step would gain less chi-squared: whole units of evidence matter.
+    # At most 26 steps, until one more would gain less than 1e-3 of chi-squared: whole units of
+    # evidence matter.
     z, _ = minimised(at, begin, bounds, NormalEquations(rtol=0.0, atol=1e-3), 26)
     return Refit(z[:, :p], z[:, p:])
 

@@ -72,11 +72,17 @@ def in_order(time: Values | None, run: np.ndarray) -> list[np.ndarray]:
     return [order[run[order] == code] for code in np.unique(run)]
 
 
+_LEAST = 20
+"""Smallest number of independent rows; stronger correlation is treated as a gap."""
+_LEAST_VARIANCE = 1e-3
+"""Smallest variance of the noise of a row, over the mean."""
+
+
 def correlation(white: np.ndarray, time: Values | None, run: np.ndarray) -> float:
     """Number of rows per independent row of a remainder (n,), at least 1 and at most that
     which leaves 20 independent ones; excluded rows are zero."""
     each = autocorrelation_time([white[rows] for rows in in_order(time, run)])
-    return min(each, len(white) / len(_FADES))
+    return min(each, len(white) / _LEAST)
 
 
 def memory_of(
@@ -186,7 +192,7 @@ def judge_noise(
         parts = np.stack([base**2 * share for share in shares], axis=1)
         square = rest[keep] ** 2 * (np.sum(keep) / smooth.freedom)
         law = parts @ _law(square, parts[keep], spread[keep]) + spread
-        law = np.sqrt(np.maximum(law, 1e-3 * np.mean(law) + NONZERO))
+        law = np.sqrt(np.maximum(law, _LEAST_VARIANCE * np.mean(law) + NONZERO))
         return law * _scale(rest / law, smooth)
 
     for _ in range(_ROUNDS if refine else 0):
@@ -228,7 +234,7 @@ def judge_noise(
     if inflation > 1:
         flags.append("autocorrelated")
         left = correlation(np.where(keep, rest, 0) / std, time, run)
-        inflation = max(min(inflation, len(rest) / len(_FADES)), left)
+        inflation = max(min(inflation, len(rest) / _LEAST), left)
     # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source, ratio)
@@ -384,7 +390,7 @@ def _law(square: np.ndarray, parts: np.ndarray, fixed: np.ndarray | float = 0.0)
     law = np.full(len(square), mean)
     for _ in range(_ROUNDS):
         sizes, _ = nnls(parts / law[:, None], _clipped(square / law) - fixed / law)
-        law = np.maximum(parts @ sizes + fixed, 1e-3 * mean)  # the smallest variance of a row
+        law = np.maximum(parts @ sizes + fixed, _LEAST_VARIANCE * mean)
     return sizes
 
 

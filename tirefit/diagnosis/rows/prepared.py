@@ -206,9 +206,11 @@ def _slip_std(
     given, of_speed = rig.slip_noise(name), rig.slip_noise(name, "_speed")
     if of_speed is not None:
         return std_with_speed(given or 0.0, of_speed, speed_of(data)), "given"
-    found = (scatter, SCATTER) if shown is None else (shown, "scatter where the force is steep")
-    found = (given, "given") if given else found
-    return (np.full(data.n, found[0]), found[1]) if found[0] else (np.zeros(data.n), NOT_STATED)
+    seen = (scatter, SCATTER) if shown is None else (shown, "scatter where the force is steep")
+    for size, source in ((given, "given"), seen):
+        if size:
+            return np.full(data.n, size), source
+    return np.zeros(data.n), NOT_STATED
 
 
 def neighbours(prepared: Prepared) -> list[np.ndarray]:

@@ -69,13 +69,12 @@ def _structures(prepared: Prepared, channel: str, name: str) -> Iterator[Structu
         if (clipped := _clipped(slip, force / scale)) is not None:
             unit = "of the load" if of_load else "N"
             means = f"it is proportional to the {what} up to a limit of {clipped[0]:.4g} {unit}"
+            means += ", with a sharp corner"
             remedy = (
                 "give the tire a smooth transition to sliding: fit a brush to the measured rows"
             )
             steep = float(clipped[1] * np.mean(scale))
-            yield Structure(
-                "clipped", channel, f"{means}, with a sharp corner", f"{remedy} rows", steep
-            )
+            yield Structure("clipped", channel, means, remedy, steep)
             return
     limit, reached = (float(np.quantile(np.abs(x) / load, _AT_TOP)) for x in (force, measured))
     # At 95 % of its limit a force slides; a simulator of which 80 % of the rows do always slides.

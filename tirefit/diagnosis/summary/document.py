@@ -102,8 +102,10 @@ def document_of(
     steps, reason = next_measurements(base, case.search, case.weighed, case.verdict)
     shown = shown_rows(base, rows[main])
     missed = base.residual(base.as_given, base.amplitudes())[:n]
-    # Its residuals contain the misfit of the model, which the noise does not.
-    scores = np.split(base.at_null[0][:, None] * base.at_null[1], len(channels))
+    # Rows of the fit without effects, counted as by `tirefit fit`: its residuals contain the
+    # misfit of the model, which the noise does not.
+    null = base.at_null
+    scores = np.split(null.residual[:, None] * null.jacobian, len(channels))
     inflations = [effective_inflation(part, base.rows.run, base.rows.time) for part in scores]
     scale, looks = np.asarray(base.design.scale[main])[:n], [curve.look for curve in curves]
     others = parameter_changes(case), closed_by, scale, looks

@@ -133,7 +133,8 @@ def regions(base: Base, residual: np.ndarray, gap: np.ndarray) -> list[Region]:
             rows = np.flatnonzero(code == k)
             if len(rows) < FEWEST_ROWS:
                 continue
-            # Chi-squared of the sums over neighbours in slip.
+            # Chi-squared of the sums over neighbours in slip; the residual has the rows'
+            # inflation in it.
             ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
             groups = np.array_split(ordered, max(len(rows) // FEWEST_ROWS, 1))
             p = float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
