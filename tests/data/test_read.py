@@ -369,3 +369,16 @@ def test_a_large_file_is_not_read_cell_by_cell(tmp_path, monkeypatch):
     assert read(path).n == n
     # The header and the row below it are looked at; the rest is converted whole.
     assert len(looked_at) < 100
+
+
+def test_a_slip_may_be_a_constant():
+    table = read_frame(
+        {"alpha": [0.01, 0.02, 0.03], "fy": [700.0, 1400.0, 2100.0], "fz": [4e3] * 3},
+        constants={"sigma_x": 0.05},
+    )
+    np.testing.assert_array_equal(table["sigma_x"], 0.05)
+    with pytest.raises(DataError, match="--constant sigma_x"):
+        read_frame(
+            {"alpha": [0.01, 0.02, 0.03], "fy": [700.0, 1400.0, 2100.0], "fz": [4e3] * 3},
+            constants={"sigma_x": -3.0},
+        )

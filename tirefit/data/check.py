@@ -172,7 +172,7 @@ def range_faults(
             remedy = f"declare the convention: --convention {' or '.join(fitting)}"
         if rule.column == "sigma_x":
             low, high = np.nanmin(values), np.nanmax(np.where(values < LOCKED, values, np.nan))
-            # Else some sign convention has the slips in range: they are no percentages.
+            # In range by the signs of some convention: mirrored, and no percentages.
             if not (low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)):
                 text = "is below -1, where the wheel would have to travel backwards"
                 remedy = "if driving slip is positive in the file: --convention iso-w, sae or"

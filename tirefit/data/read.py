@@ -211,8 +211,8 @@ def _checked(table: Table, options: Options) -> TireData:
         reading.columns, reading.shown, reading.headers, read_as.convention
     )
     definition = plan.slip or "sigma_x"
-    if definition in reading.columns:
-        _slip_to_sigma(reading, definition)
+    if plan.slip is not None and plan.slip in reading.columns:  # not a constant
+        _slip_to_sigma(reading, plan.slip)
     if options.rolling_radius is not None:
         _use_rolling_radius(reading, definition, options.rolling_radius)
     if options.forces and options.curve and not reading.bad().all():

@@ -194,9 +194,10 @@ def _channels(data: TireData, force: Mapping[str, Any]) -> list[str]:
 
 def _all_rows(data: TireData, out: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Arrays over the used rows as arrays over all rows, NaN where masked."""
-    full = np.full((len(out), len(data)), np.nan)
-    full[:, data.used] = list(out.values())
-    return dict(zip(out, full, strict=True))
+    full = {channel: np.full(len(data), np.nan) for channel in out}
+    for channel, values in out.items():
+        full[channel][data.used] = values
+    return full
 
 
 def _of_model(

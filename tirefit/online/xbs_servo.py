@@ -24,6 +24,7 @@ Small gains are no disadvantage: the estimate has a delay of 0.3 s, and a slip v
 that grows by 0.5 m/s2 crosses the peak of a road of 0.3 in less than a second.
 """
 
+import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -37,7 +38,7 @@ from tirefit.models.combined import braking_slope
 from tirefit.online.base import Flag, code
 from tirefit.online.controller import AbstractController, Measurement
 from tirefit.online.xbs import Xbs, XbsState
-from tirefit.params import par, specs
+from tirefit.params import par
 from tirefit.results import UsageError
 
 Wheels = Float[Array, " w"]
@@ -114,9 +115,13 @@ def refuse_unstable(
             )
 
 
+_OF_XBS = {field.name: field.metadata.get("spec") for field in dataclasses.fields(Xbs)}
+"""Specifications of the settings of the estimator; an instance would be computed for a second."""
+
+
 def _of_xbs(name: str, default: float) -> Any:
     """The setting of the estimator, with another default."""
-    spec = specs(Xbs())[name]
+    spec = _OF_XBS[name]
     return par(default, spec.bounds, spec.unit, spec.meaning, spec.source, spec.symbol)
 
 
@@ -155,7 +160,7 @@ class XbsServo(AbstractController):
     servo_gain: float = par(
         75.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
     )
-    stiffness: Any = 6e4  # k_s = 2 c_p a^2 [N] of each tire
+    stiffness: Any = 6e4  # K_s = 2 c_p a^2 [N] of each tire
     stiffness_ratio: float = par(
         0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness", "O(13)", r"K_\beta / K_s"
     )
@@ -230,10 +235,10 @@ class XbsServo(AbstractController):
         pull = jnp.clip(pull, -self.most_pull, self.most_pull)
         change = -self.period * (slowing + pull)
         # Pressure per wheel speed above the reference [Pa s/m], J a / (r g).
-        torque = jnp.asarray(self.inertia) * self.servo_gain / jnp.asarray(self.radius)
-        by_speed = torque / jnp.asarray(self.brake_gain) * (m.wheel_speed - s.speed - change)
-        acts = vehicle > _SLOWEST
-        target = s.target + jnp.where(acts, by_speed, 0.0)
+        per_speed = jnp.asarray(self.inertia) * self.servo_gain / jnp.asarray(self.radius)
+        per_speed = per_speed / jnp.asarray(self.brake_gain)
+        more = per_speed * (m.wheel_speed - s.speed - change)
+        target = s.target + jnp.where(vehicle > _SLOWEST, more, 0.0)
         target = jnp.clip(target, ready - self.reach, ready + self.reach)
         target = jnp.clip(target, 0.0, m.demand)
         valve, moved = self._valves(target - ready, ready, m.demand)

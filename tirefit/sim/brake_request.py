@@ -171,15 +171,16 @@ def _tire_problems(request: Request) -> list[InputProblem]:
     if tire.transient or "time" in tire.needs:
         remedy = "choose its steady-state model, such as brush for brush-relaxation"
         return [InputProblem(f"{name} is transient: its force lags behind the slip", remedy)]
+    if not (request.steer or road_of(request.road).split):  # it does not turn
+        return []
     # Whether a slip angle reduces the braking force and causes a lateral force.
     straight, aside = (tire(TireInputs(0.2, alpha, 4e3, request.speed)) for alpha in (0.0, 0.3))
     weaker = float(jnp.asarray(aside.fx)) < 0.99 * float(jnp.asarray(straight.fx))
-    turns = request.steer or road_of(request.road).split
-    if turns and (aside.fy is None or not weaker):
-        reason = f"{name} has no combined slip, which a turning car needs"
-        remedy = "choose a model that has it: brush-m, lugre or magic-formula-combined"
-        return [InputProblem(reason, remedy)]
-    return []
+    if aside.fy is not None and weaker:
+        return []
+    reason = f"{name} has no combined slip, which a turning car needs"
+    remedy = "choose a model that has it: brush-m, lugre or magic-formula-combined"
+    return [InputProblem(reason, remedy)]
 
 
 def with_numbers(request: Request, values: Mapping[str, float]) -> Request:

@@ -71,11 +71,13 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
 
 
 def _read(path: Place, is_known: Callable[[str], bool]) -> Table:
-    # The folder of a ROS 2 bag.
+    # The folder of a ROS 2 bag, whose files may be too large to be held together.
     if isinstance(path, Path) and (path / "metadata.yaml").is_file():
-        inside = b"".join(map(read_bytes, sorted(path.iterdir())))
-        digest = hashlib.sha256(inside).hexdigest()
-        return _of_channels(logs.channels_of_bag(path, b"", is_known), path, digest)
+        every = hashlib.sha256()
+        for inside in sorted(path.iterdir()):
+            every.update(read_bytes(inside))
+        channels = logs.channels_of_bag(path, b"", is_known)
+        return _of_channels(channels, path, every.hexdigest())
     raw = read_bytes(path)
     content, file = gunzipped(raw, path), str(path)
     for start, (kind, remedy) in _UNREADABLE.items():

@@ -163,11 +163,12 @@ def _channels(lines: Iterable[tuple[int, str]], file: str) -> list[_Entry]:
             reason = f"this is not a channel of TYDEX: {text.strip()!r}"
             remedy = "give name, comment, unit and conversion factor in columns of 10"
             raise DataError(reason, remedy, file, line)
-        reason, remedy = f"the channel {entry.name} is there twice", "rename one"
+        if entry.name in channels:
+            reason = f"the channel {entry.name} is there twice"
+            raise DataError(reason, "rename one", file, line, entry.name)
         if entry.conversion[0] == 0:
             reason = f"the conversion factor of {entry.name} is 0"
             remedy = "give the factor that turns its values into its unit"
-        if entry.name in channels or entry.conversion[0] == 0:
             raise DataError(reason, remedy, file, line, entry.name)
         channels[entry.name] = entry
     return [*channels.values()]
@@ -273,11 +274,10 @@ def _of_tire(
             entry = _entry(number, line)
             is_it = re.match(meaning, " ".join(line.split()), re.IGNORECASE)
             if is_it and entry and entry.values:
-                # Without a unit, a length above 3 is in mm.
                 value, unit = float(entry.values[0]), known_unit(entry.unit)
                 if entry.unit.casefold() in ("in", "inch", '"', "zoll") and dimension == "length":
                     value *= _INCH
-                elif entry.unit in ("", "-"):
+                elif entry.unit in ("", "-"):  # a length above 3 is in mm
                     value *= 1e-3 if dimension == "length" and value > 3 else 1.0
                 else:
                     same = unit is not None and unit.dimension == dimension

@@ -20,7 +20,7 @@ _NOISES = 8.0  # smallest change [standard deviations of the noise] that is a mo
 _PAUSE = 0.3
 """A stop shorter than this share of the sweeps next to it is their turning point: a sine
 is within ``_STILL`` of its end for 0.11 of a sweep."""
-_STEP = 0.4  # A movement shorter than this share of both stops next to it is a step between them
+_STEP = 0.4  # a movement shorter than this share of both stops next to it is a step between them
 
 
 class Leg(NamedTuple):

@@ -84,7 +84,7 @@ def describes_tir(text: str) -> bool:
 def other_tire(text: str, file: str) -> list[InputProblem]:
     """The problem that a text describes a tire of a model that is not read; else empty."""
     stated = _FORMAT.search(text)
-    name = re.sub("[^A-Z0-9]", "", stated[1].upper()) if stated else "MF"
+    name = re.sub("[^A-Z0-9]", "", stated[1].upper()) if stated else "MF"  # one that is read
     other = not name.startswith(("MF", "PAC", "USER")) and not _COEFFICIENT.search(text)
     if (found := stated) and (name in _FORMATS or (other and found[1].strip())):
         model = _FORMATS.get(name, found[1].strip())

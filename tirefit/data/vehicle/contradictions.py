@@ -258,8 +258,8 @@ def _gains(
     used = {*vehicle.columns.motion, "steering", *(["xy"] if "x" in vehicle.columns.motion else [])}
     for a, k in {id(a): (a, k) for a, k in reversed(left)}.values():  # one of each pair
         channel, reason = a.pair.channel, f"{_gain_words(a, k)}, which no unit explains"
-        named = columns[channel].named and not used.isdisjoint(a.pair.terms[k].powers)
-        if named and not 0.5 < a.gains[k] < 2 and channel != "steering":
+        counts = columns[channel].named and not used.isdisjoint(a.pair.terms[k].powers)
+        if counts and not 0.5 < a.gains[k] < 2 and channel != "steering":
             yield Deviation([channel], reason, _FIND)
         elif k == 0:
             reason += ": one of the sensors has a wrong scale or mounting"
@@ -299,7 +299,7 @@ def _fault_words(
         reasons.append(f"{'are' if several else 'is'} in {fault.unit}, but read in {read_in}")
     if fault.factor < 0:
         reasons.append(f"{'have' if several else 'has'} the wrong sign")
-    reason = " and ".join(f"{' and '.join(names)} {text}" for text in reasons)
+    reason = " and ".join(f"{' and '.join(names)} {each}" for each in reasons)
     if column.quantity == "steering":
         turn = ": reverse the signs of angle" * (not fault.unit)
         return reason, f"correct [steering] of vehicle.toml{turn}"

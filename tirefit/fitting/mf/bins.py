@@ -226,7 +226,8 @@ def binned(rows: ForceRows) -> tuple[SlipBins, ...]:
         members = [own[cell == c] for c in np.unique(cell)]
         spread = [np.percentile(rows.observed[at], [2.5, 50, 97.5]) for at in members]
         inputs = np.transpose([np.median(columns[:, at], axis=1) for at in members])
-        middle, count = (np.array([of(slip[at]) for at in members]) for of in (np.median, len))
+        middle = np.array([np.median(slip[at]) for at in members])
+        count = np.array([len(at) for at in members])
         low, force, high = np.transpose(spread)
         table.append(SlipBins(setting, middle, TireInputs(*inputs), force, low, high, count))
     return tuple(table)

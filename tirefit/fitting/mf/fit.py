@@ -130,7 +130,8 @@ def fit_magic_formula(
     notes += [*assumed, *borrowing]
     of_slips = [f"{slip}_std" for slip in ("sigma_x", "alpha") if f"{slip}_std" in whole]
     keys = ("sigma_x", "alpha", "sigma_x_speed", "alpha_speed")
-    if of_slips := of_slips + [f"noise.{key}" for key in keys if getattr(config.noise, key)]:
+    of_slips += [f"noise.{key}" for key in keys if getattr(config.noise, key)]
+    if of_slips:
         reason = "not used, a Magic Formula fit takes the slips as exact"
         notes.append(f"{', '.join(of_slips)}: {reason}")
     problem, priors = problem_from(tire, config, borrowed)

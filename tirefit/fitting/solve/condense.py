@@ -229,7 +229,7 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
         run=padded(np.rint(mean(rows.run)).astype(int)),
         weight=weight,
         observed={name: padded(values) for name, values in residual.items()},
-        scale={k: padded(mean(v, 1 + 0 * v) ** -0.5) for k, v in precision.items()},
+        scale={k: padded(mean(v, np.ones(len(v))) ** -0.5) for k, v in precision.items()},
         slip_std={k: padded(mean(v)) for k, v in rows.slip_std.items()},
         nodes={
             k: jax.tree.map(lambda values: padded(mean(values)), v) for k, v in rows.nodes.items()

@@ -160,7 +160,8 @@ def peak_ranges(
     worse, ranges = tuple(name for name in every if name not in as_good), {}
     for label, share in shares.items():
         low, high = derived[label].ci95
-        # That of all runs, if the peak of the model does not differ by run.
+        # That of all runs, if the peak of the model does not differ by run; a model whose peak
+        # does, where that of the fit does not, has none.
         found = {
             name: peak
             for name in as_good

@@ -255,8 +255,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
                 f"residuals of neighbouring slips agree (correlation {structure:.2f}): the"
                 " curve misses systematically there; look at residuals.png"
             )
-            is_most = structure > _SYSTEMATIC
-            findings.append((Outcome.SYSTEMATIC_MISFIT if is_most else None, text))
+            systematic = structure > _SYSTEMATIC
+            findings.append((Outcome.SYSTEMATIC_MISFIT if systematic else None, text))
     findings += _peak_not_reached(result)
     if result.solved.ambiguous:
         findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.message))
