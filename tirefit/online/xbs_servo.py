@@ -115,7 +115,7 @@ def refuse_unstable(
             )
 
 
-_OF_XBS = {field.name: field.metadata.get("spec") for field in dataclasses.fields(Xbs)}
+_OF_XBS = {f.name: f.metadata["spec"] for f in dataclasses.fields(Xbs) if "spec" in f.metadata}
 """Specifications of the settings of the estimator; an instance would be computed for a second."""
 
 
