@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.methods import estimator_of
@@ -77,6 +78,19 @@ def test_the_road_is_classified_by_the_rule(slope, radius, road):
     _, estimate = run(estimator_of("slip-slope", LOAD, SETTINGS), data)
     assert ROADS[int(estimate.value[-1, 3]) - 1] == road
     assert 0 <= estimate.std[-1, 3] < 1
+
+
+@pytest.mark.parametrize(("slope", "radius"), [(15.0, 0.0), (9.0, 0.0), (9.0, 0.006)])
+def test_the_spread_of_the_road_is_that_of_the_slope_about_its_limits(slope, radius):
+    data = drive(slope, radius=radius)
+    _, estimate = run(estimator_of("slip-slope", LOAD, SETTINGS), data)
+    seen, std, road = estimate.value[-1, 0], estimate.std[-1, 0], estimate.value[-1, 3]
+    stiff, soft = norm.sf((np.array([0.75, 0.45]) * 20 - seen) / std)
+    # Numbers of asphalt, gravel, snow and ice, on a smooth or on a rough road.
+    chances = [0, soft, 1 - soft, 0] if radius else [stiff, 0, soft - stiff, 1 - soft]
+    expected = np.sqrt(np.sum(chances * (np.arange(1, 5) - road) ** 2))
+    assert expected > 0.01
+    np.testing.assert_allclose(estimate.std[-1, 3], expected, rtol=0.05)
 
 
 def test_the_rule_of_the_roads_is_right_at_its_limits():
