@@ -83,8 +83,7 @@ the wheelbase."""
 WINDOW = 0.5
 """Length [s] of a window."""
 _SHAPES = "brush", "brush-d", "magic-formula"  # to compare where the peak is not reached
-_ROUNDS = 3
-"""Number of times that the noise of the channels is estimated again."""
+_ROUNDS = 3  # times that the noise of the channels is estimated again
 _LEFT = 1e-3
 """Share of the squares that one more step may promise where a search has converged: 1e-9 on the
 f1tenth car, 0.15 where start states and tires explain the same."""
@@ -239,14 +238,13 @@ def fit_trajectory(
     _check(vehicle, unknowns, given)
     tell = progress or (lambda share, note: None)
     tell(0.02, "reading logs")
-    rate = vehicle.filter.sample_rate
     found = cut_in_windows(logs, vehicle, window)
     parts = [log.windows[0] for log in found.values()]
     data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
     rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
     tell(0.05, "starting with the tires of derive")
     tires = [within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
-    problem = _Problem(vehicle, tires, tuple(unknowns), rate, data)
+    problem = _Problem(vehicle, tires, tuple(unknowns), vehicle.filter.sample_rate, data)
     return problem.solved(rows, tell)
 
 

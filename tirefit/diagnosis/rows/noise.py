@@ -32,8 +32,7 @@ the force may give as many."""
 _ROUNDS = 4
 """Largest number of rounds of exclusion, and of weighting by a variance law."""
 
-_MISSTATED = 0.15
-"""Tolerated excess over the stated noise."""
+_MISSTATED = 0.15  # tolerated excess over the stated noise
 
 _CLEAR, _SIGNIFICANT = 4.0, 2.5
 """Standard errors of an excess or of a variance that follows the force: one normal noise in
@@ -45,8 +44,7 @@ _NEIGHBOURED = 0.3
 _TOGETHER = 1.94
 """1 + 2 (4/9 + 1/36): squares of second differences per independent one, as they share rows."""
 
-_FADES = np.arange(20) / 20
-"""Correlations of neighbours that are compared."""
+_FADES = np.arange(20) / 20  # correlations of neighbours that are compared
 
 
 class Memory(NamedTuple):
@@ -72,10 +70,8 @@ def in_order(time: Values | None, run: np.ndarray) -> list[np.ndarray]:
     return [order[run[order] == code] for code in np.unique(run)]
 
 
-_LEAST = 20
-"""Smallest number of independent rows; stronger correlation is treated as a gap."""
-_LEAST_VARIANCE = 1e-3
-"""Smallest variance of the noise of a row, over the mean."""
+_LEAST = 20  # smallest number of independent rows; stronger correlation is treated as a gap
+_LEAST_VARIANCE = 1e-3  # smallest variance of the noise of a row, over the mean
 
 
 def correlation(white: np.ndarray, time: Values | None, run: np.ndarray) -> float:
