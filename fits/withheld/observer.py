@@ -116,7 +116,7 @@ class _Screen(NamedTuple):
     shapes: np.ndarray
 
 
-def _screen(x: Inputs, observed: np.ndarray) -> _Screen:
+def screened(x: Inputs, observed: np.ndarray) -> _Screen:
     (c, mu), misses, std = base_fit(x, observed)
     plain = observed - misses * std
     base = directions(x, c, mu) / std[:, None]
@@ -179,7 +179,7 @@ def gained_by_two(
     return gained
 
 
-def _draws(key: tuple) -> int:
+def draws_of(key: tuple) -> int:
     """Number of keys of an effect."""
     about = EFFECTS[key[0]]
     of_form = len(SHARES) if key[1].startswith("road_") else 1
@@ -195,7 +195,7 @@ def _refitted_sets(x, observed, seen: _Screen, first: dict, more) -> dict:
     parts: dict = {}
     for keys in dict.fromkeys(nearest):
         value = _refitted(x, observed, seen.std, keys, seen.c, seen.mu).evidence
-        value -= float(np.sum(np.log([_draws(key) for key in keys])))
+        value -= float(np.sum(np.log([draws_of(key) for key in keys])))
         parts.setdefault(tuple(sorted(key[0] for key in keys)), []).append(value)
     return {k: float(np.logaddexp.reduce(values)) for k, values in parts.items()}
 
@@ -210,7 +210,7 @@ def evidence(
     Args:
         more: effects whose set is refitted in any case.
     """
-    seen = _screen(x, observed)
+    seen = screened(x, observed)
     ones = {(key,): value for key, value in _first_of_one(seen).items()}
     found = _refitted_sets(x, observed, seen, ones, more)
     if pairs:

@@ -8,7 +8,7 @@ amplitudes, how often each world is drawn, and the laws of the noise of trials w
 effect. Only the file is observed. Shapes are drawn from the generator, weighed to first
 order, alone and with each listed effect, and the best of each are refitted with all of their
 continuous numbers; Laplace's method gives the evidence. The forms of the truth are always
-among those refitted, so that an incomplete search costs the observer nothing.
+among those refitted, so that an incomplete search costs the observer little.
 
 Each trial's probabilities are written to ``FOLDER/observed``; the table compares them with
 the answers in ``FOLDER/answers``.
@@ -371,7 +371,7 @@ def observed(
         kind: description of an unlisted effect that is refitted in any case.
     """
     generator = np.random.default_rng(seed)
-    seen = observer._screen(x, force)
+    seen = observer.screened(x, force)
     unit = np.linalg.qr(seen.base)[0]
     own = seen.shapes - unit @ (unit.T @ seen.shapes)
     left = seen.misses - unit @ (unit.T @ seen.misses)
@@ -410,7 +410,7 @@ def observed(
     beside = _beside(pool, own, left) + nothing
     for i, k in _with_listed(seen.keys, beside, pool, truth, kind):
         key = seen.keys[i]
-        prior = np.log(PRIOR["beside"] / observer._draws(key) / len(families))
+        prior = np.log(PRIOR["beside"] / observer.draws_of(key) / len(families))
         refit((key,), k, beside[i, k], of_kind[k] + prior, [key[0]] == [*truth])
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     whole = logsumexp([*total.values()])

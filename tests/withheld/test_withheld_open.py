@@ -66,7 +66,7 @@ def test_noise_of_another_law_is_no_effect():
     rare = np.where(g.uniform(size=100) < 0.05, 8, 1)
     for noise in (1.5 * white, rare * white):
         assert observed(x, truth + noise).sets[(), False] > 0.9
-    seen = [observer._screen(x, truth + factor * white) for factor in (1.5, 3.0)]
+    seen = [observer.screened(x, truth + factor * white) for factor in (1.5, 3.0)]
     over = [_null(x, truth, one) + 0.5 * one.misses @ one.misses for one in seen]
     assert 0 < over[0] < over[1]
 
@@ -76,7 +76,7 @@ def test_the_evidence_of_no_effect_is_the_density_of_the_noise():
     _, _, x = setting(60)
     truth = library.predict_together(x, [], C, MU)
     force = truth + library.spread(x, C, MU) * np.random.default_rng(3).normal(size=60)
-    seen = observer._screen(x, force)
+    seen = observer.screened(x, force)
     own, clean = 0.01 * x.fz, seen.std
     slip, rest = np.sqrt(clean**2 - own**2), seen.misses * seen.std
     lag = np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
@@ -114,7 +114,7 @@ def test_rounded_slips_are_recognised():
     rounded = replace(x, slip=0.02 * np.round(world.slip / 0.02) + 0.001 * g.normal(size=100))
     for inputs, sign in ((rounded, 1), (x, -1)):
         force = library.predict_together(x, [], C, MU) + 0.01 * x.fz * g.normal(size=100)
-        seen = observer._screen(inputs, force)
+        seen = observer.screened(inputs, force)
         assert sign * (_rounded(inputs, seen) + 0.5 * seen.misses @ seen.misses) > 10
 
 

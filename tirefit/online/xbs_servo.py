@@ -116,7 +116,7 @@ def refuse_unstable(
 
 
 _OF_XBS = {f.name: f.metadata["spec"] for f in dataclasses.fields(Xbs) if "spec" in f.metadata}
-"""Specifications of the settings of the estimator; an instance would be computed for a second."""
+"""Specifications of the settings of the estimator, of which making one takes a second."""
 
 
 def _of_xbs(name: str, default: float) -> Any:

@@ -124,10 +124,12 @@ def derived_rows(result: FitResult) -> Rows:
     """The derived quantities that are the same for all runs."""
     channel = derived_channel(result.forces)
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
+    if channel is None:
+        return rows
     at_peak = result.derived.get("slip_at_peak")
+    meanings = quantities(channel, at_peak is None or bool(np.isfinite(at_peak.value)))
     for name, estimate in result.derived.items():
-        if channel is not None and name == quantity_of(name):
-            meanings = quantities(channel, at_peak is None or np.isfinite(at_peak.value))
+        if name == quantity_of(name):
             rows.append(_row(name, _derived_value(estimate), estimate, meanings[name][1]))
     return rows
 

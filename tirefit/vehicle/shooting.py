@@ -7,8 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fitting.solve import least_squares as law
-from tirefit.fitting.solve.least_squares import MAX_STEPS, Normal, NormalEquations, on_host
+from tirefit.fitting.solve.least_squares import (
+    EASE,
+    FIRST_DAMPING,
+    LEAST_DAMPING,
+    MAX_STEPS,
+    Normal,
+    NormalEquations,
+    on_host,
+)
 from tirefit.fitting.uncertainty.profile import Side
 from tirefit.params import Values
 
@@ -115,7 +122,7 @@ class _Windows:
 
     def __init__(self, squares: Squares, start: End) -> None:
         self.squares, self.end = squares, start._replace(z=np.asarray(start.z))
-        self.cost, self.damping = np.inf, law.FIRST_DAMPING / law.EASE
+        self.cost, self.damping = np.inf, FIRST_DAMPING / EASE
         self.step: Any = 0.0
         self.tied: Any = None
 
@@ -127,9 +134,9 @@ class _Windows:
         cost = squares.at(trial)
         if cost < self.cost:
             self.end, self.cost = trial, cost
-            self.damping = max(self.damping * law.EASE, law.LEAST_DAMPING)
+            self.damping = max(self.damping * EASE, LEAST_DAMPING)
         else:
-            self.damping /= law.EASE
+            self.damping /= EASE
         now, pull = self.end.now, np.asarray(squares.pull)
         score, information, self.step, self.tied = eliminate(*now, squares.noise, self.damping)
         missed, _, by_start = now

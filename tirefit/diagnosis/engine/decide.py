@@ -323,7 +323,8 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
     gains, each = found.gains.get(key, {}), {}
     for e in sorted(key, key=lambda e: -gains[e].gain):
         # A twin in its place is the same claim, so their probabilities count together.
-        alike = (e, *(twins := rivals.get(e, ())))
+        twins = rivals.get(e, ())
+        alike = (e, *twins)
         features = found.features[key][e]._replace(
             listed=_odds(min(sum(sets.holding((one,)) for one in alike), 1.0)),
             beside=_odds(min(sum(sets.holding((one,), beside=True) for one in alike), 1.0)),

@@ -158,9 +158,8 @@ class Search:
             k for k in self.subject.testable if gram[k, k] >= UNSEEN and self.ids[k] not in inside
         ]
         found: dict[str, list[tuple[float, int]]] = {}
-        for value, k in zip(
-            self._screened(gram, score, [(k,) for k in open_to]), open_to, strict=True
-        ):
+        values = self._screened(gram, score, [(k,) for k in open_to])
+        for value, k in zip(values, open_to, strict=True):
             found.setdefault(self.ids[k], []).append((value, k))
         return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
 
@@ -244,12 +243,11 @@ class Search:
 
     def refit_parts(self, fit: Fit) -> None:
         """Refit the subsets of the effects of a fit."""
-        self.refit(
-            {
-                part: [Start(fit.z, fit.amplitude[[fit.atoms.index(k) for k in part]], fit.state)]
-                for part in parts_of(fit.atoms)[1:]
-            }
-        )
+        starts: dict[tuple[int, ...], list[Start]] = {}
+        for part in parts_of(fit.atoms)[1:]:
+            kept = [fit.atoms.index(k) for k in part]
+            starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
+        self.refit(starts)
 
 
 def searched(subject: Forward, effort: Effort = Effort()) -> Search:

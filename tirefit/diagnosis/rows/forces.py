@@ -10,9 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.diagnosis.effects import Effect, atoms_of
-from tirefit.diagnosis.effects import state as law
 from tirefit.diagnosis.effects.record import States
-from tirefit.diagnosis.effects.state import Covariates, State
+from tirefit.diagnosis.effects.state import (
+    Covariates,
+    State,
+    arm_of,
+    force_of_state,
+    is_plain,
+    peak_ratio,
+    slip_of_state,
+    slope_at_rest,
+    with_offsets,
+)
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.problem.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
@@ -89,15 +98,15 @@ def _reference(
     tire: AbstractTire, where: _Where, mode: str
 ) -> tuple[jax.Array, jax.Array, Values | float]:
     """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
-    stiffness = jax.vmap(lambda one: law.slope_at_rest(tire, one, mode))(where.inputs) / 2
-    return stiffness, law.peak_ratio(tire, *where.reference), law.arm_of(tire)
+    stiffness = jax.vmap(lambda one: slope_at_rest(tire, one, mode))(where.inputs) / 2
+    return stiffness, peak_ratio(tire, *where.reference), arm_of(tire)
 
 
 def _carrier(
     model: AbstractTire, layout: Layout, mode: str, z: jax.Array, where: _Where
 ) -> tuple[jax.Array, ...] | None:
     """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
-    if law.is_plain(model):
+    if is_plain(model):
         return None
     found = _reference(with_values(model, layout.natural(z)), where, mode)
     return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
@@ -116,12 +125,12 @@ def _mean_and_spread(
         tire = with_values(model, layout.natural(z))
 
         def at(slip: jax.Array) -> tuple[Values, ...]:
-            moved = law.slip_of_state(state, slip)
+            moved = slip_of_state(state, slip)
             pair: tuple[Any, Any] = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
-            found = law.force_of_state(tire, reference, state, *pair, inputs)
-            found = law.with_offsets(found, state, mode)
+            found = force_of_state(tire, reference, state, *pair, inputs)
+            found = with_offsets(found, state, mode)
             forces = dict(zip(("fx", "fy", "mz"), found, strict=True))
             return tuple(forces[channel] for channel in where.offset)
 

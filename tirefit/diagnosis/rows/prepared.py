@@ -10,7 +10,15 @@ import numpy as np
 from tirefit.data.rig.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
-from tirefit.diagnosis.rows import covariates as table
+from tirefit.diagnosis.rows.covariates import (
+    Derived,
+    Sizes,
+    column,
+    covariates_of,
+    derived_from,
+    needs_met,
+    sizes_of,
+)
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck, check_data, check_slip, unfit
 from tirefit.diagnosis.rows.slips import slip_law, slip_rate
 from tirefit.fitting.problem.build import check_slip_noise
@@ -53,8 +61,8 @@ class Prepared:
     random_order: bool
     kept: np.ndarray  # numbers of these rows among the used rows of the data
     slip_check: SlipCheck | None
-    sizes: table.Sizes
-    derived: table.Derived | None  # None if the force was measured
+    sizes: Sizes
+    derived: Derived | None  # None if the force was measured
     shown: float | None  # noise of the slip estimated from the forces, None without an estimate
     scatter: float  # white scatter of the slip about its path, 0 without a path
 
@@ -118,7 +126,7 @@ def prepare(
     check_data(data, (), rig)
     mode = _mode(data)
     slip, zero = slip_of(data, mode), np.zeros(data.n)
-    second = np.tan(table.column(data, "alpha")) if mode == "xy" else zero
+    second = np.tan(column(data, "alpha")) if mode == "xy" else zero
     channels = tuple(c for c in MODES[mode] if c in data and c in model)
     if not channels:
         reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
@@ -134,29 +142,29 @@ def prepare(
         check_slip_noise(data, "alpha" if mode == "y" else "sigma_x", std)
     check_data(data, channels, rig)
     radius = rig.radius_for(data)
-    covariates = table.covariates_of(data, mode, sweeps, slip, second, radius)
-    fz, derived = data.usable("fz"), table.derived_from(data, channels[0])
+    covariates = covariates_of(data, mode, sweeps, slip, second, radius)
+    fz, derived = data.usable("fz"), derived_from(data, channels[0])
     if derived is not None and derived.steered:
         turned = data.usable("fy") * np.tan(data.usable("steering"))
         covariates = covariates._replace(pivot=covariates.across - turned)
-    pressure, at = table.column(data, "pressure"), table.column(data, "time")
+    pressure, at = column(data, "pressure"), column(data, "time")
     inputs = TireInputs(zero, zero, fz, covariates.v, covariates.gamma, pressure, at)
     return Prepared(
         data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        table.needs_met(data, mode, covariates, sweeps.present, radius, derived), time, run,
+        needs_met(data, mode, covariates, sweeps.present, radius, derived), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n), check_slip(data, rig.rolling_radius),
-        table.sizes_of(covariates, slip, float(np.mean(fz)), radius), derived, shown, sweeps.noise,
+        sizes_of(covariates, slip, float(np.mean(fz)), radius), derived, shown, sweeps.noise,
     )  # fmt: skip
 
 
 def slip_of(data: TireData, mode: str) -> np.ndarray:
     """The primary slip [-] of the used rows, (n,)."""
     if mode == "y":
-        return np.tan(table.column(data, "alpha"))
-    return table.column(data, "sigma_x")
+        return np.tan(column(data, "alpha"))
+    return column(data, "sigma_x")
 
 
 def order_of(data: TireData) -> tuple[np.ndarray | None, np.ndarray]:

@@ -14,11 +14,18 @@ from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.rows import fits, noise
-from tirefit.diagnosis.rows import prepared as table
 from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
 from tirefit.diagnosis.rows.noise import NoiseLevel
-from tirefit.diagnosis.rows.prepared import Prepared, neighbours
+from tirefit.diagnosis.rows.prepared import (
+    NOT_STATED,
+    SCATTER,
+    Prepared,
+    neighbours,
+    on_scale_of,
+    order_of,
+    slip_of,
+)
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
@@ -303,8 +310,8 @@ def shown_slip_noise(
     the slip about its path may be noise, or if the force was derived from the motion and so
     has the errors of the slip.
     """
-    sweeps = prepared.slip_source == table.SCATTER
-    known = prepared.slip_source != table.NOT_STATED and not sweeps
+    sweeps = prepared.slip_source == SCATTER
+    known = prepared.slip_source != NOT_STATED and not sweeps
     if known or prepared.derived is not None or (prepared.mode == "xy" and not sweeps):
         return None
     tire, z, _ = fits.first_fit(prepared, name, prepared.data, effects, rig)
@@ -318,8 +325,8 @@ def shown_slip_noise(
     residual = prepared.observed[channel] - force(0.0)
     moving: float | None = 0.0
     if sweeps:
-        stretches = noise.in_order(*table.order_of(prepared.data))
-        off = noise.between(table.slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
+        stretches = noise.in_order(*order_of(prepared.data))
+        off = noise.between(slip_of(prepared.data, prepared.mode), stretches)[prepared.kept]
         moving = noise.noise_in_motion(residual, slope, off, float(prepared.slip_std[0]))
     if moving is None or prepared.mode == "xy":
         return moving
@@ -363,7 +370,7 @@ def with_noise(
 
 def on_rows(base: Base, prepared: Prepared, rig: Rig) -> Base:
     """The same fit on other rows, for its forces; the noise is that of its own rows."""
-    tire, prepared = base.tire, table.on_scale_of(prepared, base.rows)
+    tire, prepared = base.tire, on_scale_of(prepared, base.rows)
     design = fits.design_of(prepared, tire.effects, rig)
     if base.simulator is not None:
         design, _ = fits.with_offset(prepared, tire, design, base.simulator.z)
