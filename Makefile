@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+RUNS   := $(VENV)/.runs
 STAMP  := $(VENV)/.installed
 LOWEST := .venv-lowest
 
@@ -9,19 +10,25 @@ LOWEST := .venv-lowest
 
 install: $(STAMP)
 
-$(STAMP): requirements.lock pyproject.toml
+# Modules are compiled when they are first imported: compiling all of them takes half a minute.
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+
+# tirefit and the libraries that it runs on: all that the demo needs.
+$(RUNS): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "tirefit needs Python 3.11 or later")'
-	@echo "1/3 making an environment in $(VENV)"
+	@echo "making an environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	@# Modules are compiled when they are first imported: compiling all of them takes half a minute.
-	@echo "2/3 installing the libraries of requirements.lock: about half a minute"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
-	@echo "3/3 installing tirefit"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@echo "installing tirefit and the libraries that it runs on: about 20 seconds"
+	$(PIP_INSTALL) --constraint requirements.lock -e .
+	touch $@
+
+$(STAMP): $(RUNS)
+	@echo "installing the libraries of tests, manual and all files: about half a minute"
+	$(PIP_INSTALL) -r requirements.lock
 	touch $@
 
 # The main job on measured data: a report in the terminal, figures in out/demo.
-demo: install
+demo: $(RUNS)
 	$(BIN)/tirefit fit fits/dart_rear_axle/free_driving.csv --config fits/dart_rear_axle/fit.toml --out out/demo
 	@echo "figures: out/demo/fit.png out/demo/residuals.png out/demo/profile.png out/demo/corner.png out/demo/trace.png"
 
