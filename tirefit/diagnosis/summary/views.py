@@ -87,7 +87,7 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         sha256=data.source.sha256,
         convention=data.source.convention,
         channels=base.rows.channels,
-        assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
+        assumptions=(*doubts, *data.source.notes, *rig.beside(data)),
         set_aside=data.first_masked(),
         motion=said_of_motion(base.rows, rig, base.forces(base.as_given, base.amplitudes())),
     )
