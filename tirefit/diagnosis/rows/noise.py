@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
 from scipy.special import chdtr, chdtrc
 
@@ -176,7 +175,7 @@ def judge_noise(
     base = np.ones(len(residual)) if given is None else np.asarray(given)
     std = np.sqrt(base**2 + spread) if stated else base
     white, in_time = residual / std, in_order(time, run)
-    keep = ~_stray(residual, groups)
+    keep = np.ones(len(residual), bool)
     waves = [wave._replace(weight=wave.weight / std) for wave in waves]
     smooth = _smooth(white, basis / std[:, None], waves, keep, in_time)
     # A twentieth of the error of the best force transducers (class 0.02), over the load: computed
@@ -254,22 +253,6 @@ def _overruled(
         return scales[name], ["noise_misstated"], source
     small = scales["about smooth functions"] < 0.6
     return 1.0, ["noise_misstated"] if small else [], "given"
-
-
-def _stray(residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows (n,) bool far both from the median of their neighbours and from the line
-    between the two next to them."""
-    off = np.zeros((2, len(residual)))
-    for group in (group for group in groups if len(group) >= 7):
-        values = residual[group]
-        off[0, group] = values - median_filter(values, 7, mode="mirror")
-        off[1, group] = convolve1d(values, [-0.5, 1.0, -0.5], mode="mirror")
-    seen = np.any(off != 0, axis=0)
-    if not seen.any():
-        return seen
-    unit = MAD * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
-    stray = np.all(np.abs(off) > _OUTLIER * unit, axis=0) & seen
-    return stray & (stray.sum() > max(_FEW, 2 * _FLAGGED * len(residual)))
 
 
 _CLIPPED = float(chdtr(3, _CLIP**2) + _CLIP**2 * chdtrc(1, _CLIP**2))
@@ -377,6 +360,9 @@ def _shares(
     shares = [np.ones_like(fz)]
     if np.std(fz) > LOADS * np.mean(fz):
         shares.append((fz / np.mean(fz)) ** 2)
+        parts = np.stack(shares, axis=1)
+        law = parts @ _law(np.square(white[keep]), parts[keep])
+        white = white / np.sqrt(np.maximum(law, NONZERO))  # what grows with the load is known
     if _growth(white, used, keep) > _CLEAR:
         shares += [used, used**2]
     return shares

@@ -41,10 +41,10 @@ class Structure(NamedTuple):
 def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
     """The structures of the simulated forces over their own slip, most important first."""
     return tuple(
-        structure
+        one
         for channel in prepared.channels
         if channel in ("fx", "fy")
-        for structure in _structures(prepared, channel, "alpha" if channel == "fy" else "sigma_x")
+        for one in _structures(prepared, channel, "alpha" if channel == "fy" else "sigma_x")
     )
 
 
@@ -113,8 +113,8 @@ def _clipped(slip: np.ndarray, share: np.ndarray) -> tuple[float, float] | None:
         return np.clip(values[0] * slip + values[1], -top, top) - share
 
     start = np.polynomial.polynomial.polyfit(slip[inner], share[inner], 1)[::-1]
-    fitted = least_squares(missed, start).x
-    return None if rms(missed(fitted)) > _EXPLAINED * rms(share) else (top, float(fitted[0]))
+    found = least_squares(missed, start).x
+    return None if rms(missed(found)) > _EXPLAINED * rms(share) else (top, float(found[0]))
 
 
 def _own_time(
@@ -133,9 +133,9 @@ def _own_time(
             return _scatter(_late(slip, time, runs, np.exp(log), kind), share)
 
         near, step = min(logs, key=left), logs[1] - logs[0]
-        closest = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
+        found = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
         id = "own_delay" if kind == "delay" else "own_lag"
-        tried.append((closest.fun, id, float(np.exp(closest.x))))
+        tried.append((found.fun, id, float(np.exp(found.x))))
     least, id, constant = min(tried)
     plain, apart = _scatter(slip, share), float(np.median(steps))
     if least < _RATHER * plain:
