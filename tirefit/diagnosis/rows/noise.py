@@ -174,8 +174,7 @@ def judge_noise(
     stated = given is not None
     base = np.ones(len(residual)) if given is None else np.asarray(given)
     std = np.sqrt(base**2 + spread) if stated else base
-    white, in_time = residual / std, in_order(time, run)
-    keep = np.ones(len(residual), bool)
+    white, in_time, keep = residual / std, in_order(time, run), np.ones(len(residual), bool)
     waves = [wave._replace(weight=wave.weight / std) for wave in waves]
     smooth = _smooth(white, basis / std[:, None], waves, keep, in_time)
     # A twentieth of the error of the best force transducers (class 0.02), over the load: computed
@@ -209,15 +208,14 @@ def judge_noise(
     if grows or not stated:
         apart = _CLEAR * max(possible.rows_each for possible in memory) * (memory[0].fade > 0)
         local = _between(residual / std, groups, keep, apart, in_time)
-        if local < 1:
-            std = np.maximum(std * local, floor)
-            memory = smooth.memory(rest / std, in_time)
+        std = np.maximum(std * min(local, 1.0), floor)
+        memory = smooth.memory(rest / std, in_time)
         # The noise is a part of the residual.
         most = np.sqrt(np.mean(residual[keep] ** 2) / np.mean(std[keep] ** 2))
         std = std * min(float(most), 1.0)
     std = np.maximum(std, floor)
-    if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
-        memory = (FORGETFUL,)
+    # Forces from a formula have rounding errors but no noise.
+    memory = (FORGETFUL,) if np.all(std <= floor) else memory
     if grows or (not stated and np.max(std) > (1 + _MISSTATED) ** 2 * np.min(std)):
         flags.append("heteroscedastic")
     elif stated and np.std(fz) > LOADS * np.mean(fz):
