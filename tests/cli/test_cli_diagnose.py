@@ -536,6 +536,7 @@ WRONG = {
     "effect": (["--without", "slip_ofset"], "known effects"),
     "rig": (["--rig", "none.toml"], "none.toml"),
     "rig value": (["--rig", "rig.toml"], "wheel_inertia = -1: must be greater"),
+    "rig key": (["--rig", "rig.toml"], "unknown key 'fx'"),
     "convention": (["--convention", "iso"], "iso"),
     "out": (["--out", "run.csv"], "run.csv: no folder for the results"),
 }
@@ -544,18 +545,11 @@ WRONG = {
 @pytest.mark.parametrize(("arguments", "said"), WRONG.values(), ids=WRONG)
 def test_wrong_use_gives_exit_code_2_and_writes_nothing(run, tmp_path, arguments, said):
     write(tmp_path / "run.csv")
-    (tmp_path / "rig.toml").write_text("wheel_inertia = -1\n")
+    (tmp_path / "rig.toml").write_text("wheel_inertia = -1\nfx = 40\n")
     result = run("diagnose", "run.csv", "--out", "o", *arguments, exit_code=2)
     assert said in result.stderr and "Traceback" not in result.stderr
     assert "remedy: " in result.stderr
     assert not (tmp_path / "o").exists()
-
-
-def test_unused_keys_of_the_rig_are_reported(run, tmp_path):
-    write(tmp_path / "run.csv", rows=4)  # too few to be diagnosed
-    (tmp_path / "rig.toml").write_text("fx = 40\n")
-    result = run("diagnose", "run.csv", "--rig", "rig.toml", "--out", "o", exit_code=3)
-    assert "warning: fx of rig.toml is not used" in result.stderr
 
 
 def test_a_noise_in_both_rig_and_file_is_reported(run, tmp_path):

@@ -242,8 +242,6 @@ def _settings(
     if model and not tire_kind(model) and model not in MAGIC_FORMULA_NAMES:
         find_model(model)
     known = load_rig(rig)
-    for note in known.notes:
-        complain(f"warning: {note}")
     if how["rolling_radius"] is None and known.rolling_radius is not None:
         how["rolling_radius"] = known.rolling_radius
     return {"model": model, "rig": known, "without": tuple(without or [])}

@@ -183,7 +183,6 @@ CODE: Code = {
         change=multiplies("friction", _step),
         which=_which_step,
         variants=(*((at, _NO_END) for at in STEPS), *_STRETCHES),
-        during=lambda constants: (constants[0], constants[1]),
     ),
     "friction_hysteresis": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
     "drive_brake_asymmetry": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),

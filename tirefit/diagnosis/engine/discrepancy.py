@@ -141,7 +141,8 @@ class Discrepancy:
 
     def _of_waves(self, fit: "Fit") -> list[Found]:
         """The most probable wave of each quantity, with the evidence of all of them."""
-        return [found for wave in self.waves if (found := _wave_in(fit, wave)) is not None]
+        rest = fit.remainder()
+        return [found for wave in self.waves if (found := wave_in(rest, wave)) is not None]
 
     def local_share(self, fit: "Fit") -> float:
         """Share of the evidence beside a fit that local cells have."""
@@ -179,13 +180,14 @@ class Discrepancy:
         return np.concatenate([self.columns[:, :0], *parts], axis=1) / many
 
 
-def _wave_in(fit: "Fit", wave: Wave) -> Found | None:
-    """The most probable wave in the remainder of a fit, from three half turns over a record of 16
-    places and more, with the evidence of all, averaged over frequency and size."""
+def wave_in(rest: np.ndarray, wave: Wave) -> Found | None:
+    """The most probable wave in a whitened remainder, whose first rows are those of the wave: from
+    three half turns over a record of 16 places and more, with the evidence of all, averaged over
+    frequency and size."""
     count, weight, least = int(wave.clock.max(initial=-1)) + 1, wave.weight, 3
     if count < 16:
         return None
-    rest, there = fit.remainder(), wave.clock >= 0
+    there = wave.clock >= 0
     own = (weight * rest[: len(weight)])[there]
     sums = np.fft.rfft(np.bincount(wave.clock[there], own, count), 2 * count)[least:]
     # Sine and cosine of unit size share the square of the weights.

@@ -43,8 +43,9 @@ def _largest(values: Values) -> float:
 
 def half_force_slip(slip: np.ndarray, share: np.ndarray) -> float:
     """Median size of the slips (n,) at 0.4 to 0.6 of the largest ``share``, the force
-    over load (n,); at least a thousandth of the largest slip."""
-    size, share = np.abs(slip), np.abs(share)
+    over load (n,); at least a thousandth of the largest slip, which counts as 1 at most."""
+    # At an angle of 90 degrees the slip is infinite: no unit for the error of a slip.
+    size, share = np.minimum(np.abs(slip), 1.0), np.abs(share)
     top = _largest(share)
     half = (share > 0.4 * top) & (share < 0.6 * top)
     middle = np.median(size[half] if half.any() else size)
@@ -54,7 +55,7 @@ def half_force_slip(slip: np.ndarray, share: np.ndarray) -> float:
 def sizes_of(rows: Covariates, slip: np.ndarray, mean_load: float, radius: float | None) -> Sizes:
     """Sizes of a file with these covariates, primary slips (n,), mean load [N] and
     rolling radius [m], None where unknown."""
-    spread, rise = float(np.std(slip)), float(rows.rise[0])
+    spread, rise = float(np.std(np.clip(slip, -1.0, 1.0))), float(rows.rise[0])
 
     def per(of: float, size: float | np.floating) -> float:  # the reciprocal of no range is 1
         return of / float(size) if size > ROUNDING else of
@@ -65,7 +66,7 @@ def sizes_of(rows: Covariates, slip: np.ndarray, mean_load: float, radius: float
     speeds = np.ptp(rows.v)
     return Sizes(
         slip=rise,
-        sliding=per(1.0, _largest(rows.sliding)),
+        sliding=per(1.0, float(rows.brisk[0])),
         rolling=per(1.0, speeds),
         growth=per(rise, speeds),
         period=per(spread, rms(rows.rate)),
@@ -99,7 +100,7 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
     motion = np.stack([data.usable(name) for name in needed], axis=1)
     if np.linalg.matrix_rank(motion - motion.mean(axis=0)) < motion.shape[1]:
         return None
-    found, across = [], [data.usable(channel)]
+    laws, across = [], [data.usable(channel)]
     if "steering" in data:
         angle = data.usable("steering")
         across.append(across[0] * np.cos(angle))
@@ -109,8 +110,8 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
         share = np.linalg.lstsq(motion, ahead)[0]
         missed = float(np.std(ahead - motion @ share) / np.std(ahead))
         mass, inertia = np.abs(share).tolist()
-        found.append((missed, Derived(mass, inertia, ahead is not across[0])))
-    best = min(found, key=lambda one: one[0])
+        laws.append((missed, Derived(mass, inertia, ahead is not across[0])))
+    best = min(laws, key=lambda law: law[0])
     # A measured force does not agree with accelerometers to a thousandth.
     return best[1] if best[0] < 1e-3 else None
 
@@ -169,6 +170,7 @@ def covariates_of(
     """Covariates that follow from the columns; the base fit adds the others."""
     fz, v, zero = data.usable("fz"), column(data, "v"), np.zeros(data.n)
     time, run, size = column(data, "time"), data.run[data.used], np.hypot(slip, second)
+    size = np.minimum(size, 10.0)  # beyond, all slides
     omega, force = column(data, "omega"), _force_of(data, mode)
     sigma, tan_alpha = column(data, "sigma_x"), np.tan(column(data, "alpha"))
     spin = slip_rate(omega, time, run).rate if "omega" in data else zero

@@ -1,6 +1,5 @@
 """``rig.toml``, the user's statements on the rig or vehicle, and checks of the data."""
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -39,9 +38,6 @@ class _Vehicle(Section):
     yaw_inertia: _Share = None
 
 
-_TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
-
-
 class _RigFile(Section):
     rolling_radius: _Length = None
     wheel_inertia: Annotated[float | None, Field(ge=1e-9, le=1e6)] = None  # kg m2
@@ -68,7 +64,6 @@ class Rig:
         vehicle: standard errors of the inputs of a derived log: ``position`` [m] of the
             tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
         run_order: ``random`` or ``sequential``, the order in which runs were measured.
-        notes: keys of ``rig.toml`` that are not used.
 
     Example:
         >>> rig = Rig(rolling_radius=0.31, noise={"fx_relative": 0.02})
@@ -81,7 +76,6 @@ class Rig:
     noise: Mapping[str, float] = field(default_factory=dict)
     vehicle: Mapping[str, float] = field(default_factory=dict)
     run_order: str | None = None
-    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raises UsageError for a value not above zero, or two of one force."""
@@ -164,10 +158,10 @@ def load_rig(path: str | Path | None) -> Rig:
         path: the file; None for a rig of which nothing is stated.
 
     Returns:
-        The statements; ``notes`` lists keys that are not used.
+        The statements.
 
     Raises:
-        UsageError: a value of the wrong type or out of its range.
+        UsageError: an unknown key, or a value of the wrong type or out of its range.
         DataError: the file cannot be read.
 
     Example:
@@ -177,30 +171,12 @@ def load_rig(path: str | Path | None) -> Rig:
     """
     if path is None:
         return Rig()
-    content, others = _of_others(read_toml(path), _RigFile)
-    stated = parse_settings(_RigFile, content, str(path))
-    keys = ", ".join(_RigFile.model_fields)
-    notes = [f"{key} of {path} is not used: rig.toml has {keys}" for key in others]
+    stated = parse_settings(_RigFile, read_toml(path), str(path))
     try:
-        return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
+        return Rig(**stated.model_dump(exclude_none=True))
     except UsageError as error:
         problems = [replace(problem, file=str(path)) for problem in error.problems]
         raise UsageError(problems) from None
-
-
-def _of_others(content: dict[str, Any], kind: type[Section]) -> tuple[dict[str, Any], list[str]]:
-    """The content without keys that resemble no key of the section, and those keys, which
-    may be for other programs."""
-    kept, others = {}, []
-    for key, value in content.items():
-        if not difflib.get_close_matches(key, kind.model_fields, 1):
-            others.append(key)
-            continue
-        kept[key] = value
-        if isinstance(value, dict) and key in _TABLES:
-            kept[key], inner = _of_others(value, _TABLES[key])
-            others += [f"{key}.{name}" for name in inner]
-    return kept, others
 
 
 def unfit(data: TireData, reason: str, remedy: str, column: str = "") -> DataError:
@@ -293,20 +269,20 @@ def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
         return None
     alpha = data.usable("alpha")[good] if "alpha" in data else None
     read_as = data.source.slip_definition
-    own = "kappa" if read_as == "s" else read_as
+    declared = "kappa" if read_as == "s" else read_as
     logged = slip_from_sigma(sigma[good], read_as, alpha)
     definitions = ("sigma_x", "kappa", "slip_ratio")
     meant = {name: slip_from_sigma(computed[good], name) for name in definitions}
     lines = {name: _line(x, logged) for name, x in meant.items()}
     best = min(lines, key=lambda name: lines[name]["scatter"])
-    if lines[best]["scatter"] > _BETTER * lines[own]["scatter"]:
-        best = own
+    if lines[best]["scatter"] > _BETTER * lines[declared]["scatter"]:
+        best = declared
     others = [line["scatter"] for name, line in lines.items() if name != best]
     return SlipCheck(
         read_as=read_as,
-        fits=read_as if best == own else best,
+        fits=read_as if best == declared else best,
         radius=radius,
-        rms=float(np.sqrt(np.mean((logged - meant[own]) ** 2))),
+        rms=float(np.sqrt(np.mean((logged - meant[declared]) ** 2))),
         told_apart=lines[best]["scatter"] < _BETTER * min(others),
         **lines[best],
     )

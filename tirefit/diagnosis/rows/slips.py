@@ -9,7 +9,7 @@ from scipy.special import comb, softmax
 from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.problem.noise import MAD
-from tirefit.fitting.problem.slip_noise import SlipDistribution, slip_distribution
+from tirefit.fitting.problem.slip_noise import SMOOTH, slip_density, slip_knots
 from tirefit.params import Values
 
 _WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas
@@ -101,10 +101,10 @@ def _averaged(values: np.ndarray, time: np.ndarray, noise: float) -> _Path:
     value, slope, square = np.zeros((3, size))
     reach = np.zeros((size, 2 * _REACH + 1))
     for chance, (near, of_value, of_slope) in zip(softmax(logs, 0), parts, strict=True):
-        one = np.einsum("nw,nw->n", of_slope, values[near])
+        rate = np.einsum("nw,nw->n", of_slope, values[near])
         value += chance * np.einsum("nw,nw->n", of_value, values[near])
-        slope += chance * one
-        square += chance * (one**2 + noise**2 * np.sum(of_slope**2, axis=1))
+        slope += chance * rate
+        square += chance * (rate**2 + noise**2 * np.sum(of_slope**2, axis=1))
         reach[row[:, None], near - row[:, None] + _REACH] += chance[:, None] * of_value
     return _Path(value, slope, np.sqrt(np.maximum(square - slope**2, 0.0)), reach)
 
@@ -114,9 +114,9 @@ def _path_of(values: np.ndarray, time: Values, noise: float) -> _Path:
     pieces = []
     for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
-        near, own = slice(start, end + _REACH), slice(first - start, end - start)
+        near, inside = slice(start, end + _REACH), slice(first - start, end - start)
         path = _averaged(values[near], np.asarray(time)[near], noise)
-        pieces.append([column[own] for column in path])
+        pieces.append([column[inside] for column in path])
     return _Path(*map(np.concatenate, zip(*pieces, strict=True)))
 
 
@@ -158,7 +158,7 @@ class Past(NamedTuple):
         low, share = self.place(part, time)
         row = np.arange(len(part))[:, None]
 
-        def own(at: np.ndarray) -> np.ndarray:
+        def itself(at: np.ndarray) -> np.ndarray:
             """Weight of the value of each row in the path at that row."""
             weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
             return np.where(np.abs(row - at) > _REACH, 0.0, weight)
@@ -166,7 +166,7 @@ class Past(NamedTuple):
         alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
         noise = ((values - path.value) / alone)[:, None]
         mean = (1 - share) * path.value[low] + share * path.value[low + 1]
-        self.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
+        self.path[part] = mean - ((1 - share) * itself(low) + share * itself(low + 1)) * noise
 
 
 class Sweeps(NamedTuple):
@@ -250,43 +250,45 @@ def _steep(slip: np.ndarray, std: np.ndarray) -> bool:
     return float(np.median(std)) > 0.01 * large
 
 
-def slip_law(slip: np.ndarray, std: np.ndarray) -> SlipDistribution | None:
-    """Distribution of the true slips from measured ones and noise (n,); None if zero."""
-    return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
+class SlipLaw(NamedTuple):
+    """The true slips of a file, given the measured ones: mean and standard deviation (n,)."""
+
+    mean: np.ndarray
+    std: np.ndarray
+
+
+def slip_law(slip: np.ndarray, std: np.ndarray) -> SlipLaw | None:
+    """The true slips of measured ones with noise (n,); None if it is zero. Their density is
+    estimated as that of a fit, from the slips alone."""
+    if not np.any(std > 0):
+        return None
+    std = np.maximum(std, FLAT)
+    offset = np.linspace(-4, 4, 41)
+    nodes, weights = slip[:, None] + std[:, None] * offset, np.exp(-0.5 * offset**2)
+    every = max(len(slip) // 4000, 1)  # more rows change the density little
+    some = nodes[::every]
+    each = np.tile(weights, (len(some), 1))
+    # A tenth of the weight in a fit: a wheel that rolls freely has many rows of one slip.
+    density = slip_density(slip_knots(slip, std), some, each, 0.1 * SMOOTH)
+    chance = weights * density.at(nodes)
+    chance /= chance.sum(axis=1, keepdims=True)
+    mean = np.sum(chance * nodes, axis=1)
+    return SlipLaw(mean, np.sqrt(np.sum(chance * (nodes - mean[:, None]) ** 2, axis=1)))
 
 
 def slip_nodes(
-    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray
+    law: SlipLaw | None, slip: np.ndarray, std: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """True slips and their probabilities (n, k); without a law, the measured slips."""
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
     offset, mass = _MANY if _steep(slip, std) else _FEW
-    mean, spread, _ = law.moments(slip, std)
-    nodes = mean[:, None] + spread[:, None] * offset
-    return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
-
-
-def slip_doubt(
-    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray, path: np.ndarray | None = None
-) -> np.ndarray:
-    """Common error of the estimated slips: columns (n, k) times independent unit normal numbers.
-    The density of the true slips is estimated from the same noisy slips, so rows with equal slips
-    share its error. ``path`` (n,) holds slips estimated from their neighbours in time, or is None.
-    """
-    columns, std = [np.zeros((len(slip), 0))], np.maximum(std, FLAT)
-    if law is not None and _steep(slip, std):
-        columns.append(_of_density(law, slip, std))
-    if law is not None and path is not None:
-        offset, mass = _MANY
-        believed = np.array([law.moments(path + std * e, std)[0] for e in offset]).T
-        columns.append((believed @ (mass / mass.sum()) - path)[:, None])
-    return np.concatenate(columns, axis=1)
+    return law.mean[:, None] + law.std[:, None] * offset, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
 def slip_proxies(
-    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray,
-    measured: Sequence[np.ndarray], path: np.ndarray | None = None, past: np.ndarray | None = None,
+    law: SlipLaw | None, slip: np.ndarray, measured: Sequence[np.ndarray],
+    path: np.ndarray | None = None, past: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Error of the estimated slips as predicted from other measurements: columns (n, k).
 
@@ -298,13 +300,12 @@ def slip_proxies(
 
     Args:
         measured: (n,) each; a cubic in each, and the past, predict the slips.
-        path: as in :func:`slip_doubt`.
+        path: (n,) slips estimated from their neighbours in time, or None.
         past: (n, k) slips before, at and after each row by their neighbours in time.
     """
     if law is None:
         return np.zeros((len(slip), 0))
-    believed, unsure, common = law.moments(slip, std)
-    variance = np.mean(unsure**2 * (1 - common))
+    variance = np.mean(law.std**2)
     predictions = [] if path is None else [path]
     if measured:
         free = [np.ones((len(slip), 1)), *([] if past is None else [past])]
@@ -315,34 +316,8 @@ def slip_proxies(
         predictions.append(known @ np.linalg.lstsq(known, slip, rcond=None)[0])
     columns = []
     for predicted in predictions:
-        off = predicted - believed
+        off = predicted - law.mean
         known = variance / max(float(np.mean(off**2)), NONZERO)
         if known > 0.2:  # a smaller share of the noise is not worth a column
             columns.append(min(known, 1.0) * off)
     return np.array(columns).reshape(len(columns), len(slip)).T
-
-
-def _of_density(law: SlipDistribution, slip: np.ndarray, std: np.ndarray) -> np.ndarray:
-    """Error of the slips due to the error of the weights of the density, which add up to
-    one: by maximum likelihood, each weight with a prior as wide as the mean weight."""
-    # Likelihood of each row for each part of the density (n, parts), and the same times
-    # the true slip minus the measured one.
-    unit, step = np.linspace(-4, 4, 41), np.diff(law.knots)[0]
-    off = std[:, None] * unit
-    far = np.abs((slip[:, None] + off)[..., None] - law.knots[1:-1]) / step
-    bell = np.exp(-0.5 * unit**2) * np.diff(unit)[0] / step
-    hats = np.maximum(1 - far, 0) * bell[:, None]
-    place = law.standing - slip[:, None]
-    there = np.exp(-0.5 * (place / std[:, None]) ** 2) / std[:, None]
-    likely = np.hstack([hats.sum(axis=1), there]) / np.sqrt(2 * np.pi)
-    first = np.hstack([np.einsum("nqk,nq->nk", hats, off), there * place])
-    first /= np.sqrt(2 * np.pi)
-    weight = np.append(law.density[1:-1] * step, law.shares)
-    together = np.maximum(likely @ weight, NONZERO)[:, None]
-    mean = first @ weight / together[:, 0]
-    moved = (first - mean[:, None] * likely) / together
-    # Directions that keep the sum of the weights.
-    free = np.linalg.svd(np.ones((1, len(weight))))[2][1:].T
-    score = likely / together @ free
-    normal = score.T @ score + len(weight) ** 2 * np.eye(free.shape[1])
-    return moved @ free @ np.linalg.cholesky(np.linalg.inv(normal))

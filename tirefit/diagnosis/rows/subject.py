@@ -2,11 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.effects.record import Effect
@@ -14,7 +13,7 @@ from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.rows import fits, noise
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
 from tirefit.diagnosis.rows.noise import NoiseLevel
 from tirefit.diagnosis.rows.prepared import (
@@ -28,8 +27,8 @@ from tirefit.diagnosis.rows.prepared import (
 )
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
-from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
-from tirefit.diagnosis.rows.slips import AHEAD, slip_doubt, slip_proxies
+from tirefit.diagnosis.rows.simulator import STAND_INS, Simulated, Simulator, check_signs
+from tirefit.diagnosis.rows.slips import AHEAD, slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
@@ -66,41 +65,25 @@ class Base:
         return atoms_of(self.tire.effects)
 
     @cached_property
-    def doubt(self) -> np.ndarray:
-        """Error of the residual that rows share through the unknown true slips, and what no
-        effect explains of it (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k),
-        each times an independent unit normal number."""
+    def shared_error(self) -> np.ndarray:
+        """Error of the residual that rows share through the unknown true slips, see
+        :func:`slip_proxies`: columns (m, k), each times an independent unit normal number."""
         rows, past = self.rows, self.rows.past
-        slip, path = (rows.slip_law, rows.slip, rows.slip_std), None
-        if past is not None:  # the slips estimated from their neighbours in time
-            path = past[:, AHEAD]
-        off = [slip_doubt(*slip, path), slip_proxies(*slip, rows.moving, path, past)]
+        path = None if past is None else past[:, AHEAD]
+        proxies = slip_proxies(rows.slip_law, rows.slip, rows.moving, path, past)
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        forces = steep[:, None] * np.tile(np.hstack(off), (len(rows.channels), 1))
-        if self.simulator is None or self.simulator.given.tire is not None:
-            return forces
-        given = self.tire.layout.vector(self.simulator.z)
-        changed = np.abs(self.tire.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
-        around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
-        blocks = []
-        for c in rows.channels:
-            missed = np.asarray(self.design.offset[c])[: rows.n]
-            weight = (np.asarray(self.design.keep) / self.design.scale[c])[: rows.n, None]
-            blocks.append(fits.not_followed(missed, rows.slip, around, most) * weight)
-        beyond = block_diag(*blocks)
-        # A tenth of a standard error is not worth a column.
-        return np.hstack([forces, beyond[:, np.linalg.norm(beyond, axis=0) > 0.1]])
+        return steep[:, None] * np.tile(proxies, (len(rows.channels), 1))
 
     @cached_property
-    def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
+    def _shared(self) -> tuple[np.ndarray, np.ndarray]:
         """Orthonormal directions (m, k) of the slip uncertainty, and the share (k,) of
         the residual along each that is removed."""
-        along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
+        along, size, _ = np.linalg.svd(self.shared_error, full_matrices=False)
         return along, 1 - 1 / np.sqrt(1 + size**2)
 
-    def sure(self, values: np.ndarray) -> np.ndarray:
+    def projected(self, values: np.ndarray) -> np.ndarray:
         """Whitened values (m, ...), also whitened for the slip uncertainty."""
-        along, unknown = self._doubtful
+        along, unknown = self._shared
         return values - (along * unknown) @ (along.T @ values)
 
     @cached_property
@@ -158,8 +141,8 @@ class Base:
     def unit(self) -> np.ndarray:
         """(m,) noise of the first channel [N], zero for other channels and excluded rows."""
         n, scale = self.rows.n, self.design.scale[self.rows.channels[0]]
-        own = np.asarray(scale)[:n] * np.asarray(self.design.keep)[:n]
-        return np.concatenate([own, np.zeros(n * (len(self.rows.channels) - 1))])
+        values = np.asarray(scale)[:n] * np.asarray(self.design.keep)[:n]
+        return np.concatenate([values, np.zeros(n * (len(self.rows.channels) - 1))])
 
     @cached_property
     def plain_discrepancy(self) -> Discrepancy:
@@ -170,7 +153,7 @@ class Base:
     def discrepancy(self) -> Discrepancy:
         """The unlisted effect, with the slip uncertainty projected out."""
         plain = self.plain_discrepancy
-        return replace(plain, columns=self.sure(plain.columns))
+        return replace(plain, columns=self.projected(plain.columns))
 
     def columns_at(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, p + k) of the forces at a fit."""
@@ -199,8 +182,8 @@ class Base:
     def folds(self, effects: Key) -> Folds:
         """The parts that are left out, for the naming of these effects: whole runs cannot
         show an effect that belongs to one of them."""
-        own = {a.effect.id for a in self.atoms if "runs" in a.effect.needs}
-        folds = folds_of(self.rows, self.inflation, not own & {*effects})
+        of_runs = {a.effect.id for a in self.atoms if "runs" in a.effect.needs}
+        folds = folds_of(self.rows, self.inflation, not of_runs & {*effects})
         return folds._replace(code=np.tile(folds.code, len(self.rows.channels)))
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
@@ -210,20 +193,21 @@ class Base:
         free = [np.where(np.abs(s.z) > 6.0, self.guess, s.z) if atoms else s.z
                 for s, atoms in zip(starts, sets, strict=True)]  # fmt: skip
         begin = [(z, s.amplitude) for z, s in zip(free, starts, strict=True)]
-        found = fits.refit(self.tire, begin, sets, self.design)
-        points = np.concatenate([found.z, found.amplitude], axis=1)
+        ends = fits.refit(self.tire, begin, sets, self.design)
+        points = np.concatenate([ends.z, ends.amplitude], axis=1)
         n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
-        made, p, priors = [], found.z.shape[1], self.priors
+        made, p, priors = [], ends.z.shape[1], self.priors
         slopes = self.tire.slopes(points, sets, self.design)
         for k, (atoms, (mean, by)) in enumerate(zip(sets, slopes, strict=True)):
             index = list(atoms)
             residual = ((observed - mean) * weight)[:, :n].reshape(-1)
             columns = (by * weight)[..., :n].reshape(len(by), -1).T
-            amplitude = found.amplitude[k, : len(atoms)]
+            amplitude = ends.amplitude[k, : len(atoms)]
             pull, off = np.ones(len(atoms)), amplitude - priors.center[index]
             pull, off = (np.append(np.zeros(p), part) for part in (pull, off))
             ids = [self.atoms[a].effect.id for a in atoms]
-            start, linear = Start(found.z[k], amplitude), (self.sure(residual), self.sure(columns))
+            start = Start(ends.z[k], amplitude)
+            linear = self.projected(residual), self.projected(columns)
             within = priors.low[index], priors.high[index]
             made.append(fitted(atoms, ids, start, linear, pull, off, priors.sign[index], within))
         return made
@@ -231,7 +215,7 @@ class Base:
     def tangents(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
         amplitudes = self.amplitudes(fit.atoms, fit.amplitude)
-        return self.sure(self.linearised(fit.z, amplitudes).columns)
+        return self.projected(self.linearised(fit.z, amplitudes).columns)
 
     def amplitudes(
         self, atoms: Sequence[int] = (), sizes: np.ndarray | tuple[Any, ...] = ()
@@ -260,7 +244,7 @@ def fit_base(
     name: str | None,
     effects: tuple[Effect, ...],
     rig: Rig,
-    given: Given | None = None,
+    given: Simulator | None = None,
 ) -> Base:
     """Fit the base model, judge the noise, and fit again under it.
 
@@ -285,8 +269,8 @@ def fit_base(
     tire, z, guess = fitted
     if given is not None:
         fits.check_followed(prepared, missed, stand_in)
-        doubt = check_signs(prepared, tire, z, given)
-        simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
+        wrong_signs = check_signs(prepared, tire, z, given)
+        simulator = Simulated(given=given, z=z, stand_in=stand_in, wrong_signs=wrong_signs)
         z = fits.refit(tire, [(z, ())], [()], design).z[0]
     # The slip of full sliding is 3 mu F_z / (2 c) for the brush with slope and peak of the base.
     slope, mu = tire.brush(z, design)
@@ -297,7 +281,7 @@ def fit_base(
         rows=prepared, tire=tire, design=design, z=z, guess=guess, simulator=simulator,
         slip_fraction=size / (1.5 * float(mu) * prepared.inputs.fz / slope),
     )  # fmt: skip
-    base = with_noise(base, rig, z)
+    base = with_noise(base, rig)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
@@ -334,31 +318,33 @@ def shown_slip_noise(
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     in_time, fz = noise.in_order(prepared.time, prepared.run), np.asarray(prepared.inputs.fz)
-    found = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
-    return max(found, moving) if sweeps else found or None
+    scatter = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
+    return max(scatter, moving) if sweeps else scatter or None
 
 
-def with_noise(
-    base: Base, rig: Rig, z: np.ndarray, amplitudes: np.ndarray | tuple[Any, ...] = (),
-    outliers: bool = False,
-) -> Base:  # fmt: skip
-    """The base refitted with the noise of the remainder of a fit (z, amplitudes), by channel.
-    ``outliers`` are excluded from a fit without a gross gap."""
+def with_noise(base: Base, rig: Rig) -> Base:
+    """The base refitted with the noise of its remainder, by channel."""
     rows, fz = base.rows, np.asarray(base.rows.inputs.fz)
-    mean, spread = base.tire.moments(z, base.design, rows.n, amplitudes)
-    typical, levels, groups = fz / np.mean(fz), dict[str, NoiseLevel](), neighbours(rows)
-    basis = smooth_basis(rows, base.slip_fraction, typical, rows.n // 6)
-    of_friction = np.minimum(np.abs(base.slip_fraction), 1.0)  # of a brush, within 0.2
-    for c in rows.channels:
+    mean, spread = base.tire.moments(base.z, base.design, rows.n)
+    levels, groups, unlisted = dict[str, NoiseLevel](), neighbours(rows), discrepancy_of(base)
+    tangents = base.at_null.columns
+    shapes = np.hstack([unlisted.additive, tangents[:, np.isfinite(tangents).all(axis=0)]])
+    for k, c in enumerate(rows.channels):
+        part, unit = slice(k * rows.n, (k + 1) * rows.n), base.design.scale[c][: rows.n]
+        columns = shapes[part] * unit[:, None]
+        # The directions that listed and unlisted effects of usual size change most; more than a
+        # sixth of the rows would fit noise.
+        basis = columns @ np.linalg.eigh(columns.T @ columns)[1][:, -(rows.n // 6) :]
+        waves = [
+            wave._replace(weight=wave.weight[part] * unit, clock=wave.clock[part])
+            for wave in unlisted.waves
+        ]
         column = f"{c}_std"
-        given = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
-        common = spread[c] * rows.common
-        waves = partial(wave_basis, rows, typical, of_friction * mean[c])
-        level = noise.judge_noise(
-            rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
-            waves, groups, rows.time, rows.run, outliers,
+        stated = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
+        levels[c] = noise.judge_noise(
+            rows.observed[c] - mean[c], spread[c], fz, mean[c], stated, basis,
+            waves, groups, rows.time, rows.run,
         )  # fmt: skip
-        levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
     size, wide = len(base.design.keep), np.sqrt(max(x.inflation for x in levels.values()))
     scale = {c: pad_rows(level.std * wide, size) for c, level in levels.items()}
     keep = (np.arange(size) < rows.n).astype(float)

@@ -79,7 +79,7 @@ def adjusted(p_values: np.ndarray, dependent: bool = False) -> np.ndarray:
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
     """The file of a diagnosis: the table as it was read, with the fit to its rows."""
-    doubt = base.simulator.doubt if base.simulator else ""
+    doubt = base.simulator.wrong_signs if base.simulator else ""
     doubts = (f"warning: {doubt}",) if doubt else ()
     return DataSummary(
         name=data.name,
@@ -87,7 +87,7 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         sha256=data.source.sha256,
         convention=data.source.convention,
         channels=base.rows.channels,
-        assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
+        assumptions=(*doubts, *data.source.notes, *rig.beside(data)),
         set_aside=data.first_masked(),
         motion=said_of_motion(base.rows, rig, base.forces(base.as_given, base.amplitudes())),
     )
@@ -344,5 +344,5 @@ def _look_curve(found: Found) -> LookCurve:
     at = float(cell.places[-1 if found.is_wave else largest])
     sizes = float(change[largest]), found.probability, found.explains
     look = Look(cell.quantity, cell.covariate, found.is_wave, at, *sizes)
-    mirrored = is_mirrored(cell.quantity, cell.covariate)
+    mirrored = not found.is_wave and is_mirrored(cell.quantity, cell.covariate)
     return LookCurve(look, cell.places, change, usual * found.std, mirrored, cell.settings)
