@@ -162,7 +162,7 @@ NOISE_EFFECTS = (
         id="outliers",
         flag="outliers",
         means="some rows lie far from all others",
-        remedy="set [noise] loss = 'huber'",
+        remedy="correct or delete them; `fit` excludes them",
     ),
     NoiseEffect(
         id="noise_heteroscedastic",

@@ -42,7 +42,6 @@ from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, groups_of, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, search
-from tirefit.fitting.mf.temperature import UNUSED, at_reference
 from tirefit.fitting.problem.config import FitConfig, ParameterConfig, parse_config
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
@@ -85,8 +84,7 @@ def fit_magic_formula(
             ``my`` for that moment and the forces.
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
-            prior of coefficients; ``friction_temperature`` for a friction that changes
-            with temperature (the coefficients then hold at its median).
+            prior of coefficients.
         first: coefficients of a tire that may be similar, as an additional start.
         like: a ``.tir`` whose coefficients are prior means, if not in config.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
@@ -147,23 +145,12 @@ def fit_magic_formula(
         now = next(done)
         progress(now / max(steps, now + 1), note)
 
-    def fitted_to(rows: Mapping[str, ForceRows]) -> Search:
-        return search(problem, groups_of(rows, "combined" in parts), start, say)
-
-    warmth = None
-    if config.friction_temperature:
-        require(whole, ("temperature",), "[model] friction_temperature")
-        work, rows, warmth = at_reference(whole, rows, fitted_to)
-        notes.append(warmth.text())
-    else:
-        work = fitted_to(rows)
-        if "temperature" in whole:
-            notes.append(UNUSED)
+    work = search(problem, groups_of(rows, "combined" in parts), start, say)
     left_out, bands = cross_validated(work, rows, settings, leave_out, say)
     coefficients, covariance = _coefficients(work, bands, priors, borrowed.keys())
     result = _result(model, whole, work, rows, bands, notes)
     return MagicFormulaFit(
-        **result, coefficients=coefficients, covariance=covariance, left_out=left_out, warmth=warmth
+        **result, coefficients=coefficients, covariance=covariance, left_out=left_out
     )
 
 
@@ -175,7 +162,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
         if name not in own and (name not in given or asked.value is None):
             remedy = f"its coefficients are {', '.join(own)}"
             faults.append((f"parameters.{name}: {model} does not fit it", remedy))
-        wrong = [key for key in ("lower", "upper", "tied", "per_run") if getattr(asked, key)]
+        wrong = [key for key in ("lower", "upper", "per_run") if getattr(asked, key)]
         if asked.value is not None and asked.free and asked.prior is None:
             wrong.append("value with free")
         if wrong:
@@ -184,8 +171,6 @@ def _check_settings(model: str, config: FitConfig) -> None:
     if brush := {"force", "solver", "starts", "posterior"} & config.model_fields_set:
         reason = f"{', '.join(sorted(brush))} in a Magic Formula"
         faults.append((reason, "leave it out: a Magic Formula is fitted in fixed stages"))
-    if config.noise.loss not in ("squares", FitConfig().noise.loss):
-        faults.append((f"noise.loss = {config.noise.loss!r} in a Magic Formula", "leave it out"))
     UsageError.raise_for([InputProblem(*fault, config.source) for fault in faults])
 
 

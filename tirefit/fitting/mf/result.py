@@ -21,7 +21,6 @@ from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.parts import VERSIONS, coefficients_of
 from tirefit.fitting.mf.solve import Problem, blocks_of, propagated
 from tirefit.fitting.mf.stages import Stage
-from tirefit.fitting.mf.temperature import FrictionTemperature
 from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.problem.noise import NoiseLaw
 from tirefit.fitting.result import SCHEMA, FitResult, layout_record
@@ -95,7 +94,6 @@ class MagicFormulaFit(Record):
     notes: tuple[str, ...]
     version: str
     binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
-    warmth: FrictionTemperature | None = None  # with ``friction_temperature``
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", ByName(self.coefficients))
@@ -210,7 +208,6 @@ class MagicFormulaFit(Record):
                 "covariance": stored.covariance,
                 "layout": layout_record(stored.layout, self.tire),
             },
-            "temperature": self.warmth and self.warmth._asdict(),
             "notes": list(self.notes),
             "outcomes": self.outcomes,
         }

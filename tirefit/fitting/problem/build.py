@@ -162,7 +162,7 @@ def _noise_problems(
 
 def _settled(
     data: TireData, model: AbstractTire, forces: Sequence[str], config: FitConfig
-) -> tuple[AbstractTire, Layout, list[str]]:
+) -> tuple[AbstractTire, Layout]:
     """Result of ``choose_layout``; its problems and those of the noise are raised together."""
     of_columns, of_settings = _noise_problems(data, forces, config)
     try:
@@ -263,7 +263,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         least_rows: rows to pad to, at least, so that small files share one program.
 
     Raises:
-        UsageError: unknown model or parameter, impossible bounds, ties or noise.
+        UsageError: unknown model or parameter, impossible bounds or noise.
         DataError: missing columns or rows, or a noise column that is not positive.
     """
     template = find_model(name)
@@ -275,8 +275,8 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         data = data.where(above & (values <= (np.inf if high is None else high)))
     _check_inputs(data, name, template, forces, config)
     config, messages = _with_reference_load(data, template, config)
-    model, layout, narrowed = _settled(data, template, forces, config)
-    notes += [*messages, *narrowed]
+    model, layout = _settled(data, template, forces, config)
+    notes += messages
     size = padded_size(data.n, least_rows)
     observed, scale, channels = {}, {}, []
     slips = dict.fromkeys(CHANNEL_SLIP.values())
@@ -315,8 +315,6 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         rules={force: Rule() for force in forces},
         layout=layout,
         channels=tuple(channels),
-        # Outliers are excluded, so that the noise of the others is normal.
-        loss="squares" if config.noise.loss == "trimmed" else config.noise.loss,
     )
     time = data.usable("time") if "time" in data else None
     return FitTask(name, problem, guess, time, tuple(notes), data)
@@ -325,10 +323,6 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 def _check_inputs(
     data: TireData, name: str, model: AbstractTire, forces: Sequence[str], config: FitConfig
 ) -> None:
-    if config.friction_temperature:
-        reason = f"friction_temperature with the model {name}"
-        remedy = "only mf52, mf61 and mf62 have it: remove it from [model]"
-        raise UsageError(reason, remedy, config.source)
     if missing := [force for force in forces if force not in modelled(model)]:
         reason = f"the model {name} has no {' and no '.join(missing)}"
         remedy = f"it has {', '.join(modelled(model))}: fit these (force), or another model"

@@ -142,7 +142,6 @@ def best_of(solution: Minima) -> int:
 
 def _of_squares(rule: Rule, squares: Scalar, library: ModuleType) -> Scalar:
     """Deviance of a block from the sum of its squares."""
-    squares = squares + rule.within
     known = squares / rule.inflation
     given = rule.smallest <= 0
     # Both branches are evaluated: the logarithm of one where the noise is given.

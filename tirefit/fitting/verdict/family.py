@@ -94,8 +94,7 @@ def _parameters(name: str, config: FitConfig) -> dict[str, ParameterConfig]:
             names = [k for k in _PEAK if k in known]
         elif key in _SLOPE and not names and one.per_run:
             names, one = [k for k in _SLOPE if k in known], ParameterConfig(per_run=True)
-        if one.tied is None or one.tied in known:
-            settings |= dict.fromkeys(names, one)
+        settings |= dict.fromkeys(names, one)
     return settings
 
 
