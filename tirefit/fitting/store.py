@@ -118,8 +118,8 @@ class _Prediction(_Part):
             raise ValueError(f"the covariance is not {size} x {size}")
         if size and np.max(np.abs(self.covariance)) > _LARGEST:
             raise ValueError(f"a covariance above {_LARGEST:g}")
-        own = np.linalg.eigvalsh(np.array(self.covariance)) if size else np.zeros(1)
-        if own[0] < -_ROUNDING * abs(own[-1]):
+        eigenvalues = np.linalg.eigvalsh(np.array(self.covariance)) if size else np.zeros(1)
+        if eigenvalues[0] < -_ROUNDING * abs(eigenvalues[-1]):
             raise ValueError("a variance is negative")
         return self
 
@@ -303,10 +303,19 @@ def record_of_fit(content: Mapping[str, Any], result: str) -> FileRecord:
         result: the path of the fit.
     """
     rows = [
-        Row(kind, name, one["value"], one["std"], low, high, one["unit"], one["identified"])
+        Row(
+            kind,
+            name,
+            number["value"],
+            number["std"],
+            low,
+            high,
+            number["unit"],
+            number["identified"],
+        )
         for kind, section in (("parameter", "parameters"), ("derived", "derived"))
-        for name, one in content[section].items()
-        for low, high in [one["ci95"]]
+        for name, number in content[section].items()
+        for low, high in [number["ci95"]]
     ]
     rows += [Row("statistic", name, content["fit"][name]) for name in _STATISTICS]
     return FileRecord(

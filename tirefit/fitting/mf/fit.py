@@ -133,9 +133,9 @@ def fit_magic_formula(
         reason = "not used, a Magic Formula fit takes the slips as exact"
         notes.append(f"{', '.join(of_slips)}: {reason}")
     problem, priors = problem_from(tire, config, borrowed)
-    found = {force: rig_settings(of_force) for force, of_force in rows.items()}
-    settings = {force: own for force, (own, _) in found.items()}
-    rows = {force: replace(of, setting=found[force][1]) for force, of in rows.items()}
+    settings_of = {force: rig_settings(of_force) for force, of_force in rows.items()}
+    settings = {force: of_force for force, (of_force, _) in settings_of.items()}
+    rows = {force: replace(of, setting=settings_of[force][1]) for force, of in rows.items()}
     centre = np.zeros(len(problem.names))
     start = problem.started(centre, normal_form(first)) if first else None
     # As many stages as kinds of rows, and about as many parts left out.
@@ -156,11 +156,11 @@ def fit_magic_formula(
 
 def _check_settings(model: str, config: FitConfig) -> None:
     """Raises one UsageError for all settings that a Magic Formula does not have."""
-    own, faults = coefficients_of(VERSIONS[model]), []
+    coefficients, faults = coefficients_of(VERSIONS[model]), []
     given = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
     for name, asked in config.parameters.items():
-        if name not in own and (name not in given or asked.value is None):
-            remedy = f"its coefficients are {', '.join(own)}"
+        if name not in coefficients and (name not in given or asked.value is None):
+            remedy = f"its coefficients are {', '.join(coefficients)}"
             faults.append((f"parameters.{name}: {model} does not fit it", remedy))
         wrong = [key for key in ("lower", "upper", "per_run") if getattr(asked, key)]
         if asked.value is not None and asked.free and asked.prior is None:
@@ -260,10 +260,10 @@ def _coefficients(
     problem, of_part = work.problem, coefficients_of(work.problem.tire.version)
     scale, values = problem.scale(work.u), problem.values(work.u)
     for force, band in bands.items():
-        own = own_coefficients(problem.tire.version, force)
-        scale = scale * np.where(np.isin(problem.names, own), band.wider, 1.0)
+        of_rows = own_coefficients(problem.tire.version, force)
+        scale = scale * np.where(np.isin(problem.names, of_rows), band.wider, 1.0)
     covariance = work.covariance * np.outer(scale, scale)
-    found = {}
+    coefficients = {}
     for i, name in enumerate(problem.names):
         if not problem.free[i]:
             origin = "given"
@@ -275,8 +275,8 @@ def _coefficients(
             origin = "borrowed"
         std, prior = float(np.sqrt(covariance[i, i])), priors[name]
         known = of_part[name], prior.centre, prior.std
-        found[name] = Coefficient(values[name], std, origin, *known)
-    return found, covariance
+        coefficients[name] = Coefficient(values[name], std, origin, *known)
+    return coefficients, covariance
 
 
 def _result(
@@ -345,10 +345,10 @@ def _far(
         rows, groups = used[force], work.groups[force]
         predicted = off + rows.observed
         variance = [group.row_variance(rows.column("fz"), predicted) for group in groups]
-        far = int(np.count_nonzero(off**2 > _FAR**2 * np.max(variance, axis=0)))
-        if far:
+        outlying = int(np.count_nonzero(off**2 > _FAR**2 * np.max(variance, axis=0)))
+        if outlying:
             messages.append(
-                f"residuals beyond {_FAR:g} standard deviations in {far} of"
+                f"residuals beyond {_FAR:g} standard deviations in {outlying} of"
                 f" {len(off)} rows of {force}, which were fitted like the others:"
                 " mask rows that are wrong"
             )

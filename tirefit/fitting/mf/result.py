@@ -223,9 +223,9 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
     version = VERSIONS[fit.model]
     known = specs(fit.tire)
     notes = {}
-    for name, one in fit.coefficients.items():
-        error = f" +- {one.std:.3g}" if one.std else ""
-        notes[name] = f"{known[name].meaning}; {one.origin}{error}"
+    for name, coefficient in fit.coefficients.items():
+        error = f" +- {coefficient.std:.3g}" if coefficient.std else ""
+        notes[name] = f"{known[name].meaning}; {coefficient.origin}{error}"
     comment = [
         f"Magic Formula {version} fitted by tirefit {fit.version}",
         f"to {', '.join(Path(file).name for file in fit.data['file'].split(', '))}",
@@ -233,7 +233,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         *fit.notes,
     ]
     if missing := {"fx", "fy", "mz"} - set(fit.forces):
-        of = {one.origin for one in fit.coefficients.values()}
+        of = {coefficient.origin for coefficient in fit.coefficients.values()}
         other = " or borrowed" if "borrowed" in of else ""
         message = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
         comment.append(message)
@@ -276,13 +276,13 @@ def magic_formula_forces(
     covariance[np.ix_(at, at)] = fit.covariance * np.outer(slope, slope)
     values = parameter_values(tire)
     centre = np.array([values[name] for name in names])
-    one = np.full(len(names), 1.0)
+    ones = np.full(len(names), 1.0)
     mean, variance = {}, {}
     for force in forces:
         nothing = np.zeros(np.shape(inputs.fz))
         blocks = blocks_of(force, inputs, nothing, nothing + 1.0)
-        problem = Problem(tire, names, centre, one, one < 0, one > 0, blocks)
-        mean[force], variance[force] = propagated(problem, 0 * one, covariance)
+        problem = Problem(tire, names, centre, ones, ones < 0, ones > 0, blocks)
+        mean[force], variance[force] = propagated(problem, 0 * ones, covariance)
     return mean, variance
 
 

@@ -371,9 +371,9 @@ def slip_of_forces(
     Raises:
         DataError: combined slip with noise of both slips.
     """
-    own = {force: CHANNEL_SLIP[force] for force in forces}
+    of_force = {force: CHANNEL_SLIP[force] for force in forces}
     if not noisy or "sigma_x" not in data or "alpha" not in data:
-        return own
+        return of_force
     # Whether both slips matter together in more than a twentieth of the rows; that of a
     # locked wheel represents infinity.
     slips = np.nan_to_num([data.usable("sigma_x"), np.tan(data.usable("alpha"))])
@@ -388,7 +388,7 @@ def slip_of_forces(
         for a, b in ((both.fx, along.fx), (both.fy, across.fy))
     )
     if not (couples and np.mean(is_combined) > 0.05):
-        return own
+        return of_force
     if len(noisy) > 1:
         raise DataError(
             "noise of both sigma_x and alpha in combined slip: every force depends"

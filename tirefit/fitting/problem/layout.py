@@ -69,8 +69,8 @@ class Layout:
         """Indices (n, q) of each row's elements of z, one per free parameter."""
         count: list[int] = [len(self.runs) if p.per_run else 1 for p in self.free]
         first = np.cumsum([0, *count[:-1]])
-        own = np.array([p.per_run for p in self.free])
-        return run[:, None] * own[None] + first[None]
+        is_per_run = np.array([p.per_run for p in self.free])
+        return run[:, None] * is_per_run[None] + first[None]
 
     @property
     def prior_elements(self) -> np.ndarray:

@@ -67,7 +67,7 @@ def _minima(
         parts = [problem.layout.elements_of(problem.rows.run)] * blocks
         elements = jnp.concatenate([*parts, problem.layout.prior_elements])
 
-    def one(k: Array, ends: Minima) -> Minima:
+    def search_one(k: Array, ends: Minima) -> Minima:
         def held(z: Array) -> Array:
             return z.at[index[k]].set(values[k], mode="drop")
 
@@ -87,7 +87,7 @@ def _minima(
     nothing = Minima(
         jnp.full_like(starts, jnp.nan), nowhere, nowhere, jnp.zeros(m, bool), jnp.zeros(m, int)
     )
-    return jax.lax.fori_loop(0, count, one, nothing)
+    return jax.lax.fori_loop(0, count, search_one, nothing)
 
 
 def minima(

@@ -56,7 +56,7 @@ def _log_density(
     root: Float[Values, "p p"],
     base: Scalar,
 ) -> Float[Array, " n"]:
-    def one(u: Values) -> Array:
+    def density_at(u: Values) -> Array:
         z = center + root @ u
         value = deviance(problem, z) - base
         density = -value / 2 + problem.layout.log_volume(z)
@@ -67,8 +67,8 @@ def _log_density(
     if problem.rows.nodes:  # an integral for each row
         together = min(together, _AT_A_TIME)
     if together >= len(u):
-        return jax.vmap(one)(u)
-    return jax.lax.map(one, u, batch_size=together)
+        return jax.vmap(density_at)(u)
+    return jax.lax.map(density_at, u, batch_size=together)
 
 
 def _whitening(solved: Solved) -> tuple[np.ndarray, np.ndarray]:
