@@ -140,12 +140,10 @@ def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, chun
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [{"ensembles": 3}, {"walkers": 33}, {"walkers": 4}],
-    ids=["too few ensembles", "odd walkers", "too few walkers"],
+    "settings", [{"walkers": 33}, {"walkers": 4}], ids=["odd walkers", "too few walkers"]
 )
 def test_unsuitable_ensembles_are_refused(given, settings):
-    with pytest.raises(UsageError, match="at least 4 ensembles and an even number"):
+    with pytest.raises(UsageError, match="walkers: an even number, at least 6"):
         sample(given, **settings)
 
 

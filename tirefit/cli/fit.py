@@ -100,7 +100,7 @@ def fit(
     leave_out: Annotated[
         str | None,
         typer.Option(
-            metavar="three|load|bin|none",
+            metavar="three|load|none",
             help="mf52, mf61, mf62: rows left out in turn to check the bands (default:"
             " the bins of three loads)",
         ),

@@ -144,7 +144,6 @@ def _sampled(result: "FitResult", settings: Any) -> "FitResult":
         return sample(
             result,
             sampler=chosen.sampler,
-            ensembles=chosen.ensembles,
             walkers=chosen.walkers,
             effective_samples=chosen.effective_samples,
             max_steps=chosen.max_steps,

@@ -88,7 +88,7 @@ def fit_magic_formula(
         first: coefficients of a tire that may be similar, as an additional start.
         like: a ``.tir`` whose coefficients are prior means, if not in config.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
-            of each load, ``bin`` each bin, ``none`` nothing.
+            of each load, ``none`` nothing.
         progress: called with the share done and the name of the next step.
 
     Returns:

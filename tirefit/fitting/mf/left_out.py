@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.fitting.mf.bins import Setting, labels_of
+from tirefit.fitting.mf.bins import Setting
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
@@ -14,9 +14,9 @@ from tirefit.fitting.mf.stages import Search, without
 from tirefit.fitting.problem.noise import NoiseLaw, beyond_loads, noise_law
 from tirefit.fitting.solve.inference import half_width_95
 
-LEAVE_OUT = ("three", "load", "bin", "none")
+LEAVE_OUT = ("three", "load", "none")
 """Parts that are left out in turn: the bins of three loads (smallest, middle, largest),
-the bins of each load, each bin, or nothing."""
+the bins of each load, or nothing."""
 
 _ROWS = 1500
 """Largest number of rows of a force, evenly taken, that a part is judged by."""
@@ -140,23 +140,18 @@ def _parts(
     """Label of each part -> by force, the settings that are left out together."""
     if which == "none":
         return {}
-    if which == "bin":
-        labels = {force: labels_of(of_force) for force, of_force in settings.items()}
-        chosen = list(dict.fromkeys(name for names in labels.values() for name in names))
-    else:
-        fz = np.unique([setting.fz for of_force in settings.values() for setting in of_force])
-        loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
-        if len(loads) < _FEWEST_LOADS:
-            return {}
-        name_of = {fz: f"F_z = {np.median(load):.0f} N" for load in loads for fz in load}
-        labels = {force: [name_of[s.fz] for s in of_force] for force, of_force in settings.items()}
-        chosen = list(dict.fromkeys(name_of.values()))
-        if which == "three":
-            chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]
+    fz = np.unique([setting.fz for of_force in settings.values() for setting in of_force])
+    loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
+    if len(loads) < _FEWEST_LOADS:
+        return {}
+    name_of = {fz: f"F_z = {np.median(load):.0f} N" for load in loads for fz in load}
+    chosen = list(dict.fromkeys(name_of.values()))
+    if which == "three":
+        chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]
     return {
         label: {
-            force: [k for k, name in enumerate(names) if name == label]
-            for force, names in labels.items()
+            force: [k for k, setting in enumerate(of_force) if name_of[setting.fz] == label]
+            for force, of_force in settings.items()
         }
         for label in chosen
     }

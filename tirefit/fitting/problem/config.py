@@ -111,7 +111,6 @@ class PosteriorConfig(Section):
     """The posterior: which sampler, and how many samples."""
 
     sampler: Literal["emcee", "importance"] | None = None
-    ensembles: int = Field(default=4, ge=4, le=1000)
     walkers: Annotated[int, Field(ge=1, le=10_000)] | None = None
     effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     max_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 5000

@@ -33,7 +33,7 @@ CHUNK = 100  # steps between two checks of convergence
 _MANY = 20
 """Parameters above which importance sampling is the default: with 90 of them (45 runs of 60
 rows) it takes 10 s of processor time at a k-hat below 0, and emcee did not finish in 600 s."""
-_WALKERS = 64
+_ENSEMBLES, _WALKERS = 4, 64
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
 _TARGETS = {False: 4000, True: 1000}  # effective samples, by whether slips have noise
@@ -144,7 +144,6 @@ def sample(
     result: FitResult,
     *,
     sampler: str | None = None,
-    ensembles: int = 4,
     walkers: int | None = None,
     effective_samples: int | None = None,
     max_steps: int = 5000,
@@ -160,9 +159,8 @@ def sample(
             for more than 4096 rows and for slips with noise, whose likelihood is an integral
             over the true slip of each row. It falls back to emcee if its weights are
             unreliable, with a note.
-        ensembles: independent ensembles, at least 4.
-        walkers: walkers per ensemble, an even number; by default 64, more for many
-            parameters.
+        walkers: of each of the four independent ensembles, an even number; by default 64,
+            more for many parameters.
         effective_samples: stop once every parameter has this many, the chain is 50
             autocorrelation times long and split R-hat is below 1.01. By default 4000, or
             1000 for slips with noise (300 above 20,000 rows): ends of intervals then scatter
@@ -176,8 +174,7 @@ def sample(
         ``chains`` and ``posterior``, the quality of the sampling.
 
     Raises:
-        UsageError: an unknown sampler, too few ensembles or odd walkers; or 32-bit floats in
-            use.
+        UsageError: an unknown sampler, too few or an odd number of walkers; or 32-bit floats.
 
     Example:
         >>> found = sample(fit(samples / "circles.csv", "brush"), sampler="importance")
@@ -195,8 +192,11 @@ def sample(
         is_slow = is_noisy or size > _MANY or problem.n > _LONG
         sampler = "importance" if is_slow else "emcee"
     usual = _FEW_DRAWS if is_noisy and problem.n > _LONG_NOISY else _TARGETS[is_noisy]
-    shape = _shape(size, ensembles, walkers)
-    run = _Run(seed, shape, effective_samples or usual, max_steps, progress)
+    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
+    if walkers % 2 or walkers < 2 * size + 2:
+        reason = f"{walkers} walkers: an even number, at least {2 * size + 2}, is needed"
+        raise UsageError(reason)
+    run = _Run(seed, walkers, effective_samples or usual, max_steps, progress)
     density, weighted = _density(solved), None
     if sampler == "importance":
         weighted = draw_weighted(density, *_whitening(solved), seed, run.target, progress)
@@ -209,24 +209,13 @@ def sample(
 
 
 class _Run(NamedTuple):
-    """How to draw a chain: see :func:`sample`; ``shape`` is (ensembles, walkers)."""
+    """How to draw a chain: see :func:`sample`."""
 
     seed: int
-    shape: tuple[int, int]
+    walkers: int
     target: int
     max_steps: int
     progress: Callable[[float, str], None] | None
-
-
-def _shape(size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
-    """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
-    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
-    if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
-        raise UsageError(
-            f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
-            f" even number of walkers, at least {2 * size + 2}, are needed"
-        )
-    return ensembles, walkers
 
 
 def _ensembles(density: Density, size: int, run: _Run) -> list[Any]:
@@ -241,14 +230,14 @@ def _ensembles(density: Density, size: int, run: _Run) -> list[Any]:
     def log_prob(u: np.ndarray) -> np.ndarray:
         return np.asarray(density(u))
 
-    ensembles, (count, walkers) = [], run.shape
+    ensembles = []
     # Full generator states: emcee silently ignores an integer seed.
-    for child in np.random.SeedSequence(run.seed).spawn(count):
+    for child in np.random.SeedSequence(run.seed).spawn(_ENSEMBLES):
         generator = np.random.RandomState(np.random.MT19937(child))
         # Wider than the posterior, so that R-hat can see ensembles that disagree.
-        start = 1.3 * generator.standard_normal((walkers, size))
+        start = 1.3 * generator.standard_normal((run.walkers, size))
         values = np.concatenate([log_prob(half) for half in np.split(start, 2)])
-        sampler = emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True)
+        sampler = emcee.EnsembleSampler(run.walkers, size, log_prob, moves=moves, vectorize=True)
         sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
         state = emcee.State(start, log_prob=values, random_state=generator.get_state())
         ensembles.append((sampler, state))
