@@ -8,6 +8,8 @@ import pytest
 from recipes import STD, TRUTH, brush_force, curve, magic_force, solved
 from scipy import optimize
 
+from tirefit import fit
+from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.solve.least_squares import (
     SOLVERS,
     Normal,
@@ -16,6 +18,7 @@ from tirefit.fitting.solve.least_squares import (
     on_host,
 )
 from tirefit.params import constrain
+from tirefit.results import UsageError
 
 CASES = {
     "brush": (brush_force, TRUTH, 1.6),
@@ -189,3 +192,36 @@ def test_a_start_without_a_finite_cost_is_reported():
     assert not on_host(lambda z: Normal(np.nan, np.eye(1), np.zeros(1)), np.zeros(1)).converged
     end = least_squares(lambda z: (jnp.log(z), None), jnp.array([-1.0]))
     assert not bool(end.converged)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
+        optx.Dogleg(rtol=1e-10, atol=1e-10),
+        # Holds an array, so that it cannot be hashed.
+        optx.IndirectLevenbergMarquardt(rtol=1e-10, atol=1e-10, lambda_0=jnp.array(1.0)),
+    ],
+    ids=lambda solver: type(solver).__name__,
+)
+def test_a_solver_of_optimistix_finds_the_same_minimum(solver):
+    data = curve(seed=5)
+    ours, other = fit(data, "brush"), fit(data, "brush", solver=solver)
+    assert other.solver == type(solver).__name__ and ours.solver == "gauss-newton"
+    np.testing.assert_allclose(other.z, ours.z, rtol=1e-8)
+    np.testing.assert_allclose(other.statistics.rmse, ours.statistics.rmse, rtol=1e-8)
+    np.testing.assert_allclose(
+        [one.ci95 for one in other.parameters.values() if not one.fixed],
+        [one.ci95 for one in ours.parameters.values() if not one.fixed],
+        rtol=1e-6,
+    )
+
+
+@pytest.mark.parametrize("solver", [optx.LevenbergMarquardt, optx.BFGS(1e-8, 1e-8), 3])
+def test_what_is_no_solver_is_refused_with_the_choices(solver):
+    # The type checks of the tests would refuse it as an argument of fit.
+    config = FitConfig().model_copy(update={"solver": solver})
+    with pytest.raises(UsageError, match=r"optx.LevenbergMarquardt\(") as refused:
+        fit(curve(), "brush", config=config)
+    for name in SOLVERS:
+        assert name in str(refused.value)

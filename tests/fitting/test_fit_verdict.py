@@ -165,15 +165,20 @@ def test_std_column_weights_the_rows():
     np.testing.assert_allclose(np.asarray(weighted.problem.rows.scale["fx"])[:400], stds)
 
 
-def test_relative_noise_is_a_share_of_the_load():
+def test_noise_proportional_to_load_is_fitted():
     generator = np.random.default_rng(60)
     load = generator.choice([1000.0, 4000.0, 8000.0], 400)
     slip = generator.uniform(0, 0.3, 400)
     force = brush_force(slip, **TRUTH, fz=load)
     force = force + 0.01 * load * generator.standard_normal(400)
     data = table({"sigma_x": slip, "fx": force, "fz": load})
+    config = {"noise": {"proportional_to_load": True}, "solver": "gauss-newton"}
+    end = solved(data, config)
+    scale = np.asarray(end.problem.rows.scale["fx"])[:400]
+    np.testing.assert_allclose(scale, 0.01 * load, rtol=4 / np.sqrt(800))
     given = solved(data, {"noise": {"fx_relative": 0.01}, "solver": "gauss-newton"})
     np.testing.assert_allclose(np.asarray(given.problem.rows.scale["fx"])[:400], 0.01 * load)
+    np.testing.assert_allclose(end.z, given.z, atol=1e-6)
 
 
 def test_slip_limits_choose_the_rows():

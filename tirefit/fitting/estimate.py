@@ -15,6 +15,7 @@ from tirefit.fitting.problem.likelihood import FitProblem
 from tirefit.fitting.problem.noise import noise_by_row
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, Verdict, information
 from tirefit.fitting.solve.far_rows import FarRow, Settled, settle
+from tirefit.fitting.solve.least_squares import Solver, solver_name
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.derived import derived_from_profile, reference_points
 from tirefit.fitting.uncertainty.identified import (
@@ -159,7 +160,7 @@ def fit(
     model: str | None = None,
     *,
     config: FitConfig | dict[str, Any] | None = None,
-    solver: str | None = None,
+    solver: Solver | None = None,
     seed: int | None = None,
 ) -> FitResult:
     """Fit a tire model by least squares, with covariance and profile intervals.
@@ -172,8 +173,8 @@ def fit(
             ``starts``, ``parameters`` ({"mu": {...}} with value, free, lower, upper, prior,
             per_run), ``noise`` ({"fx": 20.0} in N, fx_relative, sigma_x,
             loss, ...) and ``posterior`` (sampler, effective_samples, ...).
-        solver: ``gauss-newton``; to check it, ``optimistix`` or ``jaxopt``. Profiles are by
-            ``gauss-newton``.
+        solver: ``gauss-newton``; to check it, ``optimistix``, ``jaxopt`` or a least-squares
+            solver of optimistix. Profiles are by ``gauss-newton``.
         seed: of the random starts and of all sampling.
 
     Returns:
@@ -189,6 +190,10 @@ def fit(
         >>> mu = found.parameters["mu"]
         >>> str(found.status), round(mu.value, 3), round(mu.std, 3)
         ('ok', 0.899, 0.001)
+        >>> import optimistix as optx
+        >>> checked = fit(swept.columns, solver=optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8))
+        >>> checked.solver, round(checked.parameters["mu"].value / mu.value, 6)
+        ('LevenbergMarquardt', 1.0)
     """
     require_x64("a fit")
     release_programs()
@@ -196,7 +201,8 @@ def fit(
     config = parse_config(config or {}) if not isinstance(config, FitConfig) else config
     given = {"solver": solver, "seed": seed, "model": model}
     given = {key: value for key, value in given.items() if value is not None}
-    parse_config(given, "fit()")
+    parse_config({k: v for k, v in given.items() if k != "solver" or isinstance(v, str)}, "fit()")
+    solver_name(given.get("solver", config.solver))
     config = config.model_copy(update=given)
     settled = settle(data, config.model or "brush", config)
     return _summarise(settled, data, config)
@@ -227,7 +233,7 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
         correlation=solved.covariance / np.outer(std, std),
         data=data_record(data, problem.n, settled.outliers),
         reference=reference_points(problem),
-        solver=config.solver,
+        solver=solver_name(config.solver),
         seed=config.seed,
         version=importlib.metadata.version("tirefit"),
         versions={"python": platform.python_version()}

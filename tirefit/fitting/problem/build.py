@@ -103,6 +103,10 @@ def force_scale(data: TireData, name: str, noise: NoiseConfig) -> tuple[np.ndarr
         return (relative * data.usable("fz"), False, f"noise of {name}: {relative:g} fz given")
     observed = data.usable(name)
     size = 0.05 * float(np.sqrt(np.mean(observed**2))) or 1.0
+    if noise.proportional_to_load:
+        fz = data.usable("fz")
+        shape = fz / np.mean(fz)
+        return size * shape, True, f"noise of {name}: estimated, proportional to load"
     return np.full(data.n, size), True, f"noise of {name}: estimated from the residuals"
 
 

@@ -78,6 +78,7 @@ class NoiseConfig(Section):
     alpha: _SlipNoise = None
     sigma_x_speed: _SlipNoise = None
     alpha_speed: _SlipNoise = None
+    proportional_to_load: bool = False
     loss: Literal["trimmed", "squares"] = "trimmed"
     effective_samples: Literal["estimate", "all"] = "estimate"
 

@@ -14,6 +14,7 @@ from functools import partial
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +24,7 @@ from scipy.special import ndtri, stdtrit
 from tirefit.arrays import Scalar
 from tirefit.compiled import BRIEF
 from tirefit.fitting.problem.likelihood import FitProblem, Rule, blocks_and_moments, root_deviance
-from tirefit.fitting.solve.least_squares import directions, least_squares
+from tirefit.fitting.solve.least_squares import SOLVERS, Solver, directions, least_squares
 from tirefit.params import Values
 
 REACH = 12.0
@@ -58,9 +59,16 @@ class Minima(NamedTuple):
 
 @partial(jax.jit, static_argnames=("solver",))
 def _minima(
-    problem: FitProblem, starts: Array, index: Array, values: Array, count: Array, solver: str
+    problem: FitProblem,
+    starts: Array,
+    index: Array,
+    values: Array,
+    count: Array,
+    arrays: Any,
+    solver: Any,
 ) -> Minima:
     """:func:`minima` of the first ``count`` of m searches; the others are skipped."""
+    solver = eqx.combine(arrays, solver)
     blocks = len(problem.rules)
     elements = None
     if problem.layout.is_sparse:
@@ -95,7 +103,7 @@ def minima(
     starts: Float[np.ndarray, "m p"],
     index: Int[np.ndarray, " m"] | None = None,
     values: Float[np.ndarray, " m"] | None = None,
-    solver: str = "gauss-newton",
+    solver: Solver = "gauss-newton",
 ) -> Minima:
     """Least squares from several starts, with one element of each held if requested.
 
@@ -105,8 +113,10 @@ def minima(
         starts: first z of every search.
         index: element that a search holds; None: none.
         values: value at which it is held.
-        solver: a key of ``least_squares.SOLVERS``.
+        solver: a name, or a least-squares solver of optimistix.
     """
+    # A solver with arrays in it cannot be hashed.
+    chosen = eqx.partition(SOLVERS.get(solver) if isinstance(solver, str) else solver, eqx.is_array)
     count, size = np.shape(starts)
     index = np.full(count, size) if index is None else index
     values = np.zeros(count) if values is None else values
@@ -115,7 +125,7 @@ def minima(
         rows = np.arange(first, min(first + room, count))
         filled = np.resize(rows, room)
         given = (np.asarray(each)[filled] for each in (starts, index, values))
-        ends = _minima(problem, *given, len(rows), solver)
+        ends = _minima(problem, *given, len(rows), *chosen)
         parts.append(jax.tree.map(lambda a, n=len(rows): np.asarray(a)[:n], ends))
     return jax.tree.map(lambda *all: np.concatenate(all), *parts)
 

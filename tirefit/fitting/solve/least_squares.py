@@ -1,8 +1,9 @@
 """Least squares: the solver of every fit, and solvers of other libraries in its place.
 
 The only importer of optimistix and jaxopt. :class:`NormalEquations` has the interface of
-optimistix: :func:`least_squares` runs it, or one of the others, in a compiled program;
-:func:`on_host` runs it where NumPy code collects the normal equations of a large problem.
+optimistix: :func:`least_squares` runs it, or any other least-squares solver of that
+library, in a compiled program; :func:`on_host` runs it where NumPy code collects the
+normal equations of a large problem.
 """
 
 import warnings
@@ -16,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from tirefit.compiled import BRIEF
 from tirefit.params import Values
+from tirefit.results import UsageError
 
 TOLERANCE = 1e-9  # share of the cost that a step could change, at the end of a search
 MAX_STEPS = 200
@@ -349,7 +351,8 @@ def _jaxopt(residual: Callable[[Array], Array], start: Array) -> tuple[Array, Ar
     return z, state.iter_num < MAX_STEPS, state.iter_num
 
 
-SOLVERS: dict[str, Any] = {
+Solver = optx.AbstractLeastSquaresSolver[PyTree, PyTree, PyTree, PyTree] | str
+SOLVERS: dict[str, Solver] = {
     "gauss-newton": NormalEquations(),
     "optimistix": optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
     "jaxopt": "jaxopt",
@@ -357,19 +360,36 @@ SOLVERS: dict[str, Any] = {
 """Solver by its name in ``fit.toml``; the last has another interface."""
 
 
+def solver_name(solver: object) -> str:
+    """Name of a solver in results.
+
+    Raises:
+        UsageError: neither a name nor a least-squares solver of optimistix.
+    """
+    if isinstance(solver, str) and solver in SOLVERS:
+        return solver
+    if isinstance(solver, optx.AbstractLeastSquaresSolver):
+        return type(solver).__name__
+    given = solver.__name__ + " itself" if isinstance(solver, type) else repr(solver)
+    remedy = f"valid: {', '.join(SOLVERS)}, or a least-squares solver of optimistix"
+    raise UsageError(
+        f"solver is {given}", remedy + ", such as optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)"
+    )
+
+
 def least_squares(
     residual: Residual,
     start: Float[Array, " p"],
-    solver: str | NormalEquations = "gauss-newton",
+    solver: Solver = "gauss-newton",
     max_steps: int = MAX_STEPS,
     **options: Any,
 ) -> Solution:
-    """Least squares from a start; can be compiled and vmapped.
+    """Least squares from a start, by any solver; can be compiled and vmapped.
 
     Args:
         residual: residuals and scoring weights.
         start: first z.
-        solver: a name of :data:`SOLVERS`, or its first one with other settings.
+        solver: a name of :data:`SOLVERS`, or a least-squares solver of optimistix.
         max_steps: largest number of trials, including the start.
         options: of :class:`NormalEquations`.
     """

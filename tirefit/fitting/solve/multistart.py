@@ -40,6 +40,7 @@ from tirefit.fitting.solve.inference import (
     minima,
     threshold,
 )
+from tirefit.fitting.solve.least_squares import Solver
 from tirefit.params import Values
 
 _SETTLED = 1e-3
@@ -169,7 +170,7 @@ def _scale_updates(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, flo
     return factors
 
 
-def _settle_noise(task: FitTask, z: np.ndarray, solver: str) -> tuple[FitProblem, np.ndarray]:
+def _settle_noise(task: FitTask, z: np.ndarray, solver: Solver) -> tuple[FitProblem, np.ndarray]:
     """Estimate parameters and noise scales in turn until the scales no longer change."""
     problem = task.problem
     problem = problem.with_rows(scale=_scaled(problem, _scale_updates(problem, z)))
