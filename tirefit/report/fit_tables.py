@@ -83,7 +83,7 @@ def _row(name: str, value: str, estimate: Estimate, note: str) -> list[str]:
 
 
 def parameter_rows(result: FitResult) -> Rows:
-    """Every parameter, including fixed ones."""
+    """Every parameter, including fixed and tied ones."""
     rows = [["parameter", "value ± std", "unit", "95 % interval", ""]]
     for name, estimate in result.parameters.items():
         rows.append(
@@ -153,8 +153,11 @@ def derived_by_run(result: FitResult) -> Rows:
 
 def _noise_model(result: FitResult) -> str:
     """The distribution that the likelihood assumes for the noise."""
-    if result.noise.get("loss", "squares") == "squares":
+    loss = result.noise.get("loss", "squares")
+    if loss == "squares":
         return "normal in every row"
+    if loss != "trimmed":
+        return f"loss {loss} in every row"
     aside = result.data.get("set_aside", 0)
     return (
         f"normal; rows further than {result.noise['limit']:.1f} standard deviations"

@@ -162,7 +162,7 @@ NOISE_EFFECTS = (
         id="outliers",
         flag="outliers",
         means="some rows lie far from all others",
-        remedy="correct or delete them; `fit` excludes them",
+        remedy="set [noise] loss = 'huber'",
     ),
     NoiseEffect(
         id="noise_heteroscedastic",

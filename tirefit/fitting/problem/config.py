@@ -34,11 +34,16 @@ class Prior(Section):
     std: PositiveFloat
 
 
+_OF_FREE = {"lower", "upper", "prior", "per_run"}
+"""Keys that only an estimated parameter can have."""
+
+
 class ParameterConfig(Section):
     """Settings of one parameter.
 
     ``value`` starts a free parameter and holds a fixed one; ``free = false`` fixes it;
-    ``per_run`` estimates one value per run.
+    ``per_run`` estimates one value per run; ``tied`` names the parameter that it equals
+    (times ``factor``).
     """
 
     value: float | None = None
@@ -47,12 +52,25 @@ class ParameterConfig(Section):
     upper: float | None = None
     prior: Prior | None = None
     per_run: bool = False
+    tied: str | None = None
+    factor: float = 1.0
 
     def contradictions(self) -> Iterator[InputProblem]:
-        for key in ("lower", "upper", "prior", "per_run") if self.free is False else ():
-            if getattr(self, key) != ParameterConfig.model_fields[key].default:
-                remedy = "leave one of them out: only value goes with it"
-                yield InputProblem(f"{key} contradicts free = false", remedy)
+        rule, remedy, idle = f"tied = {self.tied!r}", "only factor goes with tied", set(_OF_FREE)
+        if self.tied is not None:
+            idle |= {"free", "value"}
+        elif self.free is False:
+            rule, remedy = "free = false", "only value goes with it"
+        else:
+            idle = set()
+        for key, field in ParameterConfig.model_fields.items():
+            if key in idle and getattr(self, key) != field.default:
+                yield InputProblem(f"{key} contradicts {rule}", f"leave one of them out: {remedy}")
+        if self.tied is None and self.factor != 1:
+            yield InputProblem("factor without tied", "name the other parameter by tied")
+        if self.factor == 0:
+            remedy = "hold it at zero by value = 0 and free = false"
+            yield InputProblem("factor = 0 ties it to nothing", remedy)
         remedy = "leave room between them, or hold the parameter by free = false"
         yield from _out_of_order(self, "lower", "upper", remedy)
 
@@ -65,7 +83,7 @@ class NoiseConfig(Section):
     ``<force>_relative`` is a fraction of the load; ``<slip>_speed`` [m/s] is noise of the slip
     velocity of the patch, a slip noise of this over v. A column of the data with the noise of every
     row, such as ``fx_std``, has precedence. ``loss``: squares of all rows, or (``trimmed``) without
-    outliers (``fitting.solve.far_rows``)."""
+    outliers (``fitting.far_rows``), or a robust function of the residuals of all rows."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
@@ -79,7 +97,7 @@ class NoiseConfig(Section):
     sigma_x_speed: _SlipNoise = None
     alpha_speed: _SlipNoise = None
     proportional_to_load: bool = False
-    loss: Literal["trimmed", "squares"] = "trimmed"
+    loss: Literal["trimmed", "squares", "huber", "soft-l1", "cauchy"] = "trimmed"
     effective_samples: Literal["estimate", "all"] = "estimate"
 
     def contradictions(self) -> Iterator[InputProblem]:

@@ -94,7 +94,8 @@ def _parameters(name: str, config: FitConfig) -> dict[str, ParameterConfig]:
             names = [k for k in _PEAK if k in known]
         elif key in _SLOPE and not names and setting.per_run:
             names, setting = [k for k in _SLOPE if k in known], ParameterConfig(per_run=True)
-        settings |= dict.fromkeys(names, setting)
+        if setting.tied is None or setting.tied in known:
+            settings |= dict.fromkeys(names, setting)
     return settings
 
 
