@@ -18,7 +18,7 @@ from typing import Any
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 MIB = 2**20
-SETTINGS, TIRE, RECORD, CHAIN, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB)
+SETTINGS, TIRE, RECORD, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB)
 """Largest sizes: settings, ``.tir``, JSON, stored chains, data (also when unpacked)."""
 
 COLUMNS = 20_000
@@ -222,15 +222,3 @@ def unsealed(path: Path, remedy: str) -> list[InputProblem]:
             return []
     reason = "the file exists and is not an export, or was changed since"
     return [InputProblem(reason, remedy, str(path))]
-
-
-def sealed_bytes(kind: str, content: bytes) -> bytes:
-    """Content of a binary file of this package: kind and checksum, then the content."""
-    head = f"{kind} {hashlib.sha256(content).hexdigest()}\n"
-    return head.encode() + content
-
-
-def unsealed_bytes(kind: str, content: bytes) -> bytes | None:
-    """The content given to :func:`sealed_bytes`; None if kind or checksum is wrong."""
-    head, _, rest = content.partition(b"\n")
-    return rest if sealed_bytes(kind, rest) == head + b"\n" + rest else None

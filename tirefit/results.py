@@ -57,11 +57,11 @@ class Outcome(enum.StrEnum):
     UNSOUND = "unsound", "the tire fails a check of its forces"
     NOT_IDENTIFIED = "not identified", "the data do not identify this parameter"
     INCOMPLETE = "incomplete"
-    INTERRUPTED = ("interrupted", "the samples drawn so far are kept; --resume continues")
+    INTERRUPTED = ("interrupted", "the samples drawn so far are kept")
     CHAIN_TOO_SHORT = (
         "chain too short",
         "the posterior chain is too short for its autocorrelation time or its"
-        " ensembles disagree: continue it with --resume",
+        " ensembles disagree: raise max_steps under [posterior]",
     )
     AT_BOUND = "at a bound"
     CONVERGED = "converged"

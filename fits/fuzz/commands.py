@@ -4,7 +4,7 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -32,7 +32,6 @@ LINES = {
     "inspect": ("data.csv", "inspect INPUT"),
     "fit": ("data.csv", "fit INPUT --no-posterior --out o"),
     "sample": ("data.csv", "fit INPUT --config short.toml --out o"),
-    "resume": ("chain.npz", "fit rig.csv --config short.toml --resume --out o"),
     "configure": ("fit.toml", "fit rig.csv --config INPUT --no-posterior --out o"),
     "predict": ("data.csv", "predict brush INPUT --out p.csv --beside"),
     "predict of a fit": ("fit.json", "predict INPUT rig.csv --out p.csv"),
@@ -94,9 +93,6 @@ def _run(line: str, path: Path) -> None:
 
     path = path.absolute()
     with _folder() as folder:
-        if "--resume" in line:
-            (folder / "o").mkdir()
-            (folder / "o" / "chain.npz").write_bytes(path.read_bytes())
         text = path.read_bytes() if "--follow" in line else None
         result = CliRunner().invoke(app, _arguments(line, path), input=text)
         left = [p.name for p in folder.rglob("*") if re.match(r"\..", p.name)]
@@ -116,22 +112,8 @@ def _run(line: str, path: Path) -> None:
         raise Unclean("no result")
 
 
-@cache
-def _own_chain() -> bytes:
-    """The chain of the fit that is resumed."""
-    from typer.testing import CliRunner
-
-    from tirefit.cli.commands import app
-
-    with _folder() as folder:
-        line = LINES["resume"][1].replace(" --resume", "")
-        CliRunner().invoke(app, line.split())
-        return (folder / "o" / "chain.npz").read_bytes()
-
-
 def _command(of: str, line: str) -> Kind:
-    sound = (lambda: [_own_chain()]) if of == "chain.npz" else KINDS[of].sound
-    return Kind(KINDS[of].suffix, sound, partial(_run, line))
+    return KINDS[of]._replace(read=partial(_run, line))
 
 
 COMMANDS = {f"{name}: {of}": _command(of, line) for name, (of, line) in LINES.items()}

@@ -3,7 +3,6 @@
 import gzip
 import json
 import re
-import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -39,7 +38,7 @@ starts = 4
 seed = 1
 [noise]
 fx = 20.0
-loss = "huber"
+loss = "squares"
 [data]
 convention = "sae"
 slip_min = -0.2
@@ -178,19 +177,6 @@ def _read_diagnosis(path: Path):
     return extend(MODELS["brush"], "brush", read_document(path), lambda tire: tire)
 
 
-@cache
-def _chain() -> bytes:
-    from tirefit.fitting.uncertainty.chains import Chain, save_chain
-
-    random = np.random.default_rng(0)
-    samples = random.normal(size=(4, 30, 8, 2))
-    state = {"key": np.arange(4), "z": samples[:, -1]}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "chain.npz")
-        save_chain(path, Chain(samples, samples[..., 0], 0.4, state), "identity")
-        return path.read_bytes()
-
-
 def _read_fit_toml(path: Path):
     from tirefit.fitting.problem.config import load_config
 
@@ -259,12 +245,6 @@ def _points():
     )
 
 
-def _read_chain(path: Path):
-    from tirefit.fitting.uncertainty.chains import load_chain
-
-    return load_chain(path, "identity")
-
-
 KINDS = {
     "fit.toml": Kind(".toml", _fit_tomls, _read_fit_toml),
     "vehicle.toml": Kind(".toml", lambda: _files("fits/*/vehicle.toml"), _read_vehicle),
@@ -279,6 +259,5 @@ KINDS = {
     "rig.xls": Kind(".xls", lambda: _files("tests/data/xls/*.xls"), _read_table),
     "log.csv": Kind(".csv", lambda: [short_log()], _read_log),
     "fit.json": Kind(".json", lambda: [fit_json()], _read_fit),
-    "chain.npz": Kind(".npz", lambda: [_chain()], _read_chain),
     "run.json": Kind(".json", lambda: [_diagnosis()], _read_diagnosis),
 }

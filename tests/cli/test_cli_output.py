@@ -98,11 +98,11 @@ def test_a_failed_write_keeps_the_earlier_result(
 
 
 def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
-    for name in ("fit.json", "corner.png", "notes.txt", "chain.npz"):
+    for name in ("fit.json", "corner.png", "notes.txt"):
         (tmp_path / name).write_text("old")
     (tmp_path / ".tirefit-writing").mkdir()  # of a process that was killed
     (tmp_path / ".tirefit-writing" / "trace.png").write_text("torn")
-    torn = tmp_path / ".chain.npz.abc.tirefit-part"
+    torn = tmp_path / ".notes.txt.abc.tirefit-part"
     torn.write_text("torn")
     os.utime(torn, (0, 0))  # not of a living process
     with claimed(tmp_path):
@@ -111,7 +111,7 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     with staged(tmp_path, known, "") as folder:
         (folder / "fit.json").write_text("new")
         assert (tmp_path / "fit.json").read_text() == "old"
-    kept = {"fit.json": b"new", "notes.txt": b"old", "chain.npz": b"old"}
+    kept = {"fit.json": b"new", "notes.txt": b"old"}
     assert files_of(tmp_path) == kept
 
 

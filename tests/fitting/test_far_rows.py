@@ -61,7 +61,7 @@ def clean():
 def test_outliers_move_no_parameter_by_a_standard_error(clean, what):
     end = settled(spoilt(curve(), *ABSURD[what]))
     assert np.all(shift(end, clean) < 1)
-    aside = {far.row for far in end.far if far.set_aside}
+    aside = {far.row for far in end.outliers if far.set_aside}
     assert aside <= set(ROWS)
     # The rows that are there still say as much as they did.
     width = np.sqrt(np.diag(end.solved.covariance) / np.diag(clean.solved.covariance))
@@ -74,14 +74,14 @@ def test_a_far_load_is_excluded_though_its_force_agrees():
     data = curve()
     row = int(np.argmin(data["sigma_x"]))
     end = settled(spoilt(data, *ABSURD["load 9e9 N"], [row]))
-    assert [far.row for far in end.far if far.set_aside] == [row]
+    assert [far.row for far in end.outliers if far.set_aside] == [row]
 
 
 def test_with_squares_an_outlier_moves_the_fit(clean):
     column, change = ABSURD["load 9e9 N"]
     end = settled(spoilt(curve(), column, change, [11]), squares())
     assert np.max(shift(end, clean)) > 50
-    (far,) = end.far
+    (far,) = end.outliers
     assert (far.row, far.column, far.set_aside) == (11, "fz", False)
 
 
@@ -89,7 +89,7 @@ def test_with_squares_an_outlier_moves_the_fit(clean):
 def test_clean_data_give_the_same_bits_as_plain_squares(seed):
     data = curve(seed=seed)
     end, all_squares = settled(data), settled(data, squares())
-    assert end.far == ()
+    assert end.outliers == ()
     np.testing.assert_array_equal(end.solved.z, all_squares.solved.z)
     np.testing.assert_array_equal(end.solved.covariance, all_squares.solved.covariance)
 
@@ -119,14 +119,14 @@ def test_consecutive_rows_off_the_curve_are_kept():
     data = curve(reach=1.0, noise=10.0)
     beyond = np.argsort(data["sigma_x"])[-30:]
     end = settled(spoilt(data, "fx", lambda x: 0.75 * x, beyond))
-    assert not any(far.set_aside for far in end.far)
+    assert not any(far.set_aside for far in end.outliers)
 
 
 def test_a_run_on_another_floor_is_kept():
     data = curve(n=400)
     run = (np.arange(400) >= 375).astype(int)
     wet = replace(data, run=run, runs=("dry", "wet"))
-    assert not settled(spoilt(wet, "fx", lambda x: 0.5 * x, run == 1)).far
+    assert not settled(spoilt(wet, "fx", lambda x: 0.5 * x, run == 1)).outliers
 
 
 def test_load_dependent_noise_and_heavy_tails_are_kept():
@@ -134,9 +134,9 @@ def test_load_dependent_noise_and_heavy_tails_are_kept():
     slip, load = generator.uniform(0, 0.2, 400), np.repeat([1e3, 2e3, 4e3, 8e3], 100)
     force = brush_force(slip, TRUTH["cpa2"], TRUTH["mu"], fz=load)
     noise = 0.02 * load * generator.standard_normal(400)
-    assert not settled(table({"sigma_x": slip, "fx": force + noise, "fz": load})).far
+    assert not settled(table({"sigma_x": slip, "fx": force + noise, "fz": load})).outliers
     exact = table({"sigma_x": slip, "fx": np.round(force, 1), "fz": load})
-    assert not settled(exact).far
+    assert not settled(exact).outliers
 
 
 def test_a_row_that_alone_determines_a_parameter_is_kept_and_reported():
@@ -145,7 +145,7 @@ def test_a_row_that_alone_determines_a_parameter_is_kept_and_reported():
     data = spoilt(data, "sigma_x", lambda x: 0 * x + 3.0, [7])
     end = settled(spoilt(data, "fx", lambda x: 0 * x + 4000.0, [7]))
     assert end.solved.problem.n == 400
-    (far,) = end.far
+    (far,) = end.outliers
     assert (far.row, far.set_aside) == (7, False)
     assert "the fit depends on it" in far.reason and far.remedy == "check the row"
 
@@ -167,7 +167,7 @@ def test_noisy_slips_and_given_noise_exclude_the_same_rows():
         data = spoilt(data, *ABSURD[what], [row])
     for noise in ({"sigma_x": 0.001, "fx": STD}, {"fx": 60.0}):
         end = settled(data, ESTIMATED | {"noise": noise})
-        assert [far.row for far in end.far if far.set_aside] == [11, 60]
+        assert [far.row for far in end.outliers if far.set_aside] == [11, 60]
 
 
 def test_outliers_are_named_in_every_output():

@@ -1,11 +1,9 @@
-"""Posterior: closeness to Laplace, agreement of samplers, seeds, resuming, files."""
+"""Posterior: closeness to Laplace, agreement of samplers, seeds, interrupts, files."""
 
 import numpy as np
 import pytest
 import xarray as xr
-from recipes import GIVEN, STD, curve
 
-from tirefit.fitting.estimate import fit
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.store import posterior_content
 from tirefit.fitting.uncertainty import posterior
@@ -88,30 +86,25 @@ def interrupt_at(count):
     return progress
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one(given, chunk, tmp_path):
+def test_an_interrupted_run_keeps_the_steps_before(given, chunk):
     settings = {"effective_samples": 10**9, "max_steps": 2 * chunk, "walkers": 16}
     whole = sample(given, **settings)
-    path = tmp_path / "chain.npz"
-    broken = sample(given, **settings, checkpoint=path, progress=interrupt_at(1))
+    assert whole.posterior.steps == 2 * chunk
+    assert whole.outcomes == (Outcome.CHAIN_TOO_SHORT,)
+    broken = sample(given, **settings, progress=interrupt_at(1))
     assert broken.outcomes == (Outcome.INTERRUPTED,)
-    assert broken.posterior.steps == chunk and path.exists()
-    resumed = sample(given, **settings, checkpoint=path, resume=True)
-    assert resumed.posterior.steps == 2 * chunk
-    assert np.array_equal(resumed.walkers, whole.walkers)
-    assert resumed.posterior == whole.posterior
-    assert [p.name for p in tmp_path.iterdir()] == ["chain.npz"]
+    first = sample(given, **settings | {"max_steps": chunk})
+    assert broken.posterior.steps == first.posterior.steps == chunk
+    assert np.array_equal(broken.walkers, first.walkers)
 
 
-@pytest.mark.parametrize("stage", ["cells", "emcee", "importance"])
+@pytest.mark.parametrize("stage", ["emcee", "importance"])
 def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, stage):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    if stage == "cells":
-        monkeypatch.setattr(posterior, "condensed", interrupted)
-    else:
-        monkeypatch.setattr(posterior, "_density", lambda solved: interrupted)
-    result = sample(given, sampler=None if stage == "cells" else stage)
+    monkeypatch.setattr(posterior, "_density", lambda solved: interrupted)
+    result = sample(given, sampler=stage)
     assert Outcome.INTERRUPTED in result.outcomes
     assert result.posterior is None
 
@@ -146,35 +139,11 @@ def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, chun
     assert result.chains.shape[1] == result.posterior.walkers
 
 
-def test_checkpoint_of_another_fit_is_refused(given, chunk, tmp_path):
-    path = tmp_path / "chain.npz"
-    sample(given, effective_samples=10**9, max_steps=chunk, walkers=16, checkpoint=path)
-    # Twice the noise: the same best fit, but not the same posterior.
-    noisier = fit(given.table, config=GIVEN | {"noise": {"fx": 2 * STD}})
-    others = {
-        "other data": (fit(curve(seed=2), config=GIVEN), {}),
-        "other noise": (noisier, {}),
-        "other seed": (given, {"seed": 5}),
-        "other walkers": (given, {"walkers": 40}),
-    }
-    same, accepted = {"walkers": 16}, []
-    for name, (result, changes) in others.items():
-        try:
-            sample(result, max_steps=chunk, checkpoint=path, resume=True, **same | changes)
-        except UsageError as error:
-            assert "another fit" in str(error)
-        else:
-            accepted.append(name)
-    assert accepted == []
-
-
 @pytest.mark.parametrize(
-    "settings",
-    [{"ensembles": 3}, {"walkers": 33}, {"walkers": 4}],
-    ids=["too few ensembles", "odd walkers", "too few walkers"],
+    "settings", [{"walkers": 33}, {"walkers": 4}], ids=["odd walkers", "too few walkers"]
 )
 def test_unsuitable_ensembles_are_refused(given, settings):
-    with pytest.raises(UsageError, match="at least 4 ensembles and an even number"):
+    with pytest.raises(UsageError, match="walkers: an even number, at least 6"):
         sample(given, **settings)
 
 

@@ -162,11 +162,10 @@ def test_importance_agrees_with_emcee(given, sampled, weighted):
     assert weighted.status == sampled.status == "ok"
 
 
-def test_importance_is_reproduced_by_its_seed_alone(given, weighted, tmp_path):
-    settings = {"sampler": "importance", "checkpoint": tmp_path / "chain.npz"}
-    again = sample(given, **settings, resume=True)
+def test_importance_is_reproduced_by_its_seed_alone(given, weighted):
+    settings = {"sampler": "importance"}
+    again = sample(given, **settings)
     assert np.array_equal(again.walkers, weighted.walkers)
-    assert list(tmp_path.iterdir()) == []  # nothing to resume, nothing kept
     other = sample(given, **settings, seed=1)
     assert not np.array_equal(other.walkers[:, :, :50], weighted.walkers[:, :, :50])
 
@@ -191,8 +190,9 @@ def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, chun
     assert content["k_hat"] == summary.k_hat and content["note"] == summary.note
 
 
-def test_importance_is_the_default_for_many_parameters(given, monkeypatch):
-    monkeypatch.setattr("tirefit.fitting.uncertainty.posterior._MANY", 1)
+@pytest.mark.parametrize(("limit", "value"), [("_MANY", 1), ("_LONG", 399)])
+def test_importance_is_the_default_for_many_parameters_and_rows(given, monkeypatch, limit, value):
+    monkeypatch.setattr(f"tirefit.fitting.uncertainty.posterior.{limit}", value)
     drawn = sample(given, effective_samples=500).posterior
     assert (drawn.sampler, drawn.note) == ("importance", "")
 

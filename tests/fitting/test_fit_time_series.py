@@ -92,7 +92,7 @@ def test_only_the_row_of_an_absurd_slip_is_excluded(lagged):
     slip[[40, 200]] = 3.0
     spoilt = replace(DATA, columns={**DATA.columns, "sigma_x": slip})
     end = settle(spoilt, "brush-relaxation", parse_config(CONFIG))
-    assert [far.row for far in end.far if far.set_aside] == [40, 200]
+    assert [far.row for far in end.outliers if far.set_aside] == [40, 200]
     off = np.abs(end.solved.z - lagged.z) / np.sqrt(np.diag(lagged.covariance))
     assert np.all(off < 0.5)
 

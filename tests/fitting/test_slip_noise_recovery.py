@@ -49,7 +49,7 @@ def errors(*file):
     solved = settled.solved
     truth = solved.problem.layout.unconstrained({"cpa2": CPA2, "mu": MU})
     off = (solved.z - np.asarray(truth)) / np.sqrt(np.diag(solved.covariance))
-    return off, sum(row.set_aside for row in settled.far)
+    return off, sum(row.set_aside for row in settled.outliers)
 
 
 @pytest.mark.parametrize(("shape", "fy_std"), [("uniform", 20.0), ("sine", 200.0)])
@@ -77,7 +77,7 @@ def test_the_peak_is_not_below_the_measured_forces(shape, seed):
     assert beyond.any() and density[beyond].max() < 1e-6 * density.max()
     values = settled.solved.problem.layout.natural(settled.solved.z)
     assert abs(values["cpa2"] - CPA2) < 2700 and abs(values["mu"] - MU) < 0.03
-    assert not any(row.set_aside for row in settled.far)
+    assert not any(row.set_aside for row in settled.outliers)
 
 
 def test_no_slip_noise_is_the_fit_without_it():

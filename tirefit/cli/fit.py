@@ -100,7 +100,7 @@ def fit(
     leave_out: Annotated[
         str | None,
         typer.Option(
-            metavar="three|load|bin|none",
+            metavar="three|load|none",
             help="mf52, mf61, mf62: rows left out in turn to check the bands (default:"
             " the bins of three loads)",
         ),
@@ -178,7 +178,7 @@ def fit(
     made += sharing.files(out or Path(), directories) if apart else []
     check_results(made, files)
     keep = resume and (apart or not html or len(files) == 1)
-    task = FitTask(settings, how, posterior, resume, keep, also)
+    task = FitTask(settings, how, posterior, keep, also)
     groups: list[Any] = [files] if joint else files
     pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
     fits: dict[str, Any] | None = {} if html and not apart else None

@@ -15,14 +15,14 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.table import TireData
     from tirefit.fitting.result import FitResult
 
-PAGE, CHAIN = "fit.html", "chain.npz"
+PAGE = "fit.html"
 
 
 def fit_files(directory: Path) -> list[Path]:
     """Every file that a fit may write or replace in its folder."""
     from tirefit.report.fit_figures import FIGURE_FILES
 
-    names = ("fit.json", "posterior.nc", CHAIN, *FIGURE_FILES, PAGE)
+    names = ("fit.json", "posterior.nc", *FIGURE_FILES, PAGE)
     return [directory / name for name in names]
 
 
@@ -41,7 +41,6 @@ class FitTask:
     settings: Any  # of the fit
     how: dict[str, Any]  # arguments of ``tirefit.read``
     posterior: bool
-    resume: bool
     keep: bool  # skip fits that are done
     also: Also
 
@@ -67,7 +66,7 @@ def fit_one(
         say(f"{files[0]}: done before, kept: {directory}")
         return before, None
     data = tables[0] if len(tables) == 1 else join(tables)
-    result = fit_into(directory, data, task.settings, task.posterior, task.resume, task.also, asked)
+    result = fit_into(directory, data, task.settings, task.posterior, task.also, asked)
     return record_of_fit(result.to_dict(), str(directory)), result
 
 
@@ -87,7 +86,7 @@ def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
     expected += [PAGE] if task.also.html else []
     files = [directory / name for name in expected]
     record = done_before(files, files[0], asked, record_of)
-    # A chain that can be continued is not done.
+    # A posterior that was not finished is sampled again.
     is_open = record and {"chain_too_short", "interrupted"} & {*record.outcomes}
     return None if is_open else record
 
@@ -97,7 +96,6 @@ def fit_into(
     data: "TireData",
     settings: Any,
     posterior: bool = False,
-    resume: bool = False,
     also: Also = Also(),
     asked: str = "",
 ) -> "FitResult":
@@ -107,18 +105,10 @@ def fit_into(
     with claimed(directory):
         result = fit_data(data, config=settings)
         if posterior:
-            # Write it before sampling; keep a posterior that will be continued.
-            if not (resume and (directory / "fit.json").exists()):
-                _save(result, directory, also)
-                say(_first_words(result, directory))
-            result = _sampled(result, directory, settings, resume)
-        try:
-            written = _save(replace(result, asked=asked), directory, also)
-            written += [CHAIN] if posterior and (directory / CHAIN).exists() else []
-        except OSError as error:
-            if posterior and (directory / CHAIN).exists():
-                error.add_note("--resume continues from its chain")
-            raise
+            _save(result, directory, also)  # before sampling
+            say(_first_words(result, directory))
+            result = _sampled(result, settings)
+        written = _save(replace(result, asked=asked), directory, also)
     # The assumptions of several files are printed once, merged, at the end.
     record = result.data | ({"assumptions": []} if holds_notes() else {})
     say(replace(result, data=record).summary(full=also.full))
@@ -142,11 +132,11 @@ def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:
     def draw(folder: Path) -> None:
         save_figures(result, folder, svg=also.svg)
 
-    known = [path.name for path in fit_files(directory) if path.name != CHAIN]
+    known = [path.name for path in fit_files(directory)]
     return write_result(result, directory, known, draw, PAGE if also.html else "", text="")
 
 
-def _sampled(result: "FitResult", directory: Path, settings: Any, resume: bool) -> "FitResult":
+def _sampled(result: "FitResult", settings: Any) -> "FitResult":
     from tirefit.fitting.uncertainty.posterior import sample
 
     chosen = settings.posterior
@@ -154,12 +144,9 @@ def _sampled(result: "FitResult", directory: Path, settings: Any, resume: bool) 
         return sample(
             result,
             sampler=chosen.sampler,
-            ensembles=chosen.ensembles,
             walkers=chosen.walkers,
             effective_samples=chosen.effective_samples,
             max_steps=chosen.max_steps,
-            checkpoint=directory / CHAIN,
-            resume=resume,
             progress=progress,
         )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli.fit_one import CHAIN, PAGE, Also, fit_files
+from tirefit.cli.fit_one import PAGE, Also, fit_files
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, progress_bar, refuse, say, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
@@ -141,6 +141,6 @@ def _write(
             save_magic_formula(result, folder, also.svg)
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
-    known = [*dict.fromkeys(path.name for path in _files(out) if path.name != CHAIN)]
+    known = [*dict.fromkeys(path.name for path in _files(out))]
     text = result.summary(full=also is not None and also.full).replace(_ADVICE, advice)
     write_result(result, out, known, draw, PAGE if also and also.html else "", text=text)

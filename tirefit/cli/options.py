@@ -81,9 +81,7 @@ Forces = Annotated[
         "--force", help="fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
     ),
 ]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="skip finished files; continue interrupted chains")
-]
+Resume = Annotated[bool, typer.Option("--resume", help="skip finished files")]
 
 Side = StrEnum("Side", "left right")
 

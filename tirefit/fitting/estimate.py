@@ -81,14 +81,14 @@ def _slip_structure(problem: FitProblem, residual: np.ndarray) -> float:
     power = float(residual @ residual)
     orders = np.argsort(slip, kind="stable"), np.lexsort((slip, np.round(np.log(load) / 0.1), run))
     ordered = [residual[order] for order in orders]
-    return max(float(one[1:] @ one[:-1]) / power if power > 0 else 0.0 for one in ordered)
+    return max(float(part[1:] @ part[:-1]) / power if power > 0 else 0.0 for part in ordered)
 
 
 _PACKAGES = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
 """Packages whose versions a result states."""
 
 
-def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str, Any]:
+def data_record(data: TireData, used: int, outliers: tuple[FarRow, ...]) -> dict[str, Any]:
     """Content of ``fit.json`` on the rows: number used, and the outliers."""
     source = data.source
     return {
@@ -96,7 +96,7 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
         "sha256": source.sha256,
         "rows": len(data),
         "used": used,
-        "set_aside": sum(row.set_aside for row in far),
+        "set_aside": sum(row.set_aside for row in outliers),
         "masked": [str(problem) for problem in source.masked],
         "runs": list(data.runs),
         "convention": source.convention,
@@ -231,7 +231,7 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
         verdict=Verdict(),
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
-        data=data_record(data, problem.n, settled.far),
+        data=data_record(data, problem.n, settled.outliers),
         reference=reference_points(problem),
         solver=solver_name(config.solver),
         seed=config.seed,
@@ -251,7 +251,7 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
         problem=problem,
         solved=solved,
         table=settled.data,
-        far_rows=settled.far,
+        far_rows=settled.outliers,
     )
     ranges = peak_ranges(task, solved, result.derived, config, is_noise(result))
     trials = tried(effects_to_try(result), task, solved, config)

@@ -57,7 +57,7 @@ class GivenTire:
 
         layout, z, covariance = self.fit
         each = generator.multivariate_normal(z, covariance, count, method="eigh")
-        return [at_estimate(self.tire, layout, one) for one in each]
+        return [at_estimate(self.tire, layout, drawn_z) for drawn_z in each]
 
 
 def given_tire(

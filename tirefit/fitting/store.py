@@ -23,7 +23,7 @@ from tirefit.data.units import SPINNING
 from tirefit.door import outrageous, read_record
 from tirefit.files import write_texts
 from tirefit.fitting.problem.build import find_model
-from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie
+from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import Values, specs, with_values
@@ -99,15 +99,9 @@ class _Free(_Part):
     upper: float
 
 
-class _Tie(_Part):
-    name: str
-    other: str
-    factor: float
-
-
 class _Layout(_Part):
     free: list[_Free]
-    ties: list[_Tie]
+    ties: Annotated[list[Any], Field(max_length=0)] = []  # of version 0.1.0 and before
     runs: list[str]
     fixed: dict[str, float]
 
@@ -124,8 +118,8 @@ class _Prediction(_Part):
             raise ValueError(f"the covariance is not {size} x {size}")
         if size and np.max(np.abs(self.covariance)) > _LARGEST:
             raise ValueError(f"a covariance above {_LARGEST:g}")
-        own = np.linalg.eigvalsh(np.array(self.covariance)) if size else np.zeros(1)
-        if own[0] < -_ROUNDING * abs(own[-1]):
+        eigenvalues = np.linalg.eigvalsh(np.array(self.covariance)) if size else np.zeros(1)
+        if eigenvalues[0] < -_ROUNDING * abs(eigenvalues[-1]):
             raise ValueError("a variance is negative")
         return self
 
@@ -226,8 +220,7 @@ def load_fit(path: str | os.PathLike[str]) -> StoredFit:
             if not (0.0 if spec.scale == "log" else -_LARGEST) < spec.lower < spec.upper:
                 raise ValueError(f"the bounds of {item.name} are not in order")
             free.append(FreeParameter(item.name, spec, item.per_run))
-        ties = tuple(Tie(**tie.model_dump()) for tie in stored.ties)
-        layout = Layout(tuple(free), ties, tuple(stored.runs))
+        layout = Layout(tuple(free), tuple(stored.runs))
         tire = with_values(template, stored.fixed)
         noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}
         for given in noise.values():
@@ -310,10 +303,19 @@ def record_of_fit(content: Mapping[str, Any], result: str) -> FileRecord:
         result: the path of the fit.
     """
     rows = [
-        Row(kind, name, one["value"], one["std"], low, high, one["unit"], one["identified"])
+        Row(
+            kind,
+            name,
+            number["value"],
+            number["std"],
+            low,
+            high,
+            number["unit"],
+            number["identified"],
+        )
         for kind, section in (("parameter", "parameters"), ("derived", "derived"))
-        for name, one in content[section].items()
-        for low, high in [one["ci95"]]
+        for name, number in content[section].items()
+        for low, high in [number["ci95"]]
     ]
     rows += [Row("statistic", name, content["fit"][name]) for name in _STATISTICS]
     return FileRecord(

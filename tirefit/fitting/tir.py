@@ -107,8 +107,8 @@ def turned_by(signs: str | None) -> frozenset[str]:
         UsageError: there is no such convention.
     """
     UsageError.raise_for(unknown_names("--signs", [signs], CONVENTIONS))
-    own = CONVENTIONS[TIR_SIGNS]
-    return own.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
+    convention = CONVENTIONS[TIR_SIGNS]
+    return convention.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
 
 
 def check_gives(tir: TirFile, force: str) -> None:

@@ -125,18 +125,18 @@ def _held(
 ) -> tuple[np.ndarray, np.ndarray]:
     """For each row (n,): whether the slip angle is swept, and the level of the other
     slip, 0 where that slip is nearly zero."""
-    own = SLIPS_OF[force][-1]
-    other = "alpha" if own == "sigma_x" else "sigma_x"
+    own_slip = SLIPS_OF[force][-1]
+    other = "alpha" if own_slip == "sigma_x" else "sigma_x"
     none = {name: np.abs(slip) <= NEARLY_PURE for name, slip in slips.items()}
     both = ~none["alpha"] & ~none["sigma_x"]
-    one = np.zeros(np.count_nonzero(both), int)
-    found = {n: _levels(n, slips[n][both], one) for n in slips} if both.any() else {}
-    held, swept = other, own
-    if found and found[other][1] and not found[own][1]:
-        held, swept = own, other
+    same_class = np.zeros(np.count_nonzero(both), int)
+    levels_of = {n: _levels(n, slips[n][both], same_class) for n in slips} if both.any() else {}
+    held, swept = other, own_slip
+    if levels_of and levels_of[other][1] and not levels_of[own_slip][1]:
+        held, swept = own_slip, other
     level = np.where(none[held], 0, -1)
-    if found:
-        level[both] = found[held][0] + 1
+    if levels_of:
+        level[both] = levels_of[held][0] + 1
         for k in np.unique(level[both]):
             low, high = np.percentile(slips[held][both & (level == k)], [2, 98])
             beyond = np.maximum(low - slips[held], slips[held] - high)
@@ -163,9 +163,9 @@ def _levels(name: str, values: np.ndarray, alike: np.ndarray) -> tuple[np.ndarra
     Args:
         alike: class of similar slip of each row (n,), 0 at rest, of less scatter.
     """
-    found = levels(values)
-    if found.few(_MOST):
-        return found.code, False
+    known_levels = levels(values)
+    if known_levels.few(_MOST):
+        return known_levels.code, False
     is_relative = name in ("fz", "pressure")
     x = np.log(np.maximum(values, 1.0)) if is_relative else values
     x = x / _HELD[name]
@@ -176,15 +176,17 @@ def _levels(name: str, values: np.ndarray, alike: np.ndarray) -> tuple[np.ndarra
     modes = {k: _modes(x[alike == k]) for k in classes}
     # Take the largest number of levels that a tenth of the rows show: some classes may
     # lack a level.
-    size = [len(own) for own in modes.values()]
+    size = [len(modes_of_class) for modes_of_class in modes.values()]
     share = np.bincount(size, count[classes]) / count.sum()
     many = np.flatnonzero(share >= min(_SUPPORT, share.max()))[-1]
-    center = np.mean([own for own in modes.values() if len(own) == many], axis=0)
+    center = np.mean(
+        [modes_of_class for modes_of_class in modes.values() if len(modes_of_class) == many], axis=0
+    )
     code = _nearest(center, x)
-    for k, own in modes.items():
+    for k, modes_of_class in modes.items():
         # A class with all levels keeps its own, as the load varies with the slip.
-        order = np.arange(many) if len(own) == many else _nearest(center, own)
-        code[alike == k] = order[_nearest(own, x[alike == k])]
+        order = np.arange(many) if len(modes_of_class) == many else _nearest(center, modes_of_class)
+        code[alike == k] = order[_nearest(modes_of_class, x[alike == k])]
     width = [np.ptp(np.percentile(x[code == k], [5, 95])) for k in np.unique(code)]
     if len(width) > _MOST or max(width) > _SWEPT:
         return np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values), True
@@ -220,10 +222,10 @@ def binned(rows: ForceRows) -> tuple[SlipBins, ...]:
     columns, slips = np.stack(rows.inputs), _slips(rows)
     table = []
     for k, setting in enumerate(settings):
-        slip, own = slips[setting.swept], np.flatnonzero(code == k)
+        slip, in_setting = slips[setting.swept], np.flatnonzero(code == k)
         edges = np.linspace(slip.min(), slip.max(), _CELLS + 1)[1:-1]
-        cell = np.searchsorted(edges, slip[own])
-        members = [own[cell == c] for c in np.unique(cell)]
+        cell = np.searchsorted(edges, slip[in_setting])
+        members = [in_setting[cell == c] for c in np.unique(cell)]
         spread = [np.percentile(rows.observed[at], [2.5, 50, 97.5]) for at in members]
         inputs = np.transpose([np.median(columns[:, at], axis=1) for at in members])
         middle = np.array([np.median(slip[at]) for at in members])

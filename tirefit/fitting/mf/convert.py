@@ -74,8 +74,8 @@ def virtual_test(
     sigma_x, speed = -slip / (1 + slip), zero + tire.nominal.LONGVL
     inputs = TireInputs(sigma_x, angle, load, speed, camber, inflation, zero)
     inputs = turned_inputs(inputs, turned_by(signs))
-    own = tire_of(tir, signs=signs, combination=combination)
-    given = forces(own, inputs)._asdict()
+    tire_in_signs = tire_of(tir, signs=signs, combination=combination)
+    given = forces(tire_in_signs, inputs)._asdict()
     wanted = inputs._asdict() | {name: given[name] for name in ("fx", "fy", "mz", *moments)}
     columns = {k: np.asarray(v) for k, v in wanted.items() if v is not None}
     if "mz" in columns and "fx" not in columns:  # M_z without F_x is known only for free rolling
@@ -84,7 +84,7 @@ def virtual_test(
     names = tuple(f"sweep {i}" for i in range(len(parts)))
     data = TireData(tir.path, columns, used, run, names, Source(path=tir.path))
     noise = "the test has no noise: standard errors come from misfit of the version"
-    assumptions = (noise, *remarks(tir, own, data, signs))
+    assumptions = (noise, *remarks(tir, tire_in_signs, data, signs))
     return replace(data, source=replace(data.source, assumptions=assumptions))
 
 
@@ -112,14 +112,14 @@ def converted(
             :func:`~tirefit.fitting.tir.own_tire`.
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
-    own = {*coefficients_of(VERSIONS[model]), *(NEVER_FITTED if model != "mf52" else ())}
+    coefficients = {*coefficients_of(VERSIONS[model]), *(NEVER_FITTED if model != "mf52" else ())}
     of_mx = [name for name in specs(Overturning()) if tir.numbers.get(name)]
     # A file in other signs has other coefficients of M_x than the result.
-    is_fitted = not own.issuperset(of_mx) or turned_by(signs)
+    is_fitted = not coefficients.issuperset(of_mx) or turned_by(signs)
     moments = ("mx",) if of_mx and is_fitted else ()
     pressure_too = acting and model != "mf52"
     data = virtual_test(tir, slip_max, loads, pressure_too, signs, combination, moments)
-    copied = {*specs(Rolling()), *(() if moments else specs(Overturning()))} & own
+    copied = {*specs(Rolling()), *(() if moments else specs(Overturning()))} & coefficients
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
     tire = own_tire(tir)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}

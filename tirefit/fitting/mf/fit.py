@@ -42,7 +42,6 @@ from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, groups_of, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, search
-from tirefit.fitting.mf.temperature import UNUSED, at_reference
 from tirefit.fitting.problem.config import FitConfig, ParameterConfig, parse_config
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
@@ -85,12 +84,11 @@ def fit_magic_formula(
             ``my`` for that moment and the forces.
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
-            prior of coefficients; ``friction_temperature`` for a friction that changes
-            with temperature (the coefficients then hold at its median).
+            prior of coefficients.
         first: coefficients of a tire that may be similar, as an additional start.
         like: a ``.tir`` whose coefficients are prior means, if not in config.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
-            of each load, ``bin`` each bin, ``none`` nothing.
+            of each load, ``none`` nothing.
         progress: called with the share done and the name of the next step.
 
     Returns:
@@ -135,9 +133,9 @@ def fit_magic_formula(
         reason = "not used, a Magic Formula fit takes the slips as exact"
         notes.append(f"{', '.join(of_slips)}: {reason}")
     problem, priors = problem_from(tire, config, borrowed)
-    found = {force: rig_settings(of_force) for force, of_force in rows.items()}
-    settings = {force: own for force, (own, _) in found.items()}
-    rows = {force: replace(of, setting=found[force][1]) for force, of in rows.items()}
+    settings_of = {force: rig_settings(of_force) for force, of_force in rows.items()}
+    settings = {force: of_force for force, (of_force, _) in settings_of.items()}
+    rows = {force: replace(of, setting=settings_of[force][1]) for force, of in rows.items()}
     centre = np.zeros(len(problem.names))
     start = problem.started(centre, normal_form(first)) if first else None
     # As many stages as kinds of rows, and about as many parts left out.
@@ -147,35 +145,24 @@ def fit_magic_formula(
         now = next(done)
         progress(now / max(steps, now + 1), note)
 
-    def fitted_to(rows: Mapping[str, ForceRows]) -> Search:
-        return search(problem, groups_of(rows, "combined" in parts), start, say)
-
-    warmth = None
-    if config.friction_temperature:
-        require(whole, ("temperature",), "[model] friction_temperature")
-        work, rows, warmth = at_reference(whole, rows, fitted_to)
-        notes.append(warmth.text())
-    else:
-        work = fitted_to(rows)
-        if "temperature" in whole:
-            notes.append(UNUSED)
+    work = search(problem, groups_of(rows, "combined" in parts), start, say)
     left_out, bands = cross_validated(work, rows, settings, leave_out, say)
     coefficients, covariance = _coefficients(work, bands, priors, borrowed.keys())
     result = _result(model, whole, work, rows, bands, notes)
     return MagicFormulaFit(
-        **result, coefficients=coefficients, covariance=covariance, left_out=left_out, warmth=warmth
+        **result, coefficients=coefficients, covariance=covariance, left_out=left_out
     )
 
 
 def _check_settings(model: str, config: FitConfig) -> None:
     """Raises one UsageError for all settings that a Magic Formula does not have."""
-    own, faults = coefficients_of(VERSIONS[model]), []
+    coefficients, faults = coefficients_of(VERSIONS[model]), []
     given = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
     for name, asked in config.parameters.items():
-        if name not in own and (name not in given or asked.value is None):
-            remedy = f"its coefficients are {', '.join(own)}"
+        if name not in coefficients and (name not in given or asked.value is None):
+            remedy = f"its coefficients are {', '.join(coefficients)}"
             faults.append((f"parameters.{name}: {model} does not fit it", remedy))
-        wrong = [key for key in ("lower", "upper", "tied", "per_run") if getattr(asked, key)]
+        wrong = [key for key in ("lower", "upper", "per_run") if getattr(asked, key)]
         if asked.value is not None and asked.free and asked.prior is None:
             wrong.append("value with free")
         if wrong:
@@ -184,8 +171,6 @@ def _check_settings(model: str, config: FitConfig) -> None:
     if brush := {"force", "solver", "starts", "posterior"} & config.model_fields_set:
         reason = f"{', '.join(sorted(brush))} in a Magic Formula"
         faults.append((reason, "leave it out: a Magic Formula is fitted in fixed stages"))
-    if config.noise.loss not in ("squares", FitConfig().noise.loss):
-        faults.append((f"noise.loss = {config.noise.loss!r} in a Magic Formula", "leave it out"))
     UsageError.raise_for([InputProblem(*fault, config.source) for fault in faults])
 
 
@@ -275,10 +260,10 @@ def _coefficients(
     problem, of_part = work.problem, coefficients_of(work.problem.tire.version)
     scale, values = problem.scale(work.u), problem.values(work.u)
     for force, band in bands.items():
-        own = own_coefficients(problem.tire.version, force)
-        scale = scale * np.where(np.isin(problem.names, own), band.wider, 1.0)
+        of_rows = own_coefficients(problem.tire.version, force)
+        scale = scale * np.where(np.isin(problem.names, of_rows), band.wider, 1.0)
     covariance = work.covariance * np.outer(scale, scale)
-    found = {}
+    coefficients = {}
     for i, name in enumerate(problem.names):
         if not problem.free[i]:
             origin = "given"
@@ -290,8 +275,8 @@ def _coefficients(
             origin = "borrowed"
         std, prior = float(np.sqrt(covariance[i, i])), priors[name]
         known = of_part[name], prior.centre, prior.std
-        found[name] = Coefficient(values[name], std, origin, *known)
-    return found, covariance
+        coefficients[name] = Coefficient(values[name], std, origin, *known)
+    return coefficients, covariance
 
 
 def _result(
@@ -360,10 +345,10 @@ def _far(
         rows, groups = used[force], work.groups[force]
         predicted = off + rows.observed
         variance = [group.row_variance(rows.column("fz"), predicted) for group in groups]
-        far = int(np.count_nonzero(off**2 > _FAR**2 * np.max(variance, axis=0)))
-        if far:
+        outlying = int(np.count_nonzero(off**2 > _FAR**2 * np.max(variance, axis=0)))
+        if outlying:
             messages.append(
-                f"residuals beyond {_FAR:g} standard deviations in {far} of"
+                f"residuals beyond {_FAR:g} standard deviations in {outlying} of"
                 f" {len(off)} rows of {force}, which were fitted like the others:"
                 " mask rows that are wrong"
             )

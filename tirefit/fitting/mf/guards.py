@@ -85,21 +85,21 @@ def _grid(tire: MFTire, ranges: Mapping[str, tuple[float, float]], within: bool)
         slips[force] = slip[(slip >= min(low, -_CLEAR)) & (slip <= max(high, _CLEAR))]
         # Every second one, from the first at which a force is clear of shifts.
         some.append(slips[force][np.isin(np.abs(slips[force]), _STEPS[name][1:8:2])])
-    one, other = (slip.ravel() for slip in np.meshgrid(*some))
-    kappa = np.concatenate([slips["fx"], 0 * slips["fy"], one])
-    alpha = np.concatenate([0 * slips["fx"], slips["fy"], other])
+    kappas, angles = (slip.ravel() for slip in np.meshgrid(*some))
+    kappa = np.concatenate([slips["fx"], 0 * slips["fy"], kappas])
+    alpha = np.concatenate([0 * slips["fx"], slips["fy"], angles])
     cells = np.broadcast_arrays(
         kappa / (1 - kappa), alpha, fz[:, None], gamma[:, None], pressure[:, None]
     )
     padded = (pad_rows(cell.ravel(), padded_size(cell.size)) for cell in cells)
     sigma_x, angle, load, camber, inflation = padded
-    found = forces(tire, TireInputs(sigma_x, angle, load, gamma=camber, pressure=inflation))
+    computed = forces(tire, TireInputs(sigma_x, angle, load, gamma=camber, pressure=inflation))
     cuts, pure, both = np.cumsum([len(slip) for slip in slips.values()]), {}, {}
     for k, force in enumerate(slips):
-        values = np.asarray(getattr(found, force))[: cells[0].size].reshape(cells[0].shape)
+        values = np.asarray(getattr(computed, force))[: cells[0].size].reshape(cells[0].shape)
         parts = np.split(values / fz[:, None], cuts, axis=1)
         pure[force], both[force] = parts[k], parts[-1]
-    signs = {"fx": np.sign(one), "fy": np.sign(other)}
+    signs = {"fx": np.sign(kappas), "fy": np.sign(angles)}
     inside = fz <= ranges["fz"][1] * (1 + 1e-9)
     return _Grid(slips, pure, both, signs, fz, gamma, pressure, inside)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.fitting.mf.bins import Setting, labels_of
+from tirefit.fitting.mf.bins import Setting
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
@@ -14,9 +14,9 @@ from tirefit.fitting.mf.stages import Search, without
 from tirefit.fitting.problem.noise import NoiseLaw, beyond_loads, noise_law
 from tirefit.fitting.solve.inference import half_width_95
 
-LEAVE_OUT = ("three", "load", "bin", "none")
+LEAVE_OUT = ("three", "load", "none")
 """Parts that are left out in turn: the bins of three loads (smallest, middle, largest),
-the bins of each load, each bin, or nothing."""
+the bins of each load, or nothing."""
 
 _ROWS = 1500
 """Largest number of rows of a force, evenly taken, that a part is judged by."""
@@ -110,12 +110,12 @@ def cross_validated(
         fitted = without(work, gone)
         for force in fitted.groups:
             chosen = _chosen(work, rows[force])
-            own = chosen & np.isin(rows[force].setting, gone[force])
-            if np.any(own):
-                part = _sample(fitted, rows[force], own, chosen & ~own)
+            part_rows = chosen & np.isin(rows[force].setting, gone[force])
+            if np.any(part_rows):
+                part = _sample(fitted, rows[force], part_rows, chosen & ~part_rows)
                 part = part._replace(shift=_shift(fitted, work, force))
-                samples[force].append((label, part, _sample(work, rows[force], own, chosen)))
-    found, bands = [], {}
+                samples[force].append((label, part, _sample(work, rows[force], part_rows, chosen)))
+    left_out, bands = [], {}
     for force, parts in samples.items():
         chosen = _chosen(work, rows[force])
         fitted_rows = _sample(work, rows[force], chosen, chosen)
@@ -124,9 +124,9 @@ def cross_validated(
             band = _band(others, fitted_rows)
             within = _within(part, band) if others else float("nan")
             sizes = part.rmse, whole.rmse
-            found.append(LeftOut(label, force, part.rows, *sizes, within))
+            left_out.append(LeftOut(label, force, part.rows, *sizes, within))
         bands[force] = _band([part for _, part, _ in parts], fitted_rows)
-    return tuple(found), bands
+    return tuple(left_out), bands
 
 
 def _chosen(work: Search, rows: ForceRows) -> np.ndarray:
@@ -140,23 +140,18 @@ def _parts(
     """Label of each part -> by force, the settings that are left out together."""
     if which == "none":
         return {}
-    if which == "bin":
-        labels = {force: labels_of(own) for force, own in settings.items()}
-        chosen = list(dict.fromkeys(label for own in labels.values() for label in own))
-    else:
-        fz = np.unique([one.fz for own in settings.values() for one in own])
-        loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
-        if len(loads) < _FEWEST_LOADS:
-            return {}
-        name_of = {one: f"F_z = {np.median(load):.0f} N" for load in loads for one in load}
-        labels = {force: [name_of[one.fz] for one in own] for force, own in settings.items()}
-        chosen = list(dict.fromkeys(name_of.values()))
-        if which == "three":
-            chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]
+    fz = np.unique([setting.fz for of_force in settings.values() for setting in of_force])
+    loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
+    if len(loads) < _FEWEST_LOADS:
+        return {}
+    name_of = {fz: f"F_z = {np.median(load):.0f} N" for load in loads for fz in load}
+    chosen = list(dict.fromkeys(name_of.values()))
+    if which == "three":
+        chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]
     return {
         label: {
-            force: [k for k, name in enumerate(own) if name == label]
-            for force, own in labels.items()
+            force: [k for k, setting in enumerate(of_force) if name_of[setting.fz] == label]
+            for force, of_force in settings.items()
         }
         for label in chosen
     }
@@ -169,8 +164,8 @@ def _sample(work: Search, rows: ForceRows, chosen: np.ndarray, fitted: np.ndarra
     if count > _ROWS:
         at = at[np.linspace(0, count - 1, _ROWS).astype(int)]
     some = rows.part(at)
-    one = np.full(len(at), 1.0)
-    blocks = blocks_of(rows.force, some.inputs, some.observed, one)
+    unit_std = np.full(len(at), 1.0)
+    blocks = blocks_of(rows.force, some.inputs, some.observed, unit_std)
     problem = work.problem.with_blocks(blocks)
     residual, variance = propagated(problem, work.u, work.covariance)
     each = max(work.rows_per_one(rows.force) * len(at) / count, 1.0)
@@ -190,8 +185,8 @@ def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
         those that the part determines.
     """
     names, moved = whole.problem.names, whole.moved - whole.held
-    own = own_coefficients(whole.problem.tire.version, force)
-    at = np.flatnonzero(np.isin(names, [name for name in own if name in moved]))
+    coefficients = own_coefficients(whole.problem.tire.version, force)
+    at = np.flatnonzero(np.isin(names, [name for name in coefficients if name in moved]))
     inverse = np.linalg.inv(np.linalg.cholesky(whole.covariance[np.ix_(at, at)]))
     ratio = inverse @ fitted.covariance[np.ix_(at, at)] @ inverse.T
     sizes, axes = np.linalg.eigh((ratio + ratio.T) / 2)
@@ -243,8 +238,8 @@ def beyond_of(squares: Sequence[float]) -> float:
     return float(np.sqrt(variance)) * half_width_95(True, count) / _IN_95
 
 
-def _within(one: _Sample, band: Band) -> float:
+def _within(sample: _Sample, band: Band) -> float:
     """Share of the rows of a sample in the 95 % band."""
-    law = band.law._replace(loads=one.loads)
-    variance = law.variance(one.fz, one.predicted) + band.wider**2 * one.variance
-    return float(np.mean(np.abs(one.residual) <= _IN_95 * np.sqrt(variance)))
+    law = band.law._replace(loads=sample.loads)
+    variance = law.variance(sample.fz, sample.predicted) + band.wider**2 * sample.variance
+    return float(np.mean(np.abs(sample.residual) <= _IN_95 * np.sqrt(variance)))

@@ -99,7 +99,7 @@ def coefficients_of(version: str) -> dict[str, str]:
 def influences(version: str, force: str) -> tuple[str, ...]:
     """The coefficients that a force depends on, in the order of the equations."""
     of = {"mz": ("fx", "fy", "mz"), "mx": ("fy", "mx"), "my": ("fx", "my")}
-    names = {name for own in of.get(force, (force,)) for name in specs(_OWN[own])}
+    names = {name for group in of.get(force, (force,)) for name in specs(_OWN[group])}
     return tuple(name for name in coefficients_of(version) if name in names)
 
 

@@ -146,9 +146,9 @@ def borrowed_from(
             scale = _scale(like, tire, rows[by], kind)
             values |= {name: scale * values.get(name, 0.0) for name in names}
             scales.append(f"{kind} of {force} times {scale:.3g} (from the rows of {by})")
-    own, published = parameter_values(tire), published_priors()
+    coefficients, published = parameter_values(tire), published_priors()
     priors = {}
-    for name in of_part.keys() & values.keys() & own.keys() - config.parameters.keys():
+    for name in of_part.keys() & values.keys() & coefficients.keys() - config.parameters.keys():
         prior, value = published[name], values[name]
         if value and (value > 0 or not prior.log):
             priors[name] = Prior(value, ALIKE * prior.spread, prior.log, (value,))
@@ -182,9 +182,9 @@ def _scale(like: TirFile, tire: MFTire, rows: ForceRows, kind: str) -> float:
         return 1.0
     low, high = np.quantile(size[pure], [_LOWEST, _HIGHEST])
     chosen = pure & (size >= high if kind == "friction" else size <= low)
-    found = getattr(forces(other, rows.inputs), force)
-    if found is None:
+    predicted = getattr(forces(other, rows.inputs), force)
+    if predicted is None:
         return 1.0
-    given = np.asarray(found)[chosen]
+    given = np.asarray(predicted)[chosen]
     scale = float(given @ rows.observed[chosen] / max(given @ given, 1e-12))
     return scale if scale > 0 else 1.0

@@ -21,7 +21,6 @@ from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.parts import VERSIONS, coefficients_of
 from tirefit.fitting.mf.solve import Problem, blocks_of, propagated
 from tirefit.fitting.mf.stages import Stage
-from tirefit.fitting.mf.temperature import FrictionTemperature
 from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.problem.noise import NoiseLaw
 from tirefit.fitting.result import SCHEMA, FitResult, layout_record
@@ -95,7 +94,6 @@ class MagicFormulaFit(Record):
     notes: tuple[str, ...]
     version: str
     binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
-    warmth: FrictionTemperature | None = None  # with ``friction_temperature``
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", ByName(self.coefficients))
@@ -210,7 +208,6 @@ class MagicFormulaFit(Record):
                 "covariance": stored.covariance,
                 "layout": layout_record(stored.layout, self.tire),
             },
-            "temperature": self.warmth and self.warmth._asdict(),
             "notes": list(self.notes),
             "outcomes": self.outcomes,
         }
@@ -226,9 +223,9 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
     version = VERSIONS[fit.model]
     known = specs(fit.tire)
     notes = {}
-    for name, one in fit.coefficients.items():
-        error = f" +- {one.std:.3g}" if one.std else ""
-        notes[name] = f"{known[name].meaning}; {one.origin}{error}"
+    for name, coefficient in fit.coefficients.items():
+        error = f" +- {coefficient.std:.3g}" if coefficient.std else ""
+        notes[name] = f"{known[name].meaning}; {coefficient.origin}{error}"
     comment = [
         f"Magic Formula {version} fitted by tirefit {fit.version}",
         f"to {', '.join(Path(file).name for file in fit.data['file'].split(', '))}",
@@ -236,7 +233,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         *fit.notes,
     ]
     if missing := {"fx", "fy", "mz"} - set(fit.forces):
-        of = {one.origin for one in fit.coefficients.values()}
+        of = {coefficient.origin for coefficient in fit.coefficients.values()}
         other = " or borrowed" if "borrowed" in of else ""
         message = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
         comment.append(message)
@@ -279,13 +276,13 @@ def magic_formula_forces(
     covariance[np.ix_(at, at)] = fit.covariance * np.outer(slope, slope)
     values = parameter_values(tire)
     centre = np.array([values[name] for name in names])
-    one = np.full(len(names), 1.0)
+    ones = np.full(len(names), 1.0)
     mean, variance = {}, {}
     for force in forces:
         nothing = np.zeros(np.shape(inputs.fz))
         blocks = blocks_of(force, inputs, nothing, nothing + 1.0)
-        problem = Problem(tire, names, centre, one, one < 0, one > 0, blocks)
-        mean[force], variance[force] = propagated(problem, 0 * one, covariance)
+        problem = Problem(tire, names, centre, ones, ones < 0, ones > 0, blocks)
+        mean[force], variance[force] = propagated(problem, 0 * ones, covariance)
     return mean, variance
 
 

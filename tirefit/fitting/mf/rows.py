@@ -293,6 +293,6 @@ def groups_of(rows: Mapping[str, ForceRows], both: bool) -> dict[str, list[Group
         for pure in (True, False):
             chosen = of_force.chosen([pure])
             if np.any(chosen) and (pure or both):
-                own = of_force.part(chosen)
-                groups.setdefault(force, []).append(Group(pure, own, *cells_of(own)))
+                part = of_force.part(chosen)
+                groups.setdefault(force, []).append(Group(pure, part, *cells_of(part)))
     return groups

@@ -149,7 +149,7 @@ def _pass(
 ) -> tuple[Float[Array, " n"], Float[Array, "p n"]]:
     """Residuals (n,) of a block over the noise, and their derivatives in u (p, n)."""
 
-    def one(given: dict[str, Array], sample: TireInputs) -> Array:
+    def at_row(given: dict[str, Array], sample: TireInputs) -> Array:
         changed = with_values(tire, given)
         if not is_limit:
             return getattr(changed(sample), force)
@@ -157,7 +157,7 @@ def _pass(
         return jnp.maximum(largest - _LARGEST_E, 0.0) / _OVER
 
     given = dict(zip(names, theta, strict=True))
-    value, slopes = jax.vmap(jax.value_and_grad(one), in_axes=(None, 0))(given, inputs)
+    value, slopes = jax.vmap(jax.value_and_grad(at_row), in_axes=(None, 0))(given, inputs)
     # Without the barrier the compiler evaluates the formula again for every column.
     columns = jax.lax.optimization_barrier([slopes[name] for name in names])
     residual = (value - observed) * weight

@@ -174,8 +174,8 @@ def _one_stage(work: Search, group: Group, is_last: bool) -> None:
     if is_last:  # hold what the rows do not identify at the centre of its prior
         left = np.diagonal(_covariance(work.covariance, problem, end.z))
         held, every = problem.free & (left > _HELD), np.array(problem.names)
-        own = own_coefficients(problem.tire.version, group.force)
-        work.held = (work.held - set(own)) | set(every[held].tolist())
+        of_force = own_coefficients(problem.tire.version, group.force)
+        work.held = (work.held - set(of_force)) | set(every[held].tolist())
         moved = problem.with_free(every[problem.free & ~held].tolist())
         end = minimise(moved, np.where(held, 0.0, end.z))
     work.u, work.moved = end.z, work.moved | set(names)
@@ -196,12 +196,12 @@ def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
     the force except those that pure slip determined."""
     names, version = work.problem.names, work.problem.tire.version
     free = {n for n, is_free in zip(names, work.problem.free, strict=True) if is_free}
-    own = [name for name in own_coefficients(version, force) if name in free]
+    of_force = [name for name in own_coefficients(version, force) if name in free]
     if is_last and not all(group.pure for group in work.groups[force]):
         variance = dict(zip(names, np.diagonal(work.covariance), strict=True))
-        return [n for n in own if variance[n] > _DETERMINED or n not in work.moved]
+        return [n for n in of_force if variance[n] > _DETERMINED or n not in work.moved]
     part = coefficients_of(version)
-    return [name for name in own if part[name] == force]
+    return [name for name in of_force if part[name] == force]
 
 
 def _blocks(group: Group, most: int | None = None) -> list[Block]:

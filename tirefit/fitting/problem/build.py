@@ -325,10 +325,6 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 def _check_inputs(
     data: TireData, name: str, model: AbstractTire, forces: Sequence[str], config: FitConfig
 ) -> None:
-    if config.friction_temperature:
-        reason = f"friction_temperature with the model {name}"
-        remedy = "only mf52, mf61 and mf62 have it: remove it from [model]"
-        raise UsageError(reason, remedy, config.source)
     if missing := [force for force in forces if force not in modelled(model)]:
         reason = f"the model {name} has no {' and no '.join(missing)}"
         remedy = f"it has {', '.join(modelled(model))}: fit these (force), or another model"
@@ -381,9 +377,9 @@ def slip_of_forces(
     Raises:
         DataError: combined slip with noise of both slips.
     """
-    own = {force: CHANNEL_SLIP[force] for force in forces}
+    of_force = {force: CHANNEL_SLIP[force] for force in forces}
     if not noisy or "sigma_x" not in data or "alpha" not in data:
-        return own
+        return of_force
     # Whether both slips matter together in more than a twentieth of the rows; that of a
     # locked wheel represents infinity.
     slips = np.nan_to_num([data.usable("sigma_x"), np.tan(data.usable("alpha"))])
@@ -398,7 +394,7 @@ def slip_of_forces(
         for a, b in ((both.fx, along.fx), (both.fy, across.fy))
     )
     if not (couples and np.mean(is_combined) > 0.05):
-        return own
+        return of_force
     if len(noisy) > 1:
         raise DataError(
             "noise of both sigma_x and alpha in combined slip: every force depends"

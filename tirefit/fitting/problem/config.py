@@ -130,7 +130,6 @@ class PosteriorConfig(Section):
     """The posterior: which sampler, and how many samples."""
 
     sampler: Literal["emcee", "importance"] | None = None
-    ensembles: int = Field(default=4, ge=4, le=1000)
     walkers: Annotated[int, Field(ge=1, le=10_000)] | None = None
     effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     max_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 5000
@@ -147,7 +146,6 @@ class FitConfig(Section):
     """The whole of ``fit.toml``."""
 
     model: str | None = None
-    friction_temperature: bool = False
     force: Annotated[list[Force], Field(min_length=1), BeforeValidator(_listed)] | None = None
     solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "gauss-newton"
     starts: Annotated[int, Field(ge=1, le=10_000)] = 8
@@ -171,10 +169,6 @@ def parse_config(content: dict[str, Any], source: str = "config") -> FitConfig:
     Raises:
         UsageError: unknown keys, wrong types or values, contradictions; it lists all.
     """
-    if isinstance(table := content.get("model"), dict):
-        # [model] with its name, and its further settings.
-        rest = {key: value for key, value in table.items() if key != "name"}
-        content = {**content, "model": table.get("name"), **rest}
     config = parse_settings(FitConfig, content, source)
     config._source = source
     return config

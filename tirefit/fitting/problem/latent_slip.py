@@ -146,14 +146,14 @@ def _normal_part(low: Values, high: Values) -> tuple[Array, Array, Array]:
     """Integrals of exp(-x^2/2) and x exp(-x^2/2) from low to high, and the log of a factor
     of both, which keeps them finite far from zero."""
     mirrored = low + high < 0
-    near, far = jnp.where(mirrored, -high, low), jnp.where(mirrored, -low, high)
-    outside = near > 0
-    log = jnp.where(outside, -(near**2) / 2, 0.0)
-    at_near = jnp.where(outside, 1.0, jnp.exp(-(near**2) / 2))
-    at_far = jnp.exp(-(far**2) / 2 - log)
+    inner, outer = jnp.where(mirrored, -high, low), jnp.where(mirrored, -low, high)
+    outside = inner > 0
+    log = jnp.where(outside, -(inner**2) / 2, 0.0)
+    at_near = jnp.where(outside, 1.0, jnp.exp(-(inner**2) / 2))
+    at_far = jnp.exp(-(outer**2) / 2 - log)
     half = np.sqrt(0.5)
-    beyond = _erfcx(half * far) * at_far
-    before = _erfcx(half * jnp.abs(near)) * at_near
+    beyond = _erfcx(half * outer) * at_far
+    before = _erfcx(half * jnp.abs(inner)) * at_near
     mass = jnp.where(outside, before - beyond, 2 - before - beyond) * np.sqrt(np.pi / 2)
     first = jnp.where(mirrored, -1.0, 1.0) * (at_near - at_far)
     return jnp.maximum(mass, 1e-30), first, log

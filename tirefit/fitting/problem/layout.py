@@ -79,8 +79,8 @@ class Layout:
         """Indices (n, q) of each row's elements of z, one per free parameter."""
         count: list[int] = [len(self.runs) if p.per_run else 1 for p in self.free]
         first = np.cumsum([0, *count[:-1]])
-        own = np.array([p.per_run for p in self.free])
-        return run[:, None] * own[None] + first[None]
+        is_per_run = np.array([p.per_run for p in self.free])
+        return run[:, None] * is_per_run[None] + first[None]
 
     @property
     def prior_elements(self) -> np.ndarray:
@@ -217,8 +217,8 @@ def _bounded(name: str, spec: Spec, asked: ParameterConfig) -> tuple[Spec, list[
 
 def _narrowed(tie: Tie, bounded: Mapping[str, Spec]) -> tuple[Spec, list[InputProblem], list[str]]:
     """Spec of the other parameter within the tied one's bounds; problems; a note."""
-    own, other = bounded[tie.name], bounded[tie.other]
-    low, high = sorted((own.lower / tie.factor, own.upper / tie.factor))
+    tied, other = bounded[tie.name], bounded[tie.other]
+    low, high = sorted((tied.lower / tie.factor, tied.upper / tie.factor))
     narrow = other._replace(lower=max(other.lower, low), upper=min(other.upper, high))
     if narrow == other:
         return other, [], []
@@ -226,14 +226,14 @@ def _narrowed(tie: Tie, bounded: Mapping[str, Spec]) -> tuple[Spec, list[InputPr
     if narrow.lower >= narrow.upper:
         reason = (
             f"parameters.{tie.name}: tied = {tie.other!r} with factor = {tie.factor:g}"
-            f" is outside its bounds {_interval(own)} for every {tie.other} in"
+            f" is outside its bounds {_interval(tied)} for every {tie.other} in"
             f" {_interval(other)}"
         )
         remedy = f"change the factor, or the bounds of {tie.other}"
         return other, [InputProblem(reason, remedy)], []
     message = (
         f"{tie.other} held to {_interval(narrow)}, so that {tie.name} = {product} stays"
-        f" within {_interval(own)}"
+        f" within {_interval(tied)}"
     )
     return narrow, [], [message]
 
@@ -241,7 +241,7 @@ def _narrowed(tie: Tie, bounded: Mapping[str, Spec]) -> tuple[Spec, list[InputPr
 def _wrong_tie(
     tie: Tie, ties: Sequence[Tie], free: Sequence[str], known: Collection[str]
 ) -> InputProblem:
-    tied = {one.name: one.other for one in ties}
+    tied = {other.name: other.other for other in ties}
     key, reason = f"parameters.{tie.name}", f"tied to {tie.other!r}, which is not free"
     if tie.other == tie.name:
         reason = f"tied to {tie.other!r}, itself"

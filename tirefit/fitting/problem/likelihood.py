@@ -84,7 +84,6 @@ class Rule(NamedTuple):
     inflation: Float[Array, ""] | float = 1.0  # rows per independent row (x chi2/dof)
     effective: Float[Array, ""] | float = 1.0  # number of independent rows
     smallest: Float[Array, ""] | float = 0.0  # sum of squares at best; 0: noise given
-    within: Float[Array, ""] | float = 0.0  # sum of squares within cells, to be added
 
 
 class Widened(NamedTuple):
@@ -186,10 +185,10 @@ def row_forces(
     axes = {name: 0 if jnp.ndim(value) else None for name, value in rows.items()}
     felt = with_values(model, rows).felt(inputs, run)
 
-    def one(values: dict[str, Numbers], sample: TireInputs) -> dict[str, Array | None]:
+    def at_row(values: dict[str, Numbers], sample: TireInputs) -> dict[str, Array | None]:
         return with_values(model, values)(sample)._asdict()
 
-    return jax.vmap(one, in_axes=(axes, 0))(rows, felt)
+    return jax.vmap(at_row, in_axes=(axes, 0))(rows, felt)
 
 
 def _forces_at(

@@ -193,7 +193,7 @@ def effective_inflation(scores: np.ndarray, run: np.ndarray, time: np.ndarray | 
     directions = np.concatenate([left[:, known], scores], axis=1)
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]
-    freedom, found = len(parts) - 1, 1.0
+    freedom, largest = len(parts) - 1, 1.0
     for column in directions.T:
         within = [column[part] for part in parts]
         inflation = autocorrelation_time(within)
@@ -205,8 +205,8 @@ def effective_inflation(scores: np.ndarray, run: np.ndarray, time: np.ndarray | 
             scatter = sum(float(run.sum()) ** 2 for run in within) / square
             if chdtrc(freedom, scatter) < 1e-3:
                 inflation *= scatter / freedom
-        found = max(found, inflation)
-    return found
+        largest = max(largest, inflation)
+    return largest
 
 
 def design_effect(residual: np.ndarray, slopes: np.ndarray, setting: np.ndarray) -> float:
@@ -225,18 +225,18 @@ def design_effect(residual: np.ndarray, slopes: np.ndarray, setting: np.ndarray)
     values, axes = np.linalg.eigh(slopes.T @ slopes + np.eye(size))
     # The priors contribute one; rounding may give less.
     whitened = slopes @ (axes / np.sqrt(np.maximum(values, 1.0)))
-    found, expected, squares = 0.0, 0.0, 0.0
+    observed, expected, squares = 0.0, 0.0, 0.0
     for code in np.unique(setting):
         part = whitened[setting == code]
-        own, directions = np.linalg.eigh(part.T @ part)
+        eigenvalues, directions = np.linalg.eigh(part.T @ part)
         score = directions.T @ (part.T @ residual[setting == code])
-        share = np.minimum(own, 1.0)
+        share = np.minimum(eigenvalues, 1.0)
         judged = share < _ALONE
-        found += float(np.sum(score[judged] ** 2 / (1 - share[judged])))
+        observed += float(np.sum(score[judged] ** 2 / (1 - share[judged])))
         expected += float(np.sum(share[judged]))
         squares += float(np.sum(share[judged] ** 2))
-    is_clear = found - expected > _CLEAR * np.sqrt(2 * squares)
-    return found / expected if is_clear else 1.0
+    is_clear = observed - expected > _CLEAR * np.sqrt(2 * squares)
+    return observed / expected if is_clear else 1.0
 
 
 def robust_scale(residual: np.ndarray) -> float:

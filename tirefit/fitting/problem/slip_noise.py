@@ -86,8 +86,8 @@ class SlipDensity(NamedTuple):
 
     def at(self, slips: np.ndarray) -> np.ndarray:
         """Density at slips of any shape."""
-        found = np.interp(slips, self.knots, self.heights, left=0.0, right=0.0)
-        return found + _FLOOR * self.heights.max()
+        density = np.interp(slips, self.knots, self.heights, left=0.0, right=0.0)
+        return density + _FLOOR * self.heights.max()
 
     def profiled(self, scores: np.ndarray) -> np.ndarray:
         """Information (p, p) on parameters that is left if the density is unknown, from the

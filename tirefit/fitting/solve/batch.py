@@ -44,10 +44,10 @@ class BatchFit(Record):
 
     def columns(self) -> dict[str, np.ndarray]:
         """``fits.csv``: estimate and standard deviation of each parameter, by fit."""
-        found = {"converged": self.converged.astype(int)}
+        table = {"converged": self.converged.astype(int)}
         for name, value, std in zip(self.names, self.values.T, self.std.T, strict=True):
-            found |= {name: value, f"{name}_std": std}
-        return found
+            table |= {name: value, f"{name}_std": std}
+        return table
 
     def to_dict(self) -> dict[str, Any]:
         """The columns as lists."""
@@ -120,7 +120,7 @@ def _solve_all(
     axis: str,
     batch: int,
 ) -> tuple[Array, Array, Array]:
-    def one(data: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def solve_one(data: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
         slip, force, fz, v = data
         slip_name = "sigma_x" if axis == "fx" else "alpha"
 
@@ -145,4 +145,4 @@ def _solve_all(
         cov = slope @ jnp.linalg.inv(end.normal) @ slope.T * noise
         return layout.vector(end.z), jnp.sqrt(jnp.diagonal(cov)), end.converged
 
-    return jax.lax.map(one, (slip, force, fz, v), batch_size=batch)
+    return jax.lax.map(solve_one, (slip, force, fz, v), batch_size=batch)

@@ -87,7 +87,7 @@ class Settled(NamedTuple):
     task: FitTask
     solved: Solved
     data: TireData
-    far: tuple[FarRow, ...]
+    outliers: tuple[FarRow, ...]
     limit: float
     note: str
 
@@ -154,10 +154,10 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     many = whole.problem.n >= _MANY * whole.problem.layout.size
     resting = kept & (judged.leverage > _RESTS) & many
     rows = sorted({*np.flatnonzero(beyond | ~kept | resting).tolist(), *suspects})
-    far = [
+    outliers = [
         _far_row(whole, judged, i, bool(kept[i]), bool(beyond[i]), suspects.get(i)) for i in rows
     ]
-    return Settled(task, solved, task.data, tuple(far), limit, note)
+    return Settled(task, solved, task.data, tuple(outliers), limit, note)
 
 
 def _suspects(task: FitTask) -> dict[int, FarValue]:
@@ -170,11 +170,11 @@ def _suspects(task: FitTask) -> dict[int, FarValue]:
     used = {"fz", *task.problem.model.needs}
     used |= {c.name for c in channels} | {CHANNEL_SLIP[c.name] for c in channels}
     position = np.cumsum(task.data.used) - 1
-    far: dict[int, FarValue] = {}
+    suspects: dict[int, FarValue] = {}
     values = far_values(task.data, [c for c in FAR_COLUMNS if c in used])
     for value in sorted(values, key=lambda value: FAR_COLUMNS.index(value.column)):
-        far.setdefault(int(position[value.row]), value)
-    return far
+        suspects.setdefault(int(position[value.row]), value)
+    return suspects
 
 
 def _leaving_runs(aside: np.ndarray, task: FitTask) -> Bool[np.ndarray, " n"]:
@@ -255,18 +255,18 @@ def _beside(rows: np.ndarray, off: np.ndarray, order: np.ndarray, counts: np.nda
         order: (n,) indices that put neighbours next to each other.
         counts: (n,) bool, the rows that may be neighbours.
     """
-    members, own = order[counts[order]], counts[rows].astype(int)
+    members, is_member = order[counts[order]], counts[rows].astype(int)
     before = np.empty(len(order), int)
     before[order] = np.cumsum(counts[order]) - counts[order]
     before = before[rows]
 
     def near(most: int) -> np.ndarray:
         size = min(most, len(members) - 1)
-        start = np.clip(before - size // 2, 0, len(members) - own - size)
+        start = np.clip(before - size // 2, 0, len(members) - is_member - size)
         at = start[:, None] + np.arange(size)
-        return off[members[at + ((at >= before[:, None]) & (own[:, None] > 0))]]
+        return off[members[at + ((at >= before[:, None]) & (is_member[:, None] > 0))]]
 
-    after = before + own
+    after = before + is_member
     inner = (before > 0) & (after < len(members))
     ends = members[before - 1], members[np.minimum(after, len(members) - 1)]
     line = np.where(inner, (off[ends[0]] + off[ends[1]]) / 2, 0.0)

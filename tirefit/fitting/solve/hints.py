@@ -74,7 +74,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | No
     names = np.array([parameter.name for _, parameter in problem.layout.elements])
     shared = slopes @ (names[:, None] == np.unique(names))
     base = np.column_stack([np.ones(len(values)), shared, shared * side[:, None]])
-    whole, known, found = float(values @ values), np.hstack([base, slopes]), []
+    whole, known, columns = float(values @ values), np.hstack([base, slopes]), []
     ends = {k: np.percentile(inputs[k], [2.5, 50, 97.5]) for k in _COLUMNS}
     left = [k for k, e in ends.items() if e[2] - e[0] > _VARIES * abs(e[1])]
     while left and whole > 0:
@@ -95,16 +95,16 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | No
             break
         left.remove(best)
         low, _, high = ends[best].tolist()
-        found.append(Followed(best, low, high, explained[best] / whole))
+        columns.append(Followed(best, low, high, explained[best] / whole))
         known = more[best]
-    if not found:
+    if not columns:
         return Misfit()
     rest, _ = remainder(values, known)
     run = np.tile(problem.used(problem.rows.run)[some], len(at.mean))
     time = None if time is None else np.tile(time[some], len(at.mean))
     inflation = effective_inflation(rest[:, None] * slopes, run, time)
     share = float(rest @ rest) / whole * problem.n / len(some)
-    return Misfit(tuple(found), max(1.0, share * inflation))
+    return Misfit(tuple(columns), max(1.0, share * inflation))
 
 
 def remainder(values: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, int]:

@@ -75,7 +75,7 @@ def _minima(
         parts = [problem.layout.elements_of(problem.rows.run)] * blocks
         elements = jnp.concatenate([*parts, problem.layout.prior_elements])
 
-    def one(k: Array, ends: Minima) -> Minima:
+    def search_one(k: Array, ends: Minima) -> Minima:
         def held(z: Array) -> Array:
             return z.at[index[k]].set(values[k], mode="drop")
 
@@ -95,7 +95,7 @@ def _minima(
     nothing = Minima(
         jnp.full_like(starts, jnp.nan), nowhere, nowhere, jnp.zeros(m, bool), jnp.zeros(m, int)
     )
-    return jax.lax.fori_loop(0, count, one, nothing)
+    return jax.lax.fori_loop(0, count, search_one, nothing)
 
 
 def minima(
@@ -142,7 +142,6 @@ def best_of(solution: Minima) -> int:
 
 def _of_squares(rule: Rule, squares: Scalar, library: ModuleType) -> Scalar:
     """Deviance of a block from the sum of its squares."""
-    squares = squares + rule.within
     known = squares / rule.inflation
     given = rule.smallest <= 0
     # Both branches are evaluated: the logarithm of one where the noise is given.

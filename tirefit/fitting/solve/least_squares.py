@@ -218,7 +218,7 @@ class NormalEquations(optx.AbstractLeastSquaresSolver[Any, Any, Any, _State]):
         aux_struct: Any,
         tags: Any,
     ) -> _State:
-        aux = jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), aux_struct)
+        aux = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
         return jax.tree.map(jnp.asarray, self.begin(ravel_pytree(y)[0], aux))
 
     def step(
@@ -230,11 +230,11 @@ class NormalEquations(optx.AbstractLeastSquaresSolver[Any, Any, Any, _State]):
             values, weights = fn(whole(z), args)
             return ravel_pytree(values)[0], weights
 
-        found, aux = _linearise(residual, state.trial, options.get("elements"))
-        better = found.cost < state.best.cost
+        equations, aux = _linearise(residual, state.trial, options.get("elements"))
+        better = equations.cost < state.best.cost
         aux = jax.tree.map(partial(jnp.where, better), aux, state.aux)
         limits = options.get("lower"), options.get("upper")
-        z, state = self.advance(z, state._replace(aux=aux), found, *limits)
+        z, state = self.advance(z, state._replace(aux=aux), equations, *limits)
         return whole(z), state, aux
 
     def terminate(
@@ -261,16 +261,16 @@ class NormalEquations(optx.AbstractLeastSquaresSolver[Any, Any, Any, _State]):
         self,
         z: Array,
         state: _State,
-        found: Normal,
+        equations: Normal,
         lower: Values | float | None = None,
         upper: Values | float | None = None,
     ) -> tuple[Array, _State]:
-        """(z, state) after the normal equations ``found`` at the trial: the better of trial
+        """(z, state) after the normal ``equations`` at the trial: the better of trial
         and z, the damping that follows from it, and the next trial."""
         best = state.best
-        better, share = found.cost < best.cost, (best.cost - found.cost) / state.promised
+        better, share = equations.cost < best.cost, (best.cost - equations.cost) / state.promised
         keep = partial(jax.tree.map, partial(jnp.where, better))
-        z, best = keep(state.trial, z), keep(found, best)
+        z, best = keep(state.trial, z), keep(equations, best)
         eased = jnp.where(share > GOOD, EASE, EASE_A_LITTLE)
         fair = better & (share > FAIR)
         damping = state.damping * jnp.where(fair, eased, state.stiffen)
@@ -294,13 +294,13 @@ def advanced(
     solver: NormalEquations,
     z: Values,
     state: _State,
-    found: Normal,
+    equations: Normal,
     lower: Values | float | None,
     upper: Values | float | None,
 ) -> tuple[Array, _State]:
     """:meth:`NormalEquations.advance`, compiled, for NumPy code."""
     # One type of every number: one compiled program.
-    known = jax.tree.map(np.asarray, (z, state, found))
+    known = jax.tree.map(np.asarray, (z, state, equations))
     return _advance(solver, *known, lower, upper)
 
 
@@ -324,8 +324,8 @@ def on_host(
     costs: list[float] = []
     state = solver.begin(z)
     while len(costs) < max_steps and not (state.done or rests):
-        found = linearise(np.asarray(state.trial))
-        z, state = advanced(solver, z, state, found, lower, upper)
+        equations = linearise(np.asarray(state.trial))
+        z, state = advanced(solver, z, state, equations, lower, upper)
         costs.append(float(state.best.cost))
         rests = len(costs) > rest[0] and costs[-1 - rest[0]] - costs[-1] < rest[1]
     ended = bool(state.done or rests) and np.isfinite(costs[-1])
@@ -394,9 +394,9 @@ def least_squares(
         options: of :class:`NormalEquations`.
     """
     chosen: Any = SOLVERS[solver] if isinstance(solver, str) else solver
-    own = isinstance(chosen, NormalEquations)
+    is_normal = isinstance(chosen, NormalEquations)
     function: Any = residual
-    if not own:
+    if not is_normal:
         # Rows with noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes by
         # a constant, and near the start Gauss-Newton has the curvature of scoring.
         first, weights = residual(start)
@@ -412,11 +412,16 @@ def least_squares(
     if isinstance(chosen, str):
         z, converged, steps = _jaxopt(function, start)
     else:
-        settings: Any = {"options": options, "has_aux": own, "max_steps": max_steps, "throw": False}
+        settings: Any = {
+            "options": options,
+            "has_aux": is_normal,
+            "max_steps": max_steps,
+            "throw": False,
+        }
         end: Any = optx.least_squares(lambda z, _: function(z), chosen, start, **settings)
         converged = jnp.asarray(end.result == optx.RESULTS.successful)
         z, steps = end.value, end.stats["num_steps"]
-        if own:
+        if is_normal:
             return Solution(z, end.state.best.cost, converged, steps, end.state.best.normal)
     values, _ = residual(z)
     cost = values @ values

@@ -366,8 +366,8 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
         converged = bool(gradient @ np.linalg.solve(information, gradient) < _SETTLED)
     converged = converged and bool(np.all(np.isfinite(z)))
     # With exact data, starts that agree to the solver's tolerance found one minimum.
-    far = np.maximum(3 * np.sqrt(np.diag(cov)), _ONE_MINIMUM)
-    ambiguous = bool(np.any(np.abs(solution.z[near] - solution.z[best]) > far))
+    apart = np.maximum(3 * np.sqrt(np.diag(cov)), _ONE_MINIMUM)
+    ambiguous = bool(np.any(np.abs(solution.z[near] - solution.z[best]) > apart))
     level = threshold(problem.noise_estimated, n_effective, problem.layout.size)
     alone = {
         name: rule._replace(inflation=rule.inflation * rule.effective / problem.n)

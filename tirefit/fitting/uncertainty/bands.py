@@ -88,7 +88,7 @@ def force_band(
         flat = np.asarray(result.chains).reshape(-1, layout.size)
         flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
         z = layout.unconstrained(dict(zip(layout.labels, flat.T, strict=True)))
-        low, high = np.quantile([at(one) for one in np.asarray(z).T], [0.025, 0.975], axis=0)
+        low, high = np.quantile([at(draw) for draw in np.asarray(z).T], [0.025, 0.975], axis=0)
     else:
         steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
         slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])

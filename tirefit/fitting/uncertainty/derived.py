@@ -80,9 +80,9 @@ def reference_point(problem: FitProblem, run: int | None = None) -> dict[str, fl
         values = problem.used(getattr(problem.rows.inputs, name))
         point[name] = float(np.median(values))
         if here.any():
-            own = float(np.median(values[here]))
-            stray = np.quantile(np.abs(values[here] - own), 0.9)
-            point[name] = own if stray < abs(own - point[name]) else point[name]
+            of_run = float(np.median(values[here]))
+            stray = np.quantile(np.abs(values[here] - of_run), 0.9)
+            point[name] = of_run if stray < abs(of_run - point[name]) else point[name]
     return point
 
 
@@ -90,10 +90,10 @@ def reference_points(problem: FitProblem) -> dict[str, float]:
     """Load and speed of the derived quantities; ``fz[run]`` and ``v[run]`` for runs with
     per-run parameters that were held at other values."""
     shared = reference_point(problem)
-    own = problem.layout.is_sparse
+    is_per_run = problem.layout.is_sparse
     return shared | {
         f"{name}[{run}]": value
-        for code, run in enumerate(problem.layout.runs if own else ())
+        for code, run in enumerate(problem.layout.runs if is_per_run else ())
         for name, value in reference_point(problem, code).items()
         if value != shared[name]
     }
@@ -183,7 +183,7 @@ def derived_values(
         is missing if the model has no static friction.
     """
 
-    def one(z: Array) -> dict[str, Scalar]:
+    def derive_one(z: Array) -> dict[str, Scalar]:
         values = {
             name: jnp.asarray(value)[jnp.asarray(run)] if jnp.ndim(value) else value
             for name, value in layout.natural(z).items()
@@ -201,7 +201,7 @@ def derived_values(
             derived["mu_fz"] = mu * fz
         return derived
 
-    return jax.lax.map(one, z, batch_size=64)
+    return jax.lax.map(derive_one, z, batch_size=64)
 
 
 def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Evaluator:
@@ -210,10 +210,10 @@ def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Evaluator:
     Vectors that differ only in elements of other runs are evaluated once.
     """
     at = reference_point(problem, run)
-    own = problem.layout.elements_of(np.array([run or 0]))[0]
+    elements = problem.layout.elements_of(np.array([run or 0]))[0]
 
     def evaluate(z: np.ndarray) -> dict[str, np.ndarray]:
-        _, first, code = np.unique(z[:, own], axis=0, return_index=True, return_inverse=True)
+        _, first, code = np.unique(z[:, elements], axis=0, return_index=True, return_inverse=True)
         derived = derived_values(
             problem.model,
             problem.layout,
@@ -290,10 +290,10 @@ def derived_from_profile(
         low = [-np.inf if p.open_low else p.low for p in profiles]
         high = [np.inf if p.open_high else p.high for p in profiles]
         ends = np.array(low), np.array(high)
-    own = np.array([p.per_run for _, p in problem.layout.elements])
+    per_run = np.array([p.per_run for _, p in problem.layout.elements])
     derived: dict[str, Estimate] = {}
-    for code, run in [(None, ""), *enumerate(problem.layout.runs if own.any() else ())]:
-        part = _of_run(solved, channel, code, ends, estimates, own, only)
+    for code, run in [(None, ""), *enumerate(problem.layout.runs if per_run.any() else ())]:
+        part = _of_run(solved, channel, code, ends, estimates, per_run, only)
         for name, estimate in part:
             derived[name if code is None else f"{name}[{run}]"] = estimate
     order = list(quantities(channel))
@@ -307,10 +307,10 @@ def _of_run(
     run: int | None,
     ends: tuple[np.ndarray, np.ndarray] | None,
     estimates: Sequence[Estimate],
-    own: np.ndarray,
+    per_run: np.ndarray,
     only: Collection[str] | None,
 ) -> Iterator[tuple[str, Estimate]]:
-    """(quantity, estimate) of the quantities that depend on a per-run element (``own``
+    """(quantity, estimate) of the quantities that depend on a per-run element (``per_run``
     (p,)), or of the other quantities if ``run`` is None; ``ends`` (low, high) are those
     of every element (p,), None if not known."""
     z, (low, high) = solved.z, ends or (solved.z, solved.z)
@@ -322,7 +322,7 @@ def _of_run(
         value, unit = float(value), quantities(channel)[name][0]
         same = np.abs(moved - value) <= 1e-7 * abs(value)
         involved = np.flatnonzero(~same.all(axis=0))
-        if name == "F_max_over_fz" or own[involved].any() == (run is None):
+        if name == "F_max_over_fz" or per_run[involved].any() == (run is None):
             continue
         if only and name not in only:
             continue
@@ -370,7 +370,7 @@ def _estimate(
             half = np.sqrt(solved.level * (slope @ noise @ slope))
             identified = _says_something((value - half, value + half))
     low, high = ci95
-    if low is not None and high is not None and any(one.std is None for one in known):
+    if low is not None and high is not None and any(estimate.std is None for estimate in known):
         # The covariance does not determine it: use the width of the profile.
         std = (high - low) / (2 * float(np.sqrt(solved.level)))
     return Estimate(float(value), std if identified else None, unit, ci95, identified)

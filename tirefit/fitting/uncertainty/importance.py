@@ -115,8 +115,8 @@ def _proposed(
     wide = int(_WIDE * points)
     normal = generator.standard_normal((points - wide, size))
     near = normal / np.sqrt(generator.chisquare(nu, (points - wide, 1)) / nu)
-    far = generator.logistic(size=(wide, size)) - center
-    u = np.concatenate([near, np.linalg.solve(root, far.T).T])
+    wide_points = generator.logistic(size=(wide, size)) - center
+    u = np.concatenate([near, np.linalg.solve(root, wide_points.T).T])
     peak = gammaln((nu + size) / 2) - gammaln(nu / 2) - size / 2 * np.log(nu * np.pi)
     student = peak - (nu + size) / 2 * np.log1p(np.sum(u**2, axis=1) / nu)
     z = np.abs(center + u @ root.T)

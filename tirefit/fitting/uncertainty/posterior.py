@@ -3,16 +3,11 @@
 The only importer of emcee. Sampling happens in the whitened unconstrained space of the
 least-squares fit, where a well-identified posterior is nearly a unit Gaussian; the
 prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
-
-A chain is a sequence of chunks of steps. The record holds the random state after each
-chunk: a resumed run draws exactly the samples of an uninterrupted one.
 """
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -24,10 +19,8 @@ from tirefit.arrays import Scalar
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.problem.likelihood import FitProblem
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
-from tirefit.fitting.solve.condense import apart, condensed
 from tirefit.fitting.solve.inference import REACH, deviance
 from tirefit.fitting.solve.multistart import Solved
-from tirefit.fitting.uncertainty.chains import Chain, Keeper, extended, identity_of, load_chain
 from tirefit.fitting.uncertainty.derived import derived_from_draws
 from tirefit.fitting.uncertainty.importance import Density, Weighted, draw_weighted
 from tirefit.fitting.verdict.judge import judge
@@ -40,15 +33,19 @@ CHUNK = 100  # steps between two checks of convergence
 _MANY = 20
 """Parameters above which importance sampling is the default: with 90 of them (45 runs of 60
 rows) it takes 10 s of processor time at a k-hat below 0, and emcee did not finish in 600 s."""
-_WALKERS = 64
+_ENSEMBLES, _WALKERS = 4, 64
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
 _TARGETS = {False: 4000, True: 1000}  # effective samples, by whether slips have noise
+_LONG = 4096
+"""Rows above which importance sampling is the default: 5,000 points, for a chain of 100,000."""
+_LONG_NOISY, _FEW_DRAWS = 20_000, 300
+"""Rows with noisy slips above which fewer effective samples are drawn, and their number: ends of
+intervals scatter by 16 % of a standard deviation, and 100,000 rows take 80 s of processor time."""
 _AT_A_TIME = 4
 """Points in one pass over rows with noisy slips: 512 took twice the time of 1 to 8."""
-_ALIKE = 0.05
-"""Largest error of the log density at which no interval moves by more than its sampling
-error, in standard deviations of the parameter."""
+_AT_ONCE = 2**19
+"""Largest number of points times rows in one pass: more do not stay in the cache of a core."""
 
 
 @jax.jit
@@ -59,17 +56,19 @@ def _log_density(
     root: Float[Values, "p p"],
     base: Scalar,
 ) -> Float[Array, " n"]:
-    def one(u: Values) -> Array:
+    def density_at(u: Values) -> Array:
         z = center + root @ u
         value = deviance(problem, z) - base
         density = -value / 2 + problem.layout.log_volume(z)
         # A point where the model is undefined (NaN) is never accepted.
         return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
-    if not problem.rows.nodes:
-        return jax.vmap(one)(u)
-    # An integral for each row: few points at a time, whose arrays the cache of a core holds.
-    return jax.lax.map(one, u, batch_size=_AT_A_TIME)
+    together = max(_AT_ONCE // problem.rows.weight.size, 1)
+    if problem.rows.nodes:  # an integral for each row
+        together = min(together, _AT_A_TIME)
+    if together >= len(u):
+        return jax.vmap(density_at)(u)
+    return jax.lax.map(density_at, u, batch_size=together)
 
 
 def _whitening(solved: Solved) -> tuple[np.ndarray, np.ndarray]:
@@ -86,62 +85,6 @@ def _density(solved: Solved) -> Density:
     center, root = _whitening(solved)
     base = deviance(problem, solved.z)
     return partial(_log_density, problem=problem, center=center, root=root, base=base)
-
-
-def _pack(state: Any) -> np.ndarray:
-    """A Mersenne Twister state as one array of 627 floats (all exact below 2^53)."""
-    return np.concatenate([state[1].astype(float), state[2:]])
-
-
-def _start(
-    density: Density, size: int, ensembles: int, walkers: int, seed: int
-) -> dict[str, np.ndarray]:
-    state: dict[str, list[np.ndarray]] = {"coordinates": [], "values": [], "random": []}
-    # Full generator states: emcee silently ignores an integer seed.
-    for child in np.random.SeedSequence(seed).spawn(ensembles):
-        generator = np.random.RandomState(np.random.MT19937(child))
-        # Wider than the posterior, so that R-hat can see ensembles that disagree.
-        start = 1.3 * generator.standard_normal((walkers, size))
-        state["coordinates"].append(start)
-        halves = [np.asarray(density(half)) for half in np.split(start, 2)]
-        state["values"].append(np.concatenate(halves))
-        state["random"].append(_pack(generator.get_state()))
-    return {key: np.array(parts) for key, parts in state.items()}
-
-
-def _chunk(
-    density: Density, state: dict[str, np.ndarray], steps: int
-) -> tuple[np.ndarray, np.ndarray, float, dict[str, np.ndarray]]:
-    """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
-    import emcee  # here, because importance sampling does not need it
-
-    ensembles, walkers, size = state["coordinates"].shape
-    # Differential evolution, with a full jump between modes in one step of ten (ter
-    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
-    # over walkers in Python as in the snooker move.
-    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
-    samples = np.empty((ensembles, steps, walkers, size))
-    values = np.empty((ensembles, steps, walkers))
-    accepted, after = 0.0, {key: value.copy() for key, value in state.items()}
-
-    def log_prob(u: np.ndarray) -> np.ndarray:
-        return np.asarray(density(u))
-
-    for e in range(ensembles):
-        sampler = emcee.EnsembleSampler(walkers, size, log_prob, moves=moves, vectorize=True)
-        sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
-        *keys, position, has_gauss, cached = state["random"][e]
-        random = "MT19937", np.array(keys, np.uint32), int(position), int(has_gauss), float(cached)
-        start = emcee.State(
-            state["coordinates"][e], log_prob=state["values"][e], random_state=random
-        )
-        run = sampler.sample(start, iterations=steps, skip_initial_state_check=True)
-        for step, now in enumerate(run):
-            samples[e, step], values[e, step] = now.coords, now.log_prob
-        after["coordinates"][e], after["values"][e] = now.coords, now.log_prob
-        after["random"][e] = _pack(sampler.random_state)
-        accepted += float(np.mean(sampler.acceptance_fraction)) / ensembles
-    return samples, values, accepted, after
 
 
 SAMPLERS = ("emcee", "importance")
@@ -201,13 +144,10 @@ def sample(
     result: FitResult,
     *,
     sampler: str | None = None,
-    ensembles: int = 4,
     walkers: int | None = None,
     effective_samples: int | None = None,
     max_steps: int = 5000,
     seed: int | None = None,
-    checkpoint: str | os.PathLike[str] | None = None,
-    resume: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> FitResult:
     """Return the same fit with samples of its posterior.
@@ -215,21 +155,18 @@ def sample(
     Args:
         result: a fit from this process (``tirefit.fit``).
         sampler: ``emcee``, or ``importance`` (no chain: independent points, weighted; by far
-            the fastest if the posterior is compact), the default for more than 20 parameters
-            and for slips with noise, whose likelihood is an integral over the true slip of
-            each row. It falls back to emcee if its weights are unreliable, with a note.
-        ensembles: independent ensembles, at least 4.
-        walkers: walkers per ensemble, an even number; by default 64, more for many
-            parameters.
+            the fastest if the posterior is compact), the default for more than 20 parameters,
+            for more than 4096 rows and for slips with noise, whose likelihood is an integral
+            over the true slip of each row. It falls back to emcee if its weights are
+            unreliable, with a note.
+        walkers: of each of the four independent ensembles, an even number; by default 64,
+            more for many parameters.
         effective_samples: stop once every parameter has this many, the chain is 50
             autocorrelation times long and split R-hat is below 1.01. By default 4000, or
-            1000 for slips with noise: ends of intervals then scatter by 4 or 8 % of a
-            standard deviation.
+            1000 for slips with noise (300 above 20,000 rows): ends of intervals then scatter
+            by 4, 8 or 16 % of a standard deviation.
         max_steps: stop here even without convergence, and report it.
         seed: of the sampling; by default that of the fit.
-        checkpoint: file that stores the chain during sampling.
-        resume: continue from ``checkpoint`` if it exists. Importance sampling has
-            nothing to continue: the same seed draws the same samples again.
         progress: called with (share done, message).
 
     Returns:
@@ -237,8 +174,7 @@ def sample(
         ``chains`` and ``posterior``, the quality of the sampling.
 
     Raises:
-        UsageError: an unknown sampler, too few ensembles, odd walkers, or a checkpoint
-            of another fit; or 32-bit floats in use.
+        UsageError: an unknown sampler, too few or an odd number of walkers; or 32-bit floats.
 
     Example:
         >>> found = sample(fit(samples / "circles.csv", "brush"), sampler="importance")
@@ -250,127 +186,113 @@ def sample(
         raise UsageError(f"sampler {sampler!r}: one of {', '.join(SAMPLERS)}")
     solved: Solved = result.solved
     seed = result.seed if seed is None else seed
-    size = solved.problem.layout.size
+    problem, size = solved.problem, solved.problem.layout.size
+    is_noisy = bool(problem.slip_noise)
     if sampler is None:
-        sampler = "importance" if solved.problem.slip_noise or size > _MANY else "emcee"
-    target = effective_samples or _TARGETS[bool(solved.problem.slip_noise)]
-    shape = _shape(size, ensembles, walkers)
-    path = None if checkpoint is None else Path(checkpoint)
-    run = _Run(sampler, seed, shape, target, max_steps, path, resume, progress)
-    try:
-        cells = condensed(solved, _whitening(solved)[1])
-    except KeyboardInterrupt:
+        is_slow = is_noisy or size > _MANY or problem.n > _LONG
+        sampler = "importance" if is_slow else "emcee"
+    usual = _FEW_DRAWS if is_noisy and problem.n > _LONG_NOISY else _TARGETS[is_noisy]
+    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
+    if walkers % 2 or walkers < 2 * size + 2:
+        reason = f"{walkers} walkers: an even number, at least {2 * size + 2}, is needed"
+        raise UsageError(reason)
+    run = _Run(seed, walkers, effective_samples or usual, max_steps, progress)
+    density, weighted = _density(solved), None
+    if sampler == "importance":
+        weighted = draw_weighted(density, *_whitening(solved), seed, run.target, progress)
+        if weighted.interrupted or not weighted.refused:
+            return _of_weighted(result, weighted, seed)
+    samples, accepted, outcome = _draw(density, size, run)
+    if samples is None:
         return judge(replace(result, interrupted=True))
-    if cells is None:
-        return _sampled(result, solved.problem, run)
-    done = _sampled(result, cells, run)
-    if done.posterior is None:
-        return done
-    off = apart(done, cells)
-    if off > _ALIKE and Outcome.INTERRUPTED not in done.outcomes:
-        return _sampled(result, solved.problem, run._replace(resume=False))
-    text = f"{solved.problem.n} rows as {cells.n} cells of like rows, with an error of"
-    text += f" {off:.2g} in the log density"
-    note = "; ".join(filter(None, (done.posterior.note, text)))
-    return replace(done, posterior=replace(done.posterior, note=note))
+    return _of_chain(result, samples, accepted, outcome, run, weighted)
 
 
 class _Run(NamedTuple):
-    """How to sample: see :func:`sample`; ``shape`` is (ensembles, walkers)."""
+    """How to draw a chain: see :func:`sample`."""
 
-    sampler: str
     seed: int
-    shape: tuple[int, int]
+    walkers: int
     target: int
     max_steps: int
-    path: Path | None
-    resume: bool
     progress: Callable[[float, str], None] | None
 
 
-def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
-    """The fit with the posterior of this problem: its own, or one made of cells."""
-    solved: Solved = result.solved
-    density, weighted = _density(solved._replace(problem=problem)), None
-    size = solved.problem.layout.size
-    if run.sampler == "importance":
-        weighted = draw_weighted(density, *_whitening(solved), run.seed, run.target, run.progress)
-        if weighted.interrupted or not weighted.refused:
-            return _of_weighted(result, weighted, run.seed)
-    identity = identity_of(result, "emcee", run.seed, run.shape)
-    chain, keeper = None, Keeper(run.path, identity)
-    if run.resume and run.path is not None:
-        chain = load_chain(run.path, identity)
-    chain, outcome = _draw(density, size, run, chain, keeper)
-    if chain is None:
-        return judge(replace(result, interrupted=True))
-    notes = []
-    if weighted is not None:
-        refused = f"importance sampling refused ({weighted.refused})"
-        notes.append(f"{refused}: emcee instead")
-    if keeper.fault:
-        notes.append(f"the chain was not kept for --resume: {keeper.fault}")
-    return _of_chain(result, chain, outcome, run, weighted, notes)
+def _ensembles(density: Density, size: int, run: _Run) -> list[Any]:
+    """An emcee sampler and its first state for each ensemble."""
+    import emcee  # here, because importance sampling does not need it
+
+    # Differential evolution, with a full jump between modes in one step of ten (ter
+    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
+    # over walkers in Python as in the snooker move.
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+
+    def log_prob(u: np.ndarray) -> np.ndarray:
+        return np.asarray(density(u))
+
+    ensembles = []
+    # Full generator states: emcee silently ignores an integer seed.
+    for child in np.random.SeedSequence(run.seed).spawn(_ENSEMBLES):
+        generator = np.random.RandomState(np.random.MT19937(child))
+        # Wider than the posterior, so that R-hat can see ensembles that disagree.
+        start = 1.3 * generator.standard_normal((run.walkers, size))
+        values = np.concatenate([log_prob(half) for half in np.split(start, 2)])
+        sampler = emcee.EnsembleSampler(run.walkers, size, log_prob, moves=moves, vectorize=True)
+        sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
+        state = emcee.State(start, log_prob=values, random_state=generator.get_state())
+        ensembles.append((sampler, state))
+    return ensembles
 
 
-def _shape(size: int, ensembles: int, walkers: int | None) -> tuple[int, int]:
-    """(ensembles, walkers) of a run; UsageError if the sampler cannot use them."""
-    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
-    if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
-        raise UsageError(
-            f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
-            f" even number of walkers, at least {2 * size + 2}, are needed"
-        )
-    return ensembles, walkers
+def _draw(density: Density, size: int, run: _Run) -> tuple[np.ndarray | None, float, Outcome]:
+    """Draw chunks of steps until the chain converged, reached its limit or was interrupted.
 
-
-def _draw(
-    density: Density, size: int, run: _Run, chain: Chain | None, keeper: Keeper
-) -> tuple[Chain | None, Outcome]:
-    """Sample chunks until the chain converged, reached its limit or was interrupted."""
-    outcome = Outcome.CHAIN_TOO_SHORT
+    Returns:
+        Samples (ensembles, steps, walkers, p), None if interrupted before the first ones; the
+        share of accepted steps; the outcome.
+    """
+    samples, accepted = None, 0.0
     try:
-        state = _start(density, size, *run.shape, run.seed) if chain is None else chain.state
+        ensembles = _ensembles(density, size, run)
         while True:
-            if chain is not None:
-                health = _health(chain.samples, run.target)
-                if health.enough:
-                    outcome = Outcome.CONVERGED
-                    break
-                if chain.samples.shape[1] >= run.max_steps:
-                    break
-                if run.progress is not None:
-                    steps, least = chain.samples.shape[1], float(health.ess.min())
-                    needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
-                    share = min(steps / needed, least / run.target, 0.99)
-                    run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
-            chain = extended(chain, *_chunk(density, state, CHUNK))
-            state = chain.state
-            keeper.now_and_then(chain)
+            for sampler, state in ensembles:
+                sampler.run_mcmc(state, CHUNK, skip_initial_state_check=True)
+            ensembles = [(sampler, None) for sampler, _ in ensembles]  # goes on where it ended
+            samples = np.stack([sampler.get_chain() for sampler, _ in ensembles])
+            accepted = float(np.mean([sampler.acceptance_fraction for sampler, _ in ensembles]))
+            health, steps = _health(samples, run.target), samples.shape[1]
+            if health.enough:
+                return samples, accepted, Outcome.CONVERGED
+            if steps >= run.max_steps:
+                return samples, accepted, Outcome.CHAIN_TOO_SHORT
+            if run.progress is not None:
+                needed = health.discarded + _STEPS_PER_TAU * float(health.tau.max())
+                share = min(steps / needed, float(health.ess.min()) / run.target, 0.99)
+                run.progress(share, f"{steps} steps, R-hat {health.rhat.max():.3f}")
     except KeyboardInterrupt:
-        outcome = Outcome.INTERRUPTED
-    if chain is not None:
-        keeper.keep(chain)
-    return chain, outcome
+        return samples, accepted, Outcome.INTERRUPTED
 
 
 def _of_chain(
     result: FitResult,
-    chain: Chain,
+    samples: np.ndarray,
+    accepted: float,
     outcome: Outcome,
     run: _Run,
     weighted: Weighted | None,
-    notes: list[str],
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is the rejected weighted sample, if any."""
-    health = _health(chain.samples, run.target)
-    ensembles, steps, walkers, _ = chain.samples.shape
+    health = _health(samples, run.target)
+    ensembles, steps, walkers, _ = samples.shape
     numbers = (health.ess, health.rhat, health.tau)
     ess, rhat, tau = (dict(zip(result.labels, x.tolist(), strict=True)) for x in numbers)
-    k_hat = None if weighted is None else weighted.k_hat
+    k_hat, note = None, ""
+    if weighted is not None:
+        k_hat, note = weighted.k_hat, f"importance sampling refused ({weighted.refused})"
+        note += ": emcee instead"
     summary = PosteriorSummary(
         "emcee", run.seed, ensembles, walkers, steps, health.discarded, ess, rhat,
-        tau, chain.accepted, outcome, k_hat, "; ".join(notes),
+        tau, accepted, outcome, k_hat, note,
     )  # fmt: skip
     # Nearly independent draws, the same ones for parameters and derived quantities.
     # A walker that never moved has no autocorrelation time: keep one draw of each.

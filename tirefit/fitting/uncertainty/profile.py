@@ -49,8 +49,8 @@ class Side:
             if last == before:
                 return (inner + outer) / 2
             return float(np.interp(self.goal, *self._rising()))
-        far, root = self.distances[-1], max(self.roots[-1], 1e-3)
-        return float(min(far * np.clip(1.02 * self.goal / root, 1.2, 4.0), self.reach))
+        farthest, root = self.distances[-1], max(self.roots[-1], 1e-3)
+        return float(min(farthest * np.clip(1.02 * self.goal / root, 1.2, 4.0), self.reach))
 
     def _rising(self) -> tuple[np.ndarray, np.ndarray]:
         order = np.argsort(self.distances)

@@ -45,7 +45,7 @@ def across_files(value: ArrayLike, std: ArrayLike, when: ArrayLike) -> AcrossFil
         std: (n,) standard deviation of each file, not negative.
         when: (n,) time or number of the files, any unit.
     """
-    value, std, when = (np.asarray(one, float) for one in (value, std, when))
+    value, std, when = (np.asarray(column, float) for column in (value, std, when))
     span = float(np.ptp(when))
     x = (when - when.mean()) / span if span else np.zeros_like(when)
     is_line = len(value) > 3 and span > 0

@@ -59,13 +59,13 @@ def family_of(task: FitTask) -> list[str]:
     if task.problem.model.transient:
         names = ["brush-relaxation", "magic-formula-relaxation"]
     else:
-        found = _BRUSH.fullmatch(name)
-        family, friction = (found[1], found[3] or "") if found else ("brush", "")
+        parts = _BRUSH.fullmatch(name)
+        family, friction = (parts[1], parts[3] or "") if parts else ("brush", "")
         names = [f"{family}-{letters}".rstrip("-") for letters in (friction, f"d{friction}")]
         slips = [np.abs(np.asarray(x)) for x in (rows.inputs.sigma_x, rows.inputs.alpha)]
         combined = np.mean(np.minimum(*slips) > 0.05 * max(map(np.max, slips))) > 0.05
         names.append("magic-formula-combined" if combined else "magic-formula")
-    return [one for one in names if one in MODELS and one != name]
+    return [like for like in names if like in MODELS and like != name]
 
 
 def solved_as(name: str, task: FitTask, config: FitConfig) -> Solved | None:
@@ -88,14 +88,14 @@ def _parameters(name: str, config: FitConfig) -> dict[str, ParameterConfig]:
     """Settings of the parameters that the model has, or has under another name."""
     known = specs(MODELS[name])
     settings: dict[str, ParameterConfig] = {}
-    for key, one in config.parameters.items():
+    for key, setting in config.parameters.items():
         names: Sequence[str] = (key,) if key in known else ()
         if key in _PEAK and not names:
             names = [k for k in _PEAK if k in known]
-        elif key in _SLOPE and not names and one.per_run:
-            names, one = [k for k in _SLOPE if k in known], ParameterConfig(per_run=True)
-        if one.tied is None or one.tied in known:
-            settings |= dict.fromkeys(names, one)
+        elif key in _SLOPE and not names and setting.per_run:
+            names, setting = [k for k in _SLOPE if k in known], ParameterConfig(per_run=True)
+        if setting.tied is None or setting.tied in known:
+            settings |= dict.fromkeys(names, setting)
     return settings
 
 
@@ -123,8 +123,8 @@ def reached(solved: Solved, derived: Mapping[str, Estimate]) -> dict[str, float]
         if at is None or not np.isfinite(at.value):
             continue
         of = label.removeprefix("F_max_over_fz")[1:-1]
-        own = run == problem.layout.runs.index(of) if of else slice(None)
-        shares[label] = float(np.max(over_load[own])) / peak.value
+        of_run = run == problem.layout.runs.index(of) if of else slice(None)
+        shares[label] = float(np.max(over_load[of_run])) / peak.value
     return shares
 
 
@@ -149,7 +149,7 @@ def peak_ranges(
         if not shares or not noisy or not shape_in_doubt(solved):
             return {}
     every = {task.name: solved}
-    every |= {n: one for n in family_of(task) if (one := solved_as(n, task, config))}
+    every |= {n: solution for n in family_of(task) if (solution := solved_as(n, task, config))}
     chances = probabilities(every)
     as_good = [name for name, chance in chances.items() if chance > _CONTRADICTED]
     # Without profiles of the parameters: those of a Magic Formula, which are redundant below
@@ -162,16 +162,18 @@ def peak_ranges(
         low, high = derived[label].ci95
         # That of all runs, if the peak of the model does not differ by run; a model whose peak
         # does, where that of the fit does not, has none.
-        found = {
+        peaks_of = {
             name: peak
             for name in as_good
             if (peak := peaks[name].get(label, peaks[name].get(quantity_of(label))))
         }
-        found = found or {task.name: derived[label]}
-        inside = [(low or 0.0) <= peak.value <= (high or np.inf) for peak in found.values()]
+        peaks_of = peaks_of or {task.name: derived[label]}
+        inside = [(low or 0.0) <= peak.value <= (high or np.inf) for peak in peaks_of.values()]
         if share < NEAR_PEAK or not all(inside):
             # Without an upper end if the peak is not identified.
-            ends = {k: (p.ci95[0], p.ci95[1] if p.identified else None) for k, p in found.items()}
+            ends = {
+                k: (p.ci95[0], p.ci95[1] if p.identified else None) for k, p in peaks_of.items()
+            }
             lows, highs = zip(*ends.values(), strict=True)
             # Rows that reach a force show that the peak is not below it, up to the error of
             # the fit: a shape that a few effective rows leave open does not say otherwise.

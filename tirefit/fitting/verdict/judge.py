@@ -82,7 +82,7 @@ def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
     the effective number of rows. The noise stays as stated; :func:`_fit_quality` judges
     residuals far above it."""
     statistics, at, problem = result.statistics, result.solved.at, result.solved.problem
-    found: list[tuple[Outcome | None, str]] = []
+    sentences: list[tuple[Outcome | None, str]] = []
     for channel in problem.channels:
         observed = problem.used(problem.rows.observed[channel.name])
         square = np.mean((observed - at.mean[channel.name]) ** 2 / at.variance[channel.name])
@@ -99,15 +99,15 @@ def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
             f" this would be below {_CHANCE:g}): "
         )
         if size > 1:
-            found.append((None, f"{text}the intervals are widened; check the stated noise"))
+            sentences.append((None, f"{text}the intervals are widened; check the stated noise"))
             continue
         text += (
             f"the intervals are too wide, by a factor of up to {1 / size:.2g}; check the unit of"
             " the stated noise, or leave it out: it is then estimated from the residuals"
         )
         outcome = Outcome.NOISE_OVERSTATED if size**2 * _POOR_CHI2 < 1 else None
-        found.append((outcome, text))
-    return found
+        sentences.append((outcome, text))
+    return sentences
 
 
 def _exactness(result: FitResult) -> str:
@@ -137,28 +137,28 @@ def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """A sentence with the range of the peak if it depends on the shape of the model."""
     if not result.peak_range:
         return []
-    label, one = min(result.peak_range.items(), key=lambda item: item[1].share)
-    text = f"{range_text(one)}; rows reach {100 * one.share:.0f} % of the peak"
+    label, peak = min(result.peak_range.items(), key=lambda item: item[1].share)
+    text = f"{range_text(peak)}; rows reach {100 * peak.share:.0f} % of the peak"
     if quantity_of(label) != label:
         text += f" of run {_short(result, label)[len(quantity_of(label)) + 1 : -1]}"
     if more := len(result.peak_range) - 1:
         text += f" ({more} more in fit.json)"
-    if one.worse:
-        text += f"; {', '.join(one.worse)} fit{'s' * (len(one.worse) == 1)} worse"
+    if peak.worse:
+        text += f"; {', '.join(peak.worse)} fit{'s' * (len(peak.worse) == 1)} worse"
     return [(Outcome.SHAPE_DEPENDENT, text)]
 
 
-def range_text(one: PeakRange) -> str:
+def range_text(peak: PeakRange) -> str:
     """The range of the peak as text, with the names of its models."""
-    low, high = (None if end is None else f"{end:.3g}" for end in (one.low, one.high))
+    low, high = (None if end is None else f"{end:.3g}" for end in (peak.low, peak.high))
     span = f"mu {low} to {high}" if low and high else f"mu above {low}" if low else "any mu"
-    return f"{span} over {', '.join(one.models)}"
+    return f"{span} over {', '.join(peak.models)}"
 
 
 def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """Sentences on the effects that the residuals show and the model lacks."""
     columns = result.solved.misfit.columns
-    is_most = sum(one.share for one in columns) > _SYSTEMATIC
+    is_most = sum(column.share for column in columns) > _SYSTEMATIC
     outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
     return [(outcome, f"{column.sentence}{_advice(result, column.column)}") for column in columns]
 
@@ -173,7 +173,7 @@ def effects_to_try(result: FitResult) -> list[str]:
 
 def _advice(result: FitResult, column: str) -> str:
     """Text that advises the better of the tried models, or states why none is better."""
-    tried = [one for one in result.trials if one.column == column]
+    tried = [trial for trial in result.trials if trial.column == column]
     if not tried and column in _WHOLE:
         return "; not tried: a whole Magic Formula (mf61), which has terms for it"
     better = [trial for trial in tried if trial.better]
