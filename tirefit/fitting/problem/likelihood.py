@@ -269,7 +269,8 @@ def steepness(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
 
 def _blocks(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float[Array, " n"]]:
     """:func:`root_deviance` of known forces."""
-    rows, blocks = problem.rows, {}
+    rows = problem.rows
+    blocks: dict[str, Array] = {}
     for channel in problem.channels:
         name = channel.name
         if problem.block_of(channel) == name:
