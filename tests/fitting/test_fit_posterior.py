@@ -98,6 +98,25 @@ def test_an_interrupted_run_keeps_the_steps_before(given, chunk):
     assert np.array_equal(broken.walkers, first.walkers)
 
 
+def test_a_chunk_goes_on_where_the_one_before_ended(given, chunk):
+    run = posterior._Run(0, 16, 10**9, 2 * chunk, None)
+    samples, accepted, outcome = posterior._draw(posterior._density(given.solved), 2, run)
+    assert samples.shape == (4, 2 * chunk, 16, 2) and outcome is Outcome.CHAIN_TOO_SHORT
+    moved = np.any(np.diff(samples, axis=1) != 0, axis=-1)
+    assert accepted == pytest.approx(np.mean(moved), abs=0.01)
+    # A walker whose move is refused stays where it was.
+    assert 0.2 < np.mean(moved[:, chunk - 1]) < 1
+    assert not np.array_equal(samples[:, :chunk], samples[:, chunk:])
+
+
+def test_few_points_at_a_time_give_the_same_density(given, monkeypatch):
+    points = np.random.default_rng(2).standard_normal((24, 2))
+    density = posterior._density(given.solved)
+    one_by_one = np.concatenate([density(point[None]) for point in points])
+    monkeypatch.setattr(posterior, "_AT_ONCE", 5 * 512)  # a program of its own for 24 points
+    np.testing.assert_allclose(density(points), one_by_one, rtol=1e-12)
+
+
 @pytest.mark.parametrize("stage", ["emcee", "importance"])
 def test_an_interrupt_before_any_sample_is_reported(given, monkeypatch, stage):
     def interrupted(*_):

@@ -6,6 +6,7 @@ import pytest
 from recipes import brush_force
 
 from tirefit.fitting.estimate import fit
+from tirefit.fitting.uncertainty import posterior
 from tirefit.fitting.uncertainty.importance import draw_weighted, smoothed
 from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
 from tirefit.report.fit_figures import save_figures
@@ -171,8 +172,6 @@ def test_importance_is_reproduced_by_its_seed_alone(given, weighted):
 
 
 def test_refused_importance_sampling_falls_back_to_emcee_with_a_note(given, chunk, monkeypatch):
-    from tirefit.fitting.uncertainty import posterior
-
     real = draw_weighted
 
     def far(density, *arguments):
@@ -206,7 +205,7 @@ def test_importance_reports_that_it_has_no_trace(weighted, tmp_path):
     assert "k-hat" in text and "no chain" in text and "R-hat" not in text
 
 
-def test_slips_with_noise_are_sampled_by_points_like_a_grid():
+def test_slips_with_noise_are_sampled_by_points_like_a_grid(monkeypatch):
     """Each evaluation integrates over the true slip of every row: a chain takes minutes."""
     generator = np.random.default_rng(3)
     slip = np.linspace(-0.12, 0.12, 60)
@@ -231,3 +230,10 @@ def test_slips_with_noise_are_sampled_by_points_like_a_grid():
     draws = flat(drawn)
     assert np.all(np.abs(draws.mean(axis=0) - mean) < 0.06 * std)  # 4000 draws: 0.016
     np.testing.assert_allclose(draws.std(axis=0), std, rtol=0.06)
+    # A long file is sampled with fewer points.
+    targets = []
+    monkeypatch.setattr(posterior, "_LONG_NOISY", 59)
+    monkeypatch.setattr(posterior, "draw_weighted", lambda *asked: targets.append(asked[4]))
+    with pytest.raises(AttributeError):
+        sample(found)
+    assert targets == [300]

@@ -77,7 +77,8 @@ def extreme(solved: Solved, quantity: Quantity, sign: int) -> float:
     # This target is exact for a linear quantity and a quadratic deviance.
     stride = goal * (std + spread**2 / std) if std <= spread else 0.3 * spread
     z, value, below, inside = solved.z, float(first), -goal, float(first)
-    outside, above = None, 0.0
+    outside: float | None = None
+    above = 0.0
     for _ in range(_SEARCHES):
         if outside is None:
             target, stride = inside + sign * stride, 2 * stride

@@ -230,7 +230,7 @@ def _ensembles(density: Density, size: int, run: _Run) -> list[Any]:
     def log_prob(u: np.ndarray) -> np.ndarray:
         return np.asarray(density(u))
 
-    ensembles = []
+    ensembles: list[Any] = []
     # Full generator states: emcee silently ignores an integer seed.
     for child in np.random.SeedSequence(run.seed).spawn(_ENSEMBLES):
         generator = np.random.RandomState(np.random.MT19937(child))
@@ -251,7 +251,8 @@ def _draw(density: Density, size: int, run: _Run) -> tuple[np.ndarray | None, fl
         Samples (ensembles, steps, walkers, p), None if interrupted before the first ones; the
         share of accepted steps; the outcome.
     """
-    samples, accepted = None, 0.0
+    samples: np.ndarray | None = None
+    accepted = 0.0
     try:
         ensembles = _ensembles(density, size, run)
         while True:
