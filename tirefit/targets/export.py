@@ -196,7 +196,7 @@ def export(
     """
     path = Path(path)
     axles = {"": source, "front": front, "rear": rear}
-    given = {axle: one for axle, one in axles.items() if one is not None}
+    given = {axle: tire for axle, tire in axles.items() if tire is not None}
     problems = unknown_names("--to", [target], TARGETS)
     problems += unknown_names("--convention", [convention], CONVENTIONS)
     if not given or "" in given and len(given) > 1:
@@ -237,11 +237,11 @@ def export(
     if isinstance(chosen, CarFile):
         text, notes = chosen.write(source, vehicle, f"{first}a car for {target}")
         return _written(target, path, Shape((), (), {}), notes, {path: text})
-    tires = {axle: tire_of(cast(TireLike, one), values, diagnosis) for axle, one in given.items()}
+    tires = {axle: tire_of(cast(TireLike, tire), values, diagnosis) for axle, tire in given.items()}
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
-        found = parameter_text(target, tires, path, first, vehicle, over, force)
-        return _written(target, path, *found[1:], {path: found[0]})
+        parts = parameter_text(target, tires, path, first, vehicle, over, force)
+        return _written(target, path, *parts[1:], {path: parts[0]})
     (tire,) = tires.values()
     if chosen.prepare is not None:
         held = chosen.prepare(tire, model, wheel or {})

@@ -195,7 +195,7 @@ def _fields(message: Any, place: str = "") -> Iterator[tuple[str, float]]:
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
             if value.size <= _LONGEST_ARRAY:
                 flat = enumerate(value.reshape(-1))
-                yield from ((f"{path}[{i}]", float(one)) for i, one in flat)
+                yield from ((f"{path}[{i}]", float(number)) for i, number in flat)
         elif hasattr(value, "__dataclass_fields__") and name != "stamp":
             yield from _fields(value, path)
 

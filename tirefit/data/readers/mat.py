@@ -113,12 +113,11 @@ def _plain(value: Any) -> Any:
     if not isinstance(value, np.ndarray):
         return value
     if value.dtype.names:
-        items = [
-            {name: _plain(one[name]) for name in value.dtype.names} for one in value.reshape(-1)
-        ]
+        names = value.dtype.names
+        items = [{name: _plain(item[name]) for name in names} for item in value.reshape(-1)]
         return items[0] if len(items) == 1 else items
     if value.dtype.kind == "O":
-        return [_plain(one) for one in value.reshape(-1)]
+        return [_plain(element) for element in value.reshape(-1)]
     if value.dtype.kind == "U":
         texts = [str(text).rstrip() for text in value.reshape(-1)]
         return texts[0] if len(texts) == 1 else texts

@@ -33,12 +33,12 @@ def with_headings(table: Table, stated: Sequence[str] = ()) -> tuple[Table, dict
     Args:
         stated: headers of x, y, z, w of one more quaternion.
     """
-    found: dict[str, dict[str, int]] = {}
+    components: dict[str, dict[str, int]] = {}
     for place, header in enumerate(table.headers):
         if match := _PART.fullmatch(header.strip()):
-            parts = found.setdefault(match["stem"], {})
+            parts = components.setdefault(match["stem"], {})
             parts[match["part"].lower()] = place
-    whole = {stem: parts for stem, parts in found.items() if len(parts) == 4}
+    whole = {stem: parts for stem, parts in components.items() if len(parts) == 4}
     if stated and set(stated) <= set(table.headers):
         places = [table.headers.index(header) for header in stated]
         whole[f"{stated[3]} "] = dict(zip("xyzw", places, strict=True))

@@ -235,8 +235,9 @@ def _gains(
             turned = agreements(track, motion, vehicle, pair)
             right = {(a.pair.channel, a.pair.words) for a in turned if a.judged[0]}
             if wrong <= right and not any(a.strays or _not_explained([a]) for a in turned):
-                one, other = (columns[name].header for name in pair)
-                remedy = f'exchange them in [columns]: {pair[0]} = "{other}", {pair[1]} = "{one}"'
+                lines = zip(pair, reversed(pair), strict=True)
+                exchanged = ", ".join(f'{a} = "{columns[b].header}"' for a, b in lines)
+                remedy = f"exchange them in [columns]: {exchanged}"
                 yield Deviation(pair, f"{pair[0]} and {pair[1]} are exchanged", remedy)
                 return
     if faults:

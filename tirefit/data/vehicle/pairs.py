@@ -235,12 +235,12 @@ def agreements(
             values = np.prod([of[name] for name in names], axis=0)
             sign = -1 if product.startswith("-") else 1
             terms.append(Term(sign * values, dict(powers), text))
-        own = "yaw_turn" if channel == "yaw" else channel
-        if own in of and terms:
+        compared = "yaw_turn" if channel == "yaw" else channel
+        if compared in of and terms:
             words = words or " + ".join(term.words for term in terms)
             zero = _SENSORS[channel][0] or 0.02 * speed
             exact = channel not in ("yaw", "steering") and words != "v_x r"
-            pair = Pair(channel, words, of[own], tuple(terms), zero, exact)
+            pair = Pair(channel, words, of[compared], tuple(terms), zero, exact)
             estimates.append(_agreement(pair, motion.part, usable, vehicle))
     return [agreement for agreement in estimates if agreement is not None]
 
@@ -345,8 +345,8 @@ def _agreement(
     for turn in range(_ROUNDS):
         along = gains if gains.any() else np.ones(k)  # the gains of a dead channel are 0
         sides = np.column_stack([terms, rates @ along])
-        own = pair.values[rows + shift]
-        fit = instrumented(own, sides[rows], around(sides, rows, step), zero)
+        late = pair.values[rows + shift]
+        fit = instrumented(late, sides[rows], around(sides, rows, step), zero)
         if fit is None:
             return None
         about = np.abs(fit.error - np.median(fit.error))
@@ -359,15 +359,16 @@ def _agreement(
         shift = int(np.clip(shift - rest, -latest, latest))
         gains, rows = fit.theta[:k], rows[good]
     assert fit is not None  # the loop has at least one round
-    near = np.hstack([around(pair.values[:, None], rows + shift, step), np.ones((len(own), 1))])
-    unseen = np.var(own - near @ np.linalg.lstsq(near, own)[0]) / max(np.var(own), _TINY)
-    moves = np.ptp(own) > 0 and np.ptp(own - fit.error) > 0
+    near = np.hstack([around(pair.values[:, None], rows + shift, step), np.ones((len(late), 1))])
+    unseen = np.var(late - near @ np.linalg.lstsq(near, late)[0]) / max(np.var(late), _TINY)
+    moves = np.ptp(late) > 0 and np.ptp(late - fit.error) > 0
     return Agreement(
         pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
         float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
         float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
-        float(1 - unseen), float(np.std(terms[rows].sum(axis=1))), float(np.std(own)),
-        float(np.corrcoef(own, own - fit.error)[0, 1]) if moves else 0.0, len(own), fit.effective,
+        float(1 - unseen), float(np.std(terms[rows].sum(axis=1))), float(np.std(late)),
+        float(np.corrcoef(late, late - fit.error)[0, 1]) if moves else 0.0, len(late),
+        fit.effective,
     )  # fmt: skip
 
 
@@ -416,11 +417,11 @@ def instrumented(
         zero: function of the (k,) factors of the sides that returns the standard
             deviation of the offset, in the unit of the values.
     """
-    one = np.ones((len(values), 1))
+    ones = np.ones((len(values), 1))
     scale = np.concatenate([np.std(sides, axis=0), [1.0]])
     scale[scale == 0] = 1.0
-    columns = np.hstack([sides, one]) / scale
-    instruments = np.hstack([near / np.maximum(np.std(near, axis=0), _TINY), one])
+    columns = np.hstack([sides, ones]) / scale
+    instruments = np.hstack([near / np.maximum(np.std(near, axis=0), _TINY), ones])
     seen = instruments @ np.linalg.lstsq(instruments, columns)[0]
     curvature, slope = seen.T @ columns, seen.T @ values
     prior = np.zeros_like(curvature)
@@ -453,6 +454,6 @@ def instrumented(
     # for noise and for a combination of the others (Sanderson, Windmeijer).
     for k in range(sides.shape[1]):
         part = np.linalg.lstsq(np.delete(seen, k, axis=1), seen[:, k])[0]
-        own, whole = (each[:, k] - np.delete(each, k, axis=1) @ part for each in (seen, columns))
-        shares.append(float(np.mean(own**2) / max(np.mean(whole**2), _TINY)))
+        kept, whole = (each[:, k] - np.delete(each, k, axis=1) @ part for each in (seen, columns))
+        shares.append(float(np.mean(kept**2) / max(np.mean(whole**2), _TINY)))
     return Fit(theta / scale, std / scale, np.array(shares), count, values - columns @ theta)
