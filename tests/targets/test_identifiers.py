@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tirefit
-from tirefit.targets.identifiers import reserved
+from tirefit.targets.export import reserved
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 

@@ -1,6 +1,9 @@
 """Export a fitted tire as a file of another program: :func:`export`."""
 
+import builtins
+import keyword
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,7 +28,6 @@ from tirefit.targets.code import (
     mujoco_source,
     numpy_source,
 )
-from tirefit.targets.identifiers import reserved
 from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
 from tirefit.targets.refit import check_loss, over_problems
 from tirefit.targets.shape import Shape, shape_of
@@ -35,6 +37,22 @@ from tirefit.targets.tire import Tire, tire_of
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
     from tirefit.vehicle.trajectory import TrajectoryFit
+
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
+"""CasADi and C++ reserve two underscores in a row, C and Python one at the beginning. One at
+the end and that of ``_jacobian`` would be two in a row."""
+
+_C_NAMES = frozenset(
+    name
+    for line in Path(__file__).with_name("c_names.txt").read_text("ascii").splitlines()
+    if not line.startswith("#")
+    for name in line.split()
+)
+"""Keywords and macros of C and C++, and names in math.h, which the file includes."""
+
+_IN_FILES = frozenset("np ca jax jnp base64 null jac hess tirefit_real sysid_parameters".split())
+"""Names with another meaning in exported files; CasADi reserves null, jac and hess."""
 
 
 class Target(NamedTuple):
@@ -254,6 +272,23 @@ def export(
     texts = {chosen.ending: text} if isinstance(text, str) else text
     files = {path.with_suffix(end): each for end, each in texts.items()}
     return _written(target, path, shape, tire.notes, files)
+
+
+def reserved(name: str) -> str:
+    """Why a function in an exported file cannot have this name; empty if it can.
+
+    The function is written into C headers, which include ``math.h``, and Python modules.
+    """
+    if not _NAME.fullmatch(name):
+        return "it is not letters and digits, with single underscores between them"
+    if not re.search("[a-z]", name):
+        return "it has no lower-case letter, like a macro of C"
+    stem = re.sub("(f[0-9]+x?|f|l)$", "", name)  # sinf, sinl and sinf64x are of the type
+    if {name, stem} & _C_NAMES:
+        return "C has this name"
+    if keyword.iskeyword(name) or hasattr(builtins, name) or name in _IN_FILES:
+        return "Python or the exported file has this name"
+    return ""
 
 
 def _drafted(

@@ -210,15 +210,9 @@ class Agreement:
 # --- the pairs of a log ---------------------------------------------------------
 
 
-def agreements(
-    track: Track, motion: Motion, vehicle: Vehicle, swapped: tuple[str, str] | None = None
-) -> list[Agreement]:
-    """The estimates of all pairs of the log with enough samples.
-
-    Args:
-        swapped: two channels to exchange.
-    """
-    of, usable = _signals(track, motion, vehicle, swapped)
+def agreements(track: Track, motion: Motion, vehicle: Vehicle) -> list[Agreement]:
+    """The estimates of all pairs of the log with enough samples."""
+    of, usable = _signals(track, motion, vehicle)
     if not usable.any():
         return []
     speed = float(np.sqrt(np.mean(of["speed"][usable] ** 2)))
@@ -246,7 +240,7 @@ def agreements(
 
 
 def _signals(
-    track: Track, motion: Motion, vehicle: Vehicle, swapped: tuple[str, str] | None
+    track: Track, motion: Motion, vehicle: Vehicle
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Channels, and signals that follow from them -> values (n,), low-passed, NaN where they are
     not known; and which samples (n,) bool can be compared: in motion, away from edges."""
@@ -254,8 +248,6 @@ def _signals(
     slow = slowed(motion.logged, motion, vehicle)
     slow[np.abs(unknown) > 1e-3] = np.nan  # weight of unknown samples in a low-passed one
     of = {c.quantity: values for c, values in zip(track.channels, slow.T.copy(), strict=True)}
-    if swapped is not None:
-        of |= {swapped[0]: of[swapped[1]], swapped[1]: of[swapped[0]]}
     last_row = np.searchsorted(track.time, motion.time, side="right") - 1
     usable = (motion.within >= SLOWER * vehicle.filter.settling) & track.active[last_row]
 

@@ -6,8 +6,8 @@ acceleration by :math:`x \\dot r`. At moderate slip
 :math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
 c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
 :mod:`tirefit.data.vehicle.pairs`, values before and after a row are its instruments, and
-standard errors use the effective number of rows. The signals of a pose are low-passed at
-half the filter's cutoff, as noise that is differentiated twice may hide the force. A wrong
+standard errors use the effective number of rows. The signals of a pose are low-passed further,
+as noise that is differentiated twice may hide the force (:data:`_PER_WHEELBASE`). A wrong
 yaw inertia, a delay and another place of the accelerometer act alike: the message names them.
 """
 
@@ -87,9 +87,10 @@ _ON_CAR = (-0.5, 1.5)  # positions on a car [wheelbases ahead of the rear axle]
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
-_SLOWER_POSE = 2.0
-"""Factor on the cutoff of a pose: with 1, noise of 2 cm hides the force of a full-size car at
-12 m/s; with 5, no content is left in logs of 1:10 cars."""
+_PER_WHEELBASE = 0.2
+"""Highest frequency of the signals of a pose, in wheelbases travelled: the motion of a car is
+slower, and above it noise that is differentiated twice hides the force. With 0.5, noise of
+2 cm hides that of a full-size car; with 0.15, a log of a 1:10 car has too few rows."""
 
 
 class PointCheck(NamedTuple):
@@ -218,17 +219,19 @@ class _Lines(NamedTuple):
 
 def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Lines | None:
     """The lines of the filtered signals; None if too few rows are known."""
+    if not kept.any():
+        return None
     small = 0.01 * vehicle.wheelbase
     alpha, force, _ = slip_and_force(motion, vehicle)
     alphas, forces, _ = slip_and_force(*further_ahead(motion, vehicle, small))
     slopes = (np.tan(alphas) - np.tan(alpha)) / small, (forces - force) / small
     signals = np.stack([np.tan(alpha), force, *slopes], axis=1)
-    if kept.any():  # values of other rows, as at standstill, are arbitrary
-        low, high = np.nanmin(signals[kept], axis=0), np.nanmax(signals[kept], axis=0)
-        signals = np.clip(signals, low, high)
+    # Values of other rows, as at standstill, are arbitrary.
+    signals = np.clip(signals, np.nanmin(signals[kept], axis=0), np.nanmax(signals[kept], axis=0))
     slower = 1.0
     if vehicle.columns.motion == POSE:
-        slower = _SLOWER_POSE
+        highest = _PER_WHEELBASE * float(np.median(motion.v_x[kept])) / vehicle.wheelbase
+        slower = max(1.0, vehicle.filter.cutoff / highest)
         signals = slowed(signals, motion, vehicle, slower)
         kept = kept & (motion.within >= slower * vehicle.filter.settling)
     step = max(1, round(slower * vehicle.filter.sample_rate / vehicle.filter.cutoff))

@@ -165,12 +165,9 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
 
     If the yaw of the vehicle is a quaternion, it is replaced by the column of its heading.
     """
-    given = vehicle.columns.model_dump(exclude={"yaw"}).values()
-    stated = vehicle.columns.yaw or ""
-    parts = stated if isinstance(stated, list) else []
-    yaw = stated if isinstance(stated, str) else stated[0]
-    wanted = [n for n in (*given, *(parts or [yaw]), vehicle.keep.active) if n]
-    table, headings = with_headings(read_table(path, wanted), parts)
+    yaw = vehicle.columns.yaw or ""
+    wanted = [n for n in (*vehicle.columns.model_dump().values(), vehicle.keep.active) if n]
+    table, headings = with_headings(read_table(path, wanted))
     if yaw in headings:
         columns = vehicle.columns.model_copy(update={"yaw": headings[yaw]})
         vehicle = vehicle.model_copy(update={"columns": columns})
