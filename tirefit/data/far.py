@@ -50,7 +50,7 @@ def far_values(data: TireData, columns: Iterable[str] = FAR_COLUMNS) -> tuple[Fa
     rows = np.flatnonzero(data.used)
     if len(rows) < _FEWEST:
         return ()
-    values_far = {}
+    values_far: dict[tuple[int, str], FarValue] = {}
     for column in (column for column in columns if column in data):
         values = data.usable(column)
         if not np.all(np.isfinite(values)):

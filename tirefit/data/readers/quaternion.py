@@ -29,12 +29,12 @@ def with_headings(table: Table) -> tuple[Table, dict[str, str]]:
     Rows without a component, or with a norm that is not 1, are NaN and are counted in
     the notes. If no header means a heading, the column of a single quaternion does.
     """
-    components: dict[str, dict[str, int]] = {}
+    places_of: dict[str, dict[str, int]] = {}
     for place, header in enumerate(table.headers):
         if match := _PART.fullmatch(header.strip()):
-            parts = components.setdefault(match["stem"], {})
+            parts = places_of.setdefault(match["stem"], {})
             parts[match["part"].lower()] = place
-    whole = {stem: parts for stem, parts in components.items() if len(parts) == 4}
+    whole = {stem: parts for stem, parts in places_of.items() if len(parts) == 4}
     known = any((g := guess(header)) and g.name == "heading" for header in table.headers)
     named: dict[str, str] = {}
     for stem, parts in whole.items():

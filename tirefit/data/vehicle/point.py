@@ -87,10 +87,10 @@ _ON_CAR = (-0.5, 1.5)  # positions on a car [wheelbases ahead of the rear axle]
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
-_PER_WHEELBASE = 0.2
-"""Highest frequency of the signals of a pose, in wheelbases travelled: the motion of a car is
-slower, and above it noise that is differentiated twice hides the force. With 0.5, noise of
-2 cm hides that of a full-size car; with 0.15, a log of a 1:10 car has too few rows."""
+_PER_WHEELBASE = 0.3
+"""Highest frequency of the signals of a pose [cycles per wheelbase travelled]: the motion of a car
+is slower, and above it noise that is differentiated twice hides the force. With 0.5, noise of 2 cm
+hides that of a full-size car; with 0.15, a log of a 1:10 car has too few independent rows."""
 
 
 class PointCheck(NamedTuple):
