@@ -118,3 +118,13 @@ def test_a_fit_of_the_derived_file_names_the_vehicle_file(tmp_path):
     (problem,) = caught.value.problems
     assert "correct tracked_point" in problem.remedy and "vehicle.toml" in problem.remedy
     assert "--convention" not in f"{problem}"
+
+
+def test_the_point_of_a_pose_does_not_depend_on_the_cutoff(tmp_path):
+    """At 5 Hz the noise of the pose would hide the force; both are 1.5 m, the truth."""
+    log = log_at(tmp_path, 0.0, SLOW["noise of 2 cm"])
+    (low, std), (high, _) = (
+        derive(log, vehicle(tmp_path, cutoff=cutoff)).point.estimate for cutoff in (2.0, 5.0)
+    )
+    assert low == pytest.approx(high, abs=0.2 * std)
+    assert low == pytest.approx(CAR.l_r, abs=3 * std) and std < 0.08

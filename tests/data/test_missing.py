@@ -6,7 +6,6 @@ from scipy.io import savemat
 
 import tirefit
 from tirefit.data.read import read, read_frame
-from tirefit.data.write import csv_text
 from tirefit.results import DataError
 
 N = 80
@@ -167,13 +166,6 @@ def test_the_name_of_a_run_may_be_missing():
     data = read_frame(COLUMNS | {"run": names})
     np.testing.assert_array_equal(data.used, np.arange(N) != 40)
     assert "'run' in row 40" in data.source.warnings[0]
-
-
-def test_tables_that_tirefit_wrote_beside_its_results_are_named(tmp_path):
-    rows = {"base_fy": SLIP, "gap_fy": SLIP, "masked": np.zeros(N, int)}
-    (tmp_path / "a.rows.csv").write_text(csv_text(rows))
-    with pytest.raises(DataError, match="table of rows of tirefit diagnose"):
-        read(tmp_path / "a.rows.csv")
 
 
 @pytest.mark.parametrize("name", ["fx", "mz", "gamma", "omega", "v", "kappa", "temperature", "run"])

@@ -44,7 +44,7 @@ def test_a_reference_point_too_far_behind_is_refused(tmp_path):
     (problem,) = caught.value.problems
     assert "the lateral force acts in the direction of the" in problem.reason
     assert problem.file.endswith("10_02_28.csv.gz")
-    assert "tracked_point = [0.114, -0.01]" in problem.remedy
+    assert "tracked_point = [0.113, -0.01]" in problem.remedy
 
 
 def moved(log, ahead):

@@ -7,7 +7,7 @@ from test_motion import CAR, KEEP, POSE, pose_log, vehicle, write_log
 
 from tirefit.data.read import read
 from tirefit.data.vehicle.derive import derive
-from tirefit.results import DataError, UsageError
+from tirefit.results import DataError
 
 SPELLINGS = {
     "q{}": "yaw",
@@ -78,22 +78,6 @@ def test_the_only_quaternion_of_a_table_gives_the_heading(tmp_path):
     own = columns | {"heading": 0 * columns["t"] + 0.5}
     data = read(write_log(tmp_path / "b.csv", own), curve=False)
     assert np.all(data["heading"] == 0.5)
-
-
-def test_quaternion_components_can_be_named_in_order(tmp_path):
-    log = quaternion_log("e{}")
-    for part, number in zip("wxyz", "0123", strict=True):
-        log[f"euler {number}"] = log.pop(f"e{part}")
-    path = write_log(tmp_path / "a.csv", log)
-    text = CAR + POSE.replace('"psi"', '["euler 1", "euler 2", "euler 3", "euler 0"]')
-    found = derive(path, vehicle(tmp_path, text + KEEP))
-    sound = derive(write_log(tmp_path / "b.csv", pose_log()), settings(tmp_path, "psi"))
-    np.testing.assert_allclose(found.columns["alpha"], sound.columns["alpha"], atol=1e-6)
-    text = text.replace("euler 3", "euler 9")
-    with pytest.raises(DataError, match="'euler 9': the column is missing"):
-        derive(path, vehicle(tmp_path, text + KEEP))
-    with pytest.raises(UsageError, match=r"columns\.yaw"):
-        vehicle(tmp_path, text.replace('"euler 9", ', "") + KEEP)
 
 
 def test_three_components_are_no_quaternion(tmp_path):

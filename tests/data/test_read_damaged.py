@@ -17,6 +17,7 @@ from test_read_kinds import (
 )
 
 from tirefit.data.read import read
+from tirefit.data.readers.extras import readable
 from tirefit.results import DataError
 
 MADE = {
@@ -71,3 +72,16 @@ def test_an_unclosed_quotation_mark_is_reported(tmp_path, text):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(DataError, match="quotation mark is not closed"):
         read(tmp_path / "a.csv")
+
+
+def test_an_error_of_a_reading_library_becomes_one_with_a_remedy():
+    with pytest.raises(DataError) as caught:
+        with readable("bag", "a.mcap", "record it again"):
+            raise KeyError("topic")
+    (problem,) = caught.value.problems
+    assert problem.reason == "the bag cannot be read: KeyError: 'topic'"
+    assert (problem.file, problem.remedy) == ("a.mcap", "record it again")
+    with pytest.raises(DataError, match="too large") as caught:  # has a remedy of its own
+        with readable("bag", "a.mcap", "record it again"):
+            raise DataError("too large", "split it", "a.mcap")
+    assert caught.value.problems[0].remedy == "split it"

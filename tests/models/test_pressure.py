@@ -267,32 +267,20 @@ def test_a_density_that_is_no_pressure_is_refused(density, message):
 
 
 @pytest.mark.parametrize(
-    ("text", "problems"),
+    ("xi", "density", "problems"),
     [
-        ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "not a finite number")]),
-        ("x,p\n-1,0\n", [(None, "no field of name xi")]),
+        ([-1, 0, 1], [0, 1, np.nan], [("point 2", "not a finite number")]),
         (
-            "xi,density\n-1,0\n0,-1\n0,1\n",
-            [(3, "negative"), (4, "not increase"), (4, "not go from -1 to 1")],
+            [-1, 0, 0],
+            [0, -1, 1],
+            [("point 1", "negative"), ("point 2", "not increase"), ("point 2", "not go from -1")],
         ),
-        ("xi,density\n-1,0\n", [(None, "not two columns")]),
-        ("xi,density\n-1,0\n0.5,1\n0.8,0.1\n1,0.1\n", [(None, "falls at xi")]),
+        ([-1], [0], [("", "not two columns")]),
+        ([-1, 0.5, 0.8, 1], [0, 1, 0.1, 0.1], [("", "falls at xi")]),
     ],
 )
-def test_a_wrong_table_is_refused_with_file_and_row(tmp_path, text, problems):
-    file = tmp_path / "patch.csv"
-    file.write_text(text)
+def test_a_wrong_table_is_refused_with_its_point(xi, density, problems):
     with pytest.raises(UsageError) as error:
-        Tabulated.from_csv(file)
-    for found, (row, reason) in zip(error.value.problems, problems, strict=True):
-        assert (found.file, found.row) == (str(file), row)
-        assert reason in found.reason and found.remedy
-
-
-def test_a_table_is_read_from_a_file(tmp_path):
-    file = tmp_path / "patch.csv"
-    file.write_text("density, xi\n0.0, -1\n1.0, -0.8\n1.0, 0.8\n0.0, 1\n")
-    from_file, given = Tabulated.from_csv(file), Tabulated.from_table(KNOTS, trapezoid(KNOTS))
-    np.testing.assert_allclose(from_file.load, given.load, atol=1e-15)
-    with pytest.raises(UsageError, match="cannot read the columns"):
-        Tabulated.from_csv(tmp_path / "missing.csv")
+        Tabulated.from_table(xi, density)
+    for found, (point, reason) in zip(error.value.problems, problems, strict=True):
+        assert point in found.reason and reason in found.reason and found.remedy

@@ -46,23 +46,6 @@ _MISSING = (_EMPTY, _NOT_A_NUMBER, NO_VALUE, NO_RUN)
 """Rules that cells without a value break: their rows are excluded, not refused."""
 
 
-_OWN_TABLES = {
-    frozenset(("segment", "first_line", "last_line", "kept")): (
-        "the table of segments that tirefit prepare writes beside the rows to fit",
-        "give NAME.csv, not NAME.segments.tsv",
-    ),
-    frozenset(("masked",)): (
-        "the table of rows of tirefit diagnose: forces of models, not measurements",
-        "give the file that was diagnosed, not NAME.rows.csv",
-    ),
-    frozenset(("controller", "seed", "stopping_distance")): (
-        "the table of stops of tirefit brake",
-        "give series.csv, which has every sample",
-    ),
-}
-"""Headers of a table that tirefit wrote beside its results -> what it is, and the remedy."""
-
-
 class BadRows(NamedTuple):
     """Rows that break one rule in one column."""
 
@@ -232,9 +215,6 @@ def check_columns(
     problems: list[InputProblem] = []
     has_slip = {"alpha", *SLIP_DEFINITIONS} & set(columns)
     has_force = {"fx", "fy", "mz"} & set(columns)
-    for own, (what, remedy) in {} if has_slip and has_force else _OWN_TABLES.items():
-        if own <= set(headers):
-            return [InputProblem(f"this is {what}", remedy, file)]
     # A log may have a sideslip angle that is read as alpha, so look for a force.
     no_tire = not has_slip or (forces and "fz" not in columns)
     if no_tire and not (has_force or idle):

@@ -75,22 +75,22 @@ class Options(NamedTuple):
             columns: those that are read.
             file: named in the problem.
         """
-        own, row = layout.convention, layout.stated_in
+        stated, row = layout.convention, layout.stated_in
         by_file = f"stated in line {row}" if row else "by the layout of the file"
         model, whose = self.otherwise or ("braking", "")
         if self.convention is None:
-            if own is None:
+            if stated is None:
                 assumed = f"assumed, that of {whose}" if whose else "assumed"
                 return Signs(model, assumed, is_declared=False)
-            unused = f", not as {model!r} of {whose}" if whose and model != own else ""
-            return Signs(own, by_file + unused)
-        if own in (None, self.convention):
+            unused = f", not as {model!r} of {whose}" if whose and model != stated else ""
+            return Signs(stated, by_file + unused)
+        if stated in (None, self.convention):
             return Signs(self.convention, "as declared")
-        declared = Signs(self.convention, f"as declared, not {own!r} ({by_file})")
-        turned = [n for n in columns if sign_of(own, n) != sign_of(self.convention, n)]
+        declared = Signs(self.convention, f"as declared, not {stated!r} ({by_file})")
+        turned = [n for n in columns if sign_of(stated, n) != sign_of(self.convention, n)]
         if not (row and turned):
             return declared
-        reason = f"--convention {self.convention} contradicts the file, which states {own!r}:"
+        reason = f"--convention {self.convention} contradicts the file, which states {stated!r}:"
         reason += f" {', '.join(turned)} would have the other sign"
         remedy = f"leave out --convention (or [data] convention), or correct line {row}"
         return declared._replace(problems=(InputProblem(reason, remedy, file, row),))

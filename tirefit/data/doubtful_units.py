@@ -1,6 +1,6 @@
 """Warnings on columns that were probably read in another unit than they are in."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -29,72 +29,70 @@ def doubt_units(
         headers: the header of each column in the file.
         plan: how each column was read.
     """
-    return _of_forces(columns, headers) + _of_slips(columns, plan)
+    if "fz" not in columns:
+        return []
+    return [*_of_forces(columns, headers), *_of_slips(columns, plan)]
 
 
-def _of_forces(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -> list[str]:
+def _of_forces(columns: Mapping[str, np.ndarray], headers: Mapping[str, str]) -> Iterator[str]:
     """Warnings on forces that no tire has at its load.
 
     Force over load is some 5 to 30 times the slip until the tire slides, then about the
     friction. If the 99th percentile is out of ``_SHARES``, a unit is wrong. A small
     force is not reported if the slips are small as well.
     """
-    messages = []
+    low, high = _SHARES
     for force, slip, least in _LEAST_SLIP:
-        if force not in columns or "fz" not in columns:
+        if force not in columns:
             continue
-        share = np.percentile(abs(columns[force]) / columns["fz"], 99)
-        slips = slip in columns and np.percentile(abs(columns[slip]), 99) > least
-        name = repr(headers.get(force, force))
-        low, high = _SHARES
+        share = _high(columns[force] / columns["fz"])
         if share > high:
             mended, column = share / 1000, "fz"
-            much, why = f"{share:.0f} times the load", "which no tire has"
-        elif share < low and slips:
+            much = f"{share:.0f} times the load, which no tire has"
+        elif share < low and slip in columns and _high(columns[slip]) > least:
             mended, column = share * 1000, force
-            much = f"only {share:.2g} of the load"
-            why = "too little at these slips"
+            much = f"only {share:.2g} of the load, too little at these slips"
         else:
             continue
         remedy = f"check the units of {force} and fz"
         possible = column != "fz" or np.median(columns["fz"]) < _HEAVIEST
         if 10 * low < mended < high and possible:
-            where = headers.get(column, f"--constant {column}")
-            remedy = f"if {where!r} is in kN, pass --unit {column}=kN"
-            if column not in headers:
-                remedy = f"give {where} in N, not in kN"
-        messages.append(
-            f"{name} reaches {much}, {why}: the unit of one of the two is probably wrong"
-            f" (kN read as N?); {remedy}"
+            remedy = f"give --constant {column} in N, not in kN"
+            if column in headers:
+                remedy = f"if {headers[column]!r} is in kN, pass --unit {column}=kN"
+        yield (
+            f"{headers.get(force, force)!r} reaches {much}: the unit of one of the two is probably"
+            f" wrong (kN read as N?); {remedy}"
         )
-    if {"mz", "fz"} <= set(columns):
-        arm = np.percentile(abs(columns["mz"]) / columns["fz"], 99)
-        if arm > _LONGEST_ARM:
-            name = repr(headers.get("mz", "mz"))
-            messages.append(
-                f"{name} reaches {arm:.2g} m times the load, an arm that no tire has: one of the"
-                " two is in another unit than it was read in; check the units of mz and of the"
-                " forces (--unit fz=kN, --unit mz=Nmm)"
-            )
-    return messages
+    arm = _high(columns["mz"] / columns["fz"]) if "mz" in columns else 0.0
+    if arm > _LONGEST_ARM:
+        yield (
+            f"{headers.get('mz', 'mz')!r} reaches {arm:.2g} m times the load, an arm that no tire"
+            " has: one of the two is in another unit than it was read in; check the units of mz"
+            " and of the forces (--unit fz=kN, --unit mz=Nmm)"
+        )
 
 
-def _of_slips(columns: Mapping[str, np.ndarray], plan: Plan) -> list[str]:
+def _high(values: np.ndarray) -> float:
+    """The largest size, but for one row in a hundred."""
+    return float(np.percentile(abs(values), 99))
+
+
+def _of_slips(columns: Mapping[str, np.ndarray], plan: Plan) -> Iterator[str]:
     """Warnings on slips that are too small for their forces, as if in a larger unit.
 
     Slips that the force hardly follows are about zero, and not judged.
     """
-    messages = []
     for force, slip, _ in _LEAST_SLIP:
         column = plan.columns.get((plan.slip or "") if slip == "sigma_x" else slip)
-        if column is None or not {force, slip, "fz"} <= set(columns):
+        if column is None or not {force, slip} <= set(columns):
             continue
         near = abs(columns[slip]) < LOCKED
         if not near.any():
             continue
         share, size = (columns[force] / columns["fz"])[near], columns[slip][near]
         together = abs(np.mean((share - np.mean(share)) * (size - np.mean(size))))
-        most, largest = (np.percentile(abs(values), 99) for values in (share, size))
+        most, largest = _high(share), _high(size)
         if most <= _STEEPEST * largest or together <= _FOLLOWED * np.std(share) * np.std(size):
             continue
         remedy = f"check the units of {column.name} and {force}"
@@ -102,8 +100,7 @@ def _of_slips(columns: Mapping[str, np.ndarray], plan: Plan) -> list[str]:
             larger = "-" * (column.unit.scale < 0) + CANONICAL[slip][0]
             remedy = f"if it is in {larger}, pass --unit {column.name}={larger}"
         unit = column.unit_text or CANONICAL[slip][0]
-        messages.append(
+        yield (
             f"{column.header!r}, read in {unit}, is too small for {force}: force over load"
             f" reaches {most / largest:.0f} times the slip, which no tire does; {remedy}"
         )
-    return messages

@@ -111,13 +111,13 @@ class Inspection:
         for support in self.supports:
             answer = "yes" if support.possible else "no "
             lines += _wrap(f"{answer} {support.fit}: {support.reason}", "      ")
-        far = [*self.far_rows[:_FAR_ROWS]]
-        if more := len(self.far_rows) - len(far):
-            far.append(f"and {more} more: --json lists them")
+        outliers = [*self.far_rows[:_FAR_ROWS]]
+        if more := len(self.far_rows) - len(outliers):
+            outliers.append(f"and {more} more: --json lists them")
         for title, messages in (
             ("warnings", self.warnings),
             ("what was assumed", self.assumptions),
-            ("outliers (a fit decides itself which of them to exclude)", far),
+            ("outliers (a fit decides itself which of them to exclude)", outliers),
             ("masked rows", self.masked),
         ):
             if messages:

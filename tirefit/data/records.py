@@ -78,7 +78,7 @@ _NOTHING = Row("", "", None, identified=False)
 
 
 class _Writer:
-    """Columns that collect rows and write them in groups."""
+    """Rows that are collected and written in groups."""
 
     def __init__(self, path: Path, name: str):
         pyarrow = extra("pyarrow", "the table of results", name, "cluster", "writing")
@@ -87,26 +87,23 @@ class _Writer:
         fields |= dict.fromkeys(_TEXTS, pyarrow.string())
         fields |= dict.fromkeys(_NUMBERS, pyarrow.float64())
         fields |= {"identified": pyarrow.bool_(), "seed": pyarrow.int64()}
-        self.table, self.schema = pyarrow.table, pyarrow.schema(fields.items())
+        self.table, self.schema = pyarrow.Table.from_pylist, pyarrow.schema(fields.items())
         self.file = parquet.ParquetWriter(path, self.schema, compression="zstd")
-        self.columns: dict[str, list[Any]] = {name: [] for name in fields}
+        self.rows: list[dict[str, Any]] = []
         self.number = 0
 
     def add(self, record: FileRecord) -> None:
         """Add the rows of the next file."""
         self.number += 1
-        whole = {"number": self.number} | {
-            name: getattr(record, name) for name in (*_TEXTS, "seed") if hasattr(record, name)
-        }
-        for row in record.rows or (_NOTHING,):
-            for name, value in (whole | row._asdict()).items():
-                self.columns[name].append(value)
-        if len(self.columns["number"]) >= _GROUP:
+        whole = {name: getattr(record, name, None) for name in (*_TEXTS, "seed")}
+        whole["number"] = self.number
+        self.rows += [whole | row._asdict() for row in record.rows or (_NOTHING,)]
+        if len(self.rows) >= _GROUP:
             self.flush()
 
     def flush(self) -> None:
-        self.file.write_table(self.table(self.columns, schema=self.schema))
-        self.columns = {name: [] for name in self.columns}
+        self.file.write_table(self.table(self.rows, schema=self.schema))
+        self.rows.clear()
 
 
 @contextmanager

@@ -48,14 +48,14 @@ def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
     pieces = [re.findall(r"[^\W_]+|[\W_]+", name) or [name] for name in names]
     # The own part begins at a word, and one earlier if it is a number.
     first = _shared(pieces)
-    if any(not one[first][:1].isalnum() for one in pieces):
+    if any(not parts[first][:1].isalnum() for parts in pieces):
         first = max(first - 1, 0)
-    if all(one[first].isdigit() for one in pieces):
+    if all(parts[first].isdigit() for parts in pieces):
         first = max(first - 2, 0)
-    own = [piece[first:] for piece in pieces]
-    last = _shared([one[::-1] for one in own])
-    rest = ["".join(one[: len(one) - last]) for one in own]
-    return "".join(pieces[0][:first]), rest, "".join(own[0][len(own[0]) - last :])
+    tails = [piece[first:] for piece in pieces]
+    last = _shared([tail[::-1] for tail in tails])
+    differing = ["".join(tail[: len(tail) - last]) for tail in tails]
+    return "".join(pieces[0][:first]), differing, "".join(tails[0][len(tails[0]) - last :])
 
 
 def _of_bins(names: tuple[str, ...]) -> RunNames | None:
@@ -63,13 +63,13 @@ def _of_bins(names: tuple[str, ...]) -> RunNames | None:
     words = [name.split(" ") for name in names]
     if len(set(map(len, words))) > 1:
         return None
-    own = [len(set(column)) > 1 for column in zip(*words, strict=True)]
-    short = [" ".join(itertools.compress(one, own)) for one in words]
-    numbers = all(_NUMBER.fullmatch(word) for one in short for word in one.split(" "))
+    differs = [len(set(column)) > 1 for column in zip(*words, strict=True)]
+    short = [" ".join(itertools.compress(parts, differs)) for parts in words]
+    numbers = all(_NUMBER.fullmatch(word) for name in short for word in name.split(" "))
     if not numbers or len(set(short)) < len(names) or max(map(len, short)) > LONGEST:
         return None
-    shown = zip(words[0], own, strict=True)
-    return RunNames(tuple(short), " ".join("*" if own else word for word, own in shown))
+    shown = zip(words[0], differs, strict=True)
+    return RunNames(tuple(short), " ".join("*" if differs else word for word, differs in shown))
 
 
 @lru_cache(maxsize=64)
@@ -93,7 +93,7 @@ def run_names(names: Sequence[str]) -> RunNames:
 def label_of_run(label: str, runs: Sequence[str]) -> str:
     """``mu[run]`` with the short name of the run; other labels unchanged."""
     name, bracket, run = label.partition("[")
-    whole = [str(one) for one in runs]
+    whole = [str(run) for run in runs]
     if not bracket or run[:-1] not in whole:
         return label
     return f"{name}[{run_names(whole).short[whole.index(run[:-1])]}]"

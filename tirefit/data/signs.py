@@ -200,11 +200,11 @@ def _remedy(
         ways.append(
             f"if the sign of F_z was turned: --convention {both} --unit fz=-{units.get('fz', 'N')}"
         )
-    own = "gamma" if item.columns[0] == "gamma" else item.columns[1]
-    if own in (*_ALONE, "gamma") and len(item.fields) == 2:
-        unit = units.get(own) or _ALONE.get(own, "deg")
+    name = "gamma" if item.columns[0] == "gamma" else item.columns[1]
+    if name in (*_ALONE, "gamma") and len(item.fields) == 2:
+        unit = units.get(name) or _ALONE.get(name, "deg")
         flipped = unit[1:] if unit.startswith("-") else f"-{unit}"
-        ways.append(f"if the sign of {own} alone differs: --unit {own}={flipped}")
+        ways.append(f"if the sign of {name} alone differs: --unit {name}={flipped}")
     return "; ".join(ways) or "check --convention"
 
 

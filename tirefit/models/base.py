@@ -136,7 +136,7 @@ def forces(
         raise ValueError("inputs must be scalars or one-dimensional arrays")
     shape = jnp.broadcast_shapes(*(array.shape for array in arrays))
     arrays.append(numbers.asarray(run, int))
-    *columns, runs = (jnp.asarray(numbers.broadcast_to(one, shape or (1,))) for one in arrays)
+    *columns, runs = (jnp.asarray(numbers.broadcast_to(array, shape or (1,))) for array in arrays)
     batch = TireInputs(*columns)
     result = _batched(model, batch, runs)
     return result if shape else jax.tree.map(lambda array: array[0], result)

@@ -5,7 +5,6 @@ polynomials, and the bristle that breaks away is the crossing of two straight li
 """
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +31,8 @@ class Tabulated(AbstractPressure):
 
     A brush with it becomes a model to fit under a name of your choice::
 
-        law = Tabulated.from_csv("patch.csv")
+        xi, density = np.loadtxt("patch.csv", delimiter=",", skiprows=1, unpack=True)
+        law = Tabulated.from_table(xi, density)
         tirefit.MODELS["mine"] = Brush(pressure=law)
         tirefit.fit(data, "mine")
 
@@ -78,13 +78,12 @@ class Tabulated(AbstractPressure):
         return cls.from_table(xi, value)
 
     @classmethod
-    def from_table(cls, xi: ArrayLike, density: ArrayLike, file: str = "") -> "Tabulated":
+    def from_table(cls, xi: ArrayLike, density: ArrayLike) -> "Tabulated":
         """The law of a density that is linear between points, (n,) each.
 
         Args:
             xi: x/a from -1, the trailing edge, to 1, the leading edge; increasing.
             density: pressure there, any positive scale.
-            file: where they came from, for messages; its header is line 1.
 
         Raises:
             UsageError: as :meth:`from_function`; points not rising from -1 to 1.
@@ -92,7 +91,7 @@ class Tabulated(AbstractPressure):
         xi, density = np.asarray(xi, float), np.asarray(density, float)
         if xi.ndim != 1 or xi.shape != density.shape or len(xi) < 2:
             reason = f"xi {xi.shape} and density {density.shape} are not two columns"
-            raise UsageError(reason, "give two columns of at least two rows", file)
+            raise UsageError(reason, "give two columns of at least two rows")
         ends = np.zeros(len(xi), bool)
         ends[[0, -1]] = abs(xi[0] + 1) > _JUMP, abs(xi[-1] - 1) > _JUMP
         rows = (
@@ -105,13 +104,13 @@ class Tabulated(AbstractPressure):
         for wrong, reason, remedy in rows:
             if wrong.any():
                 k = int(wrong.argmax())
-                row = k + 2 if file else None
-                problems.append(InputProblem(f"{reason} at xi = {xi[k]:.4g}", remedy, file, row))
+                where = f"{reason} at xi = {xi[k]:.4g} (point {k})"
+                problems.append(InputProblem(where, remedy))
         UsageError.raise_for(problems)
-        return cls._of(1 + xi, density, file)
+        return cls._of(1 + xi, density)
 
     @classmethod
-    def _of(cls, u: np.ndarray, value: np.ndarray, file: str) -> "Tabulated":
+    def _of(cls, u: np.ndarray, value: np.ndarray) -> "Tabulated":
         """The law of checked points."""
         step, slope = np.diff(u), np.diff(value) / np.diff(u)
         load = np.append(0.0, np.cumsum(step * (value[1:] + value[:-1]) / 2))
@@ -119,7 +118,7 @@ class Tabulated(AbstractPressure):
         lever = np.append(0.0, np.cumsum(lever - slope * step**3 / 6))
         if not load[-1] > 0:
             reason = "the pressure density is nowhere positive"
-            raise UsageError(reason, "give one that carries a load", file)
+            raise UsageError(reason, "give one that carries a load")
         # The limit at the leading edge, where no bristle is deflected.
         last = np.inf if value[-1] > 0 else -slope[-1]
         ratios = np.append(value[:-1] / (2 - u[:-1]), last)
@@ -133,28 +132,9 @@ class Tabulated(AbstractPressure):
                 " nearer to the leading edge slide first, and one breakaway point"
                 " does not describe the patch (as for d < -1/3 in S(24))",
                 "let the density fall less early or less steeply towards xi = 1",
-                file,
             )
         scaled = (x / load[-1] for x in (value, np.append(slope, 0.0), load, lever, best))
         return cls(u, *scaled)
-
-    @classmethod
-    def from_csv(cls, path: str | Path) -> "Tabulated":
-        """:meth:`from_table` of a file whose header names ``xi`` and ``density``.
-
-        Raises:
-            UsageError: no such file or column, or what :meth:`from_table` refuses; with the row.
-        """
-        try:
-            table = np.genfromtxt(
-                path, delimiter=",", names=True, autostrip=True, encoding="utf-8-sig"
-            )
-            columns = np.atleast_1d(table["xi"]), np.atleast_1d(table["density"])
-        except (OSError, ValueError, TypeError, IndexError) as error:
-            reason = f"cannot read the columns xi and density: {error}"
-            remedy = "give numbers under the header xi,density"
-            raise UsageError(reason, remedy, str(path)) from None
-        return cls.from_table(*columns, file=str(path))
 
     def _behind(self, known: Points, x: Numbers) -> tuple[list[Array], Array]:
         """``at``, ``value`` and ``slope`` of the last point that is not beyond x, and its index.

@@ -126,16 +126,16 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any, list[
     return f"named by the diagnosis of {document.data.name}", sizes, car, []
 
 
-def _judged(name: str, key: _Key, one: _Size) -> tuple[float | None, str]:
+def _judged(name: str, key: _Key, size: _Size) -> tuple[float | None, str]:
     """The value in Autoware, None if it is not written, and the reason or the estimate."""
-    value = key.sign * one.value
-    said = f"{value:.4g} +- {one.std:.2g} {one.unit.removeprefix('-')}".strip()
-    if not one.identified:
+    value = key.sign * size.value
+    said = f"{value:.4g} +- {size.std:.2g} {size.unit.removeprefix('-')}".strip()
+    if not size.identified:
         return None, f"{said}: the logs do not determine it"
-    if not one.std <= key.most:
+    if not size.std <= key.most:
         return None, f"{said}: its standard error is above {key.most:g} ({key.why})"
     if key.at_least_zero and value < 0:
-        if value < -_SURE * one.std:
+        if value < -_SURE * size.std:
             return None, f"{said}: less than zero, which Autoware does not have; check the clock"
         return 0.0, f"{said}; zero, as Autoware has no negative one"
     return value, said
@@ -157,8 +157,8 @@ def _lines(sizes: Mapping[str, _Size], notes: list[str]) -> Iterator[str]:
         if value is None:
             notes.append(f"{', '.join(key.names)}: not written: {said}")
             continue
-        for one in key.names:
-            yield f"    {one}: {_real(value)}  # {said}"
+        for written in key.names:
+            yield f"    {written}: {_real(value)}  # {said}"
 
 
 def _autoware(source: Any, vehicle: Any, first: str) -> tuple[str, tuple[str, ...]]:

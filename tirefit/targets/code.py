@@ -201,7 +201,7 @@ def _build():
 def casadi_source(draft: Draft) -> str:
     """A Python module with a ``casadi.Function`` of scalars, and its Jacobian."""
     program, inputs = draft.forces, draft.forces.inputs
-    lines = [*(f"    {one} = ca.SX.sym({one!r})" for one in inputs), *body(program, CASADI)]
+    lines = [*(f"    {name} = ca.SX.sym({name!r})" for name in inputs), *body(program, CASADI)]
     return _CASADI.format(
         above=_comments(draft.above), lines="\n".join(lines), name=draft.name,
         given=", ".join(inputs), found=", ".join(results(program, CASADI)),
@@ -262,7 +262,7 @@ def c_source(draft: Draft) -> str:
     above += [
         f"call: tirefit_real force[{count}]; {name}({', '.join(draft.forces.inputs)}, force);"
     ]
-    above += [f"force[{k}] is {one}" for k, one in enumerate(draft.forces.outputs)]
+    above += [f"force[{k}] is {output}" for k, output in enumerate(draft.forces.outputs)]
     # The text must not contain the beginning or end of a comment.
     messages = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
     force, slope = f"tirefit_real force[{count}]", f"slope[{count}][{ALWAYS}]"
@@ -278,10 +278,10 @@ def c_source(draft: Draft) -> str:
 
 def _c_function(program: Program, name: str, given: Iterable[str], count: int) -> list[str]:
     """A C function; outputs after the first ``count`` are derivatives, see :meth:`Tire.program`."""
-    inputs = [f"tirefit_real {one}" for one in program.inputs]
+    inputs = [f"tirefit_real {argument}" for argument in program.inputs]
     used = {args[0] for op, args in program.operations if op == "input"}
-    unused = [one for k, one in enumerate(program.inputs) if k not in used]
-    lines = [f"    (void){one};" for one in unused] + body(program, C)
+    unused = [argument for k, argument in enumerate(program.inputs) if k not in used]
+    lines = [f"    (void){argument};" for argument in unused] + body(program, C)
     for k, result in enumerate(results(program, C)):
         by, force = divmod(k - count, count)
         place = f"force[{k}]" if k < count else f"slope[{force}][{by}]"
@@ -325,17 +325,17 @@ def jax_source(draft: Draft) -> str:
     """A Python module with a function of arrays; it needs only JAX."""
     names, forces = draft.forces.inputs, draft.tire.function(draft.convention)
 
-    def one(*given: Array) -> tuple[Array, ...]:
+    def forces_at(*given: Array) -> tuple[Array, ...]:
         known = dict(zip(names, given, strict=True))
-        found = forces(*(known.get(name, 0.0) for name in INPUTS))
-        return tuple(jnp.asarray(force, float) for force in found)
+        values = forces(*(known.get(name, 0.0) for name in INPUTS))
+        return tuple(jnp.asarray(force, float) for force in values)
 
     shape = export.symbolic_shape("n")
     arrays = [jax.ShapeDtypeStruct(shape, jnp.float64)] * len(names)
     before = getattr(jax.config, _PATHS)
     jax.config.update(_PATHS, ".*")
     try:
-        program = export.export(jax.jit(jax.vmap(one)), platforms=_PLATFORMS)(*arrays)
+        program = export.export(jax.jit(jax.vmap(forces_at)), platforms=_PLATFORMS)(*arrays)
         text = base64.b64encode(program.serialize(vjp_order=1)).decode()
     finally:
         jax.config.update(_PATHS, before)
@@ -382,11 +382,11 @@ def mujoco_source(draft: Draft) -> str:
     tire, names = draft.tire, list(draft.forces.outputs)
     at = {"fz": CONVENTIONS[draft.convention].fz * tire.load, "v": tire.speed}
     slip, peak = np.linspace(0.0, 0.95, 191), 0.0
-    for force, own in (("fx", "kappa"), ("fy", "alpha")):
+    for force, its_slip in (("fx", "kappa"), ("fy", "alpha")):
         if force in names:
-            given = [slip if k == own else at.get(k, 0.0) for k in draft.forces.inputs]
-            found = compiled(draft.forces)(*given)[names.index(force)]
-            peak = max(peak, float(np.max(np.abs(found))) / tire.load)
+            given = [slip if k == its_slip else at.get(k, 0.0) for k in draft.forces.inputs]
+            along = compiled(draft.forces)(*given)[names.index(force)]
+            peak = max(peak, float(np.max(np.abs(along))) / tire.load)
     share = _WIDE
     if "mu" in tire.spread:
         share = _MANY * tire.spread["mu"] / parameter_values(tire.model)["mu"]

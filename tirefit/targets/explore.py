@@ -119,30 +119,30 @@ def explore(
         'iso-w'
     """
     sources = list(source) if isinstance(source, list | tuple) else [source]
-    listed = [one for each in sources for one in _in_folder(each)]
+    listed = [tire_source for each in sources for tire_source in _in_folder(each)]
     if not 0 < len(listed) <= MOST:
         reason = f"{len(listed)} tires: a page shows 1 to {MOST} over each other"
         raise DataError(InputProblem(reason, "name the files of those to compare"))
-    given = [given_tire(one) for one in listed]
+    given = [given_tire(tire_source) for tire_source in listed]
     convention = given[0].content.get("data", {}).get("convention", TIR_SIGNS)
-    tires = [tire_of(one) for one in listed]
+    tires = [tire_of(tire_source) for tire_source in listed]
     rows: dict[str, list[float]] = {}
-    told, warned = "", list[str]()
+    rows_from, warned = "", list[str]()
     if data is not None:
         table = as_data(data, **how, forces=False, otherwise=(convention, "the tire"))
         warned += table.source.warnings
         columns = _columns(table)
         ranges = {k: _ends(v) for k, v in columns.items() if k in INPUTS}
-        tires = [one if one.measured else replace(one, measured=ranges) for one in tires]
-        rows, told = _shown_rows(columns, convention), f"{table.file}, {table.n} rows"
-        told += f", of which the page holds {_ROWS}" * (table.n > _ROWS)
+        tires = [tire if tire.measured else replace(tire, measured=ranges) for tire in tires]
+        rows, rows_from = _shown_rows(columns, convention), f"{table.file}, {table.n} rows"
+        rows_from += f", of which the page holds {_ROWS}" * (table.n > _ROWS)
     shown, used = [], set(INPUTS[:ALWAYS])
-    for one, own, tire in zip(listed, given, tires, strict=True):
-        program, record = _shown(_label(one, own), own, tire, convention)
+    for tire_source, read_tire, tire in zip(listed, given, tires, strict=True):
+        program, record = _shown(_label(tire_source, read_tire), read_tire, tire, convention)
         used |= {INPUTS[a[0]] for op, a in program.operations if op == "input" and a[0] < 6}
         shown.append(record)
     inputs = {k: _slider(k, tires, given, convention) for k in INPUTS if k in used}
-    return Explored(convention, inputs, tuple(shown), rows, told, tuple(warned))
+    return Explored(convention, inputs, tuple(shown), rows, rows_from, tuple(warned))
 
 
 def _in_folder(source: Any) -> list[Any]:
@@ -152,11 +152,11 @@ def _in_folder(source: Any) -> list[Any]:
         return [source]
     fits = sorted(path.rglob("fit.json"))
     # A whole Magic Formula is written as both.
-    alone = [one for one in sorted(path.rglob("*.tir")) if not (one.parent / "fit.json").exists()]
+    alone = [tir for tir in sorted(path.rglob("*.tir")) if not (tir.parent / "fit.json").exists()]
     if not fits + alone:
         remedy = "name a folder of `tirefit fit`, or the files"
         raise DataError("neither a fit.json nor a .tir file in this folder", remedy, str(path))
-    return [str(one) for one in fits + alone]
+    return [str(file) for file in fits + alone]
 
 
 def _label(source: TireLike, given: GivenTire) -> str:
@@ -168,7 +168,7 @@ def _label(source: TireLike, given: GivenTire) -> str:
 
 def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[Program, Shown]:
     """The program of a tire, and its record."""
-    outputs = tuple(one for one in _FORCES if one in tire.modelled)
+    outputs = tuple(force for force in _FORCES if force in tire.modelled)
     tire = replace(tire, asked=outputs)
     values, half_width = dict[str, float](), half_width_95(False, 0)
     steps = np.zeros((0, 0))
@@ -180,8 +180,8 @@ def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[P
             half_width = half_width_95("estimated" in sources, dof)
 
     def forces(*arguments: Any) -> tuple[Any, ...]:
-        own = dict(zip(values, arguments[len(INPUTS) :], strict=True))
-        changed = replace(tire, model=with_values(tire.model, own))
+        fitted = dict(zip(values, arguments[len(INPUTS) :], strict=True))
+        changed = replace(tire, model=with_values(tire.model, fitted))
         return changed.function(convention)(*arguments[: len(INPUTS)])
 
     names = (*INPUTS, *(f"p[{k}]" for k in range(len(values))))
@@ -190,8 +190,8 @@ def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[P
     except NotImplementedError as error:
         reason = f"{tire.name} cannot be written for a browser: {error}"
         raise UsageError(reason, "fit another model to its curve: `tirefit convert`") from None
-    found = ", ".join(results(program, JAVASCRIPT))
-    lines = [*body(program, JAVASCRIPT, ""), f"return [{found}];"]
+    returned = ", ".join(results(program, JAVASCRIPT))
+    lines = [*body(program, JAVASCRIPT, ""), f"return [{returned}];"]
     text = f"function({', '.join(INPUTS)}, p) {{\n" + "\n".join(lines) + "\n}"
     ranges = turned_range(tire.measured, convention)
     if ranges:  # an angle or a slip that was not measured was zero
@@ -211,9 +211,9 @@ def _directions(given: GivenTire, tire: Tire) -> tuple[dict[str, float], np.ndar
     known, values, rows = parameter_values(tire.model), dict[str, float](), []
     for name, slope in slopes.items():
         # The curve of a Magic Formula serves both axes; a relaxation length, no steady force.
-        for own in (name, f"{name}x", f"{name}y"):
-            if own in known:
-                values[own] = float(known[own])
+        for parameter in (name, f"{name}x", f"{name}y"):
+            if parameter in known:
+                values[parameter] = float(known[parameter])
                 rows.append(np.asarray(slope))
     square, along = np.linalg.eigh(covariance)
     std = np.sqrt(np.maximum(square, 0.0))
@@ -234,10 +234,10 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
 def _columns(data: TireData) -> dict[str, np.ndarray]:
     """Measured columns of the used rows, canonical."""
     names = ("sigma_x", *INPUTS[1:], *_FORCES)
-    found = {name: data.usable(name) for name in names if name in data}
-    if "sigma_x" in found:
-        found["kappa"] = kappa_from_sigma(found.pop("sigma_x"))
-    return {k: np.asarray(v, float) for k, v in found.items() if np.isfinite(v).any()}
+    measured = {name: data.usable(name) for name in names if name in data}
+    if "sigma_x" in measured:
+        measured["kappa"] = kappa_from_sigma(measured.pop("sigma_x"))
+    return {k: np.asarray(v, float) for k, v in measured.items() if np.isfinite(v).any()}
 
 
 def _shown_rows(columns: Mapping[str, np.ndarray], convention: str) -> dict[str, list[float]]:
@@ -259,13 +259,13 @@ def _slider(
     first, usual = 0.0, _USUAL.get(name, (0.0, 0.0))
     # A .tir file may state that every slip is valid.
     known = [tire for tire in tires if not (tire.tir and name in INPUTS[:2])]
-    ends = [one.measured[name] for one in known if name in one.measured]
+    ends = [tire.measured[name] for tire in known if name in tire.measured]
     if name == "fz":
         first, usual = tires[0].load, (0.5 * tires[0].load, 1.5 * tires[0].load)
     elif name == "v":
         first = tires[0].speed
     elif name == "pressure":
-        models = [one.model for one in tires if isinstance(one.model, MFTire)]
+        models = [tire.model for tire in tires if isinstance(tire.model, MFTire)]
         first = models[0].nominal.INFLPRES if models else 0.0
         usual = (0.75 * first, 1.25 * first)
     reference = _number(given[0], "reference", name)

@@ -1,6 +1,9 @@
 """Export a fitted tire as a file of another program: :func:`export`."""
 
+import builtins
+import keyword
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,7 +28,6 @@ from tirefit.targets.code import (
     mujoco_source,
     numpy_source,
 )
-from tirefit.targets.identifiers import reserved
 from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
 from tirefit.targets.refit import check_loss, over_problems
 from tirefit.targets.shape import Shape, shape_of
@@ -35,6 +37,22 @@ from tirefit.targets.tire import Tire, tire_of
 if TYPE_CHECKING:
     from tirefit.diagnosis.summary.result import Diagnosis
     from tirefit.vehicle.trajectory import TrajectoryFit
+
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
+"""CasADi and C++ reserve two underscores in a row, C and Python one at the beginning. One at
+the end and that of ``_jacobian`` would be two in a row."""
+
+_C_NAMES = frozenset(
+    name
+    for line in Path(__file__).with_name("c_names.txt").read_text("ascii").splitlines()
+    if not line.startswith("#")
+    for name in line.split()
+)
+"""Keywords and macros of C and C++, and names in math.h, which the file includes."""
+
+_IN_FILES = frozenset("np ca jax jnp base64 null jac hess tirefit_real sysid_parameters".split())
+"""Names with another meaning in exported files; CasADi reserves null, jac and hess."""
 
 
 class Target(NamedTuple):
@@ -196,7 +214,7 @@ def export(
     """
     path = Path(path)
     axles = {"": source, "front": front, "rear": rear}
-    given = {axle: one for axle, one in axles.items() if one is not None}
+    given = {axle: tire for axle, tire in axles.items() if tire is not None}
     problems = unknown_names("--to", [target], TARGETS)
     problems += unknown_names("--convention", [convention], CONVENTIONS)
     if not given or "" in given and len(given) > 1:
@@ -237,11 +255,11 @@ def export(
     if isinstance(chosen, CarFile):
         text, notes = chosen.write(source, vehicle, f"{first}a car for {target}")
         return _written(target, path, Shape((), (), {}), notes, {path: text})
-    tires = {axle: tire_of(cast(TireLike, one), values, diagnosis) for axle, one in given.items()}
+    tires = {axle: tire_of(cast(TireLike, tire), values, diagnosis) for axle, tire in given.items()}
     first += f"{' and '.join(tire.name for tire in tires.values())} for {target}"
     if isinstance(chosen, ParameterFile):
-        found = parameter_text(target, tires, path, first, vehicle, over, force)
-        return _written(target, path, *found[1:], {path: found[0]})
+        parts = parameter_text(target, tires, path, first, vehicle, over, force)
+        return _written(target, path, *parts[1:], {path: parts[0]})
     (tire,) = tires.values()
     if chosen.prepare is not None:
         held = chosen.prepare(tire, model, wheel or {})
@@ -254,6 +272,23 @@ def export(
     texts = {chosen.ending: text} if isinstance(text, str) else text
     files = {path.with_suffix(end): each for end, each in texts.items()}
     return _written(target, path, shape, tire.notes, files)
+
+
+def reserved(name: str) -> str:
+    """Why a function in an exported file cannot have this name; empty if it can.
+
+    The function is written into C headers, which include ``math.h``, and Python modules.
+    """
+    if not _NAME.fullmatch(name):
+        return "it is not letters and digits, with single underscores between them"
+    if not re.search("[a-z]", name):
+        return "it has no lower-case letter, like a macro of C"
+    stem = re.sub("(f[0-9]+x?|f|l)$", "", name)  # sinf, sinl and sinf64x are of the type
+    if {name, stem} & _C_NAMES:
+        return "C has this name"
+    if keyword.iskeyword(name) or hasattr(builtins, name) or name in _IN_FILES:
+        return "Python or the exported file has this name"
+    return ""
 
 
 def _drafted(

@@ -56,11 +56,11 @@ class Formula:
     ) -> tuple[Any, ...]:
         """Forces [N] at canonical slips, in canonical signs."""
         signs = self.signs
-        found = self.forces(values, signs.slip * kappa, signs.alpha * alpha, fz)
-        return self._signed(found, signs)
+        forces = self.forces(values, signs.slip * kappa, signs.alpha * alpha, fz)
+        return self._signed(forces, signs)
 
-    def _signed(self, found: Iterable[Numbers], signs: Convention) -> tuple[Any, ...]:
-        pairs = zip(self.outputs, found, strict=True)
+    def _signed(self, forces: Iterable[Numbers], signs: Convention) -> tuple[Any, ...]:
+        pairs = zip(self.outputs, forces, strict=True)
         return tuple(getattr(signs, name) * force for name, force in pairs)
 
     def program(self, values: Values, convention: str) -> Program:
@@ -128,7 +128,7 @@ def _commonroad_forces(
     def weight(axis: str, slope: Numbers, slip: Numbers, shift: Numbers) -> Numbers:
         shape, curvature = p[f"r_c{axis}1"], p[f"r_e{axis}1"]
         both = (bent(slope * s, curvature) for s in (slip + shift, shift))
-        top, bottom = (jnp.cos(shape * one) for one in both)
+        top, bottom = (jnp.cos(shape * angle) for angle in both)
         return top / bottom
 
     slope = p["r_bx1"] * jnp.cos(jnp.arctan(p["r_bx2"] * kappa))
@@ -143,7 +143,7 @@ def _commonroad_forces(
 def _commonroad_start(curves: Curves) -> dict[str, float]:
     (bx, cx, dx, ex), (by, cy, dy, ey) = curves.x, curves.y
     given = curves.weights
-    found = {
+    values = {
         "p_cx1": cx, "p_dx1": dx, "p_ex1": ex, "p_kx1": bx * cx * dx,
         "p_hx1": given.get("PHX1", 0.0), "p_vx1": 0.0,
         "p_cy1": cy, "p_dy1": dy, "p_ey1": ey, "p_ky1": -by * cy * dy,
@@ -158,10 +158,10 @@ def _commonroad_start(curves: Curves) -> dict[str, float]:
     for name, value in given.items():
         value = min(value, 1.0) if name in ("REX1", "REY1") else value
         if name[0] == "R":
-            found[f"r_{name[1:].lower()}"] = turned.get(name, 1.0) * value
+            values[f"r_{name[1:].lower()}"] = turned.get(name, 1.0) * value
     # Parameters that act only with camber.
     names = "p_dx3 p_dy3 p_hy1 p_hy3 p_vy1 p_vy3 r_vy3"
-    return found | dict.fromkeys(names.split(), 0.0)
+    return values | dict.fromkeys(names.split(), 0.0)
 
 
 COMMONROAD = Formula(

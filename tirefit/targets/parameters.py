@@ -134,8 +134,8 @@ class Sheet(NamedTuple):
         """Numbers of the vehicle under the names of the target, given as ``m=mass
         lf=l_f``; empty without a vehicle."""
         pairs = dict(pair.split("=") for pair in names.split())
-        found = {k: getattr(self.vehicle, ours, None) for k, ours in pairs.items()}
-        return {key: value for key, value in found.items() if value is not None}
+        numbers = {k: getattr(self.vehicle, ours, None) for k, ours in pairs.items()}
+        return {key: value for key, value in numbers.items() if value is not None}
 
 
 class ParameterFile(NamedTuple):
@@ -184,8 +184,8 @@ def parameter_text(
         if not axle.static and not low <= tire.load <= high:
             tire = replace(tire, load=(low + high) / 2)
         ranges = ranges_of(tire, narrowed, axle.static)
-        if far := beyond_measured(tire, ranges, SIGNS):
-            (where,) = axle.named([far])
+        if beyond := beyond_measured(tire, ranges, SIGNS):
+            (where,) = axle.named([beyond])
             reason = f"{target} would use this tire far from where it was measured: {where}"
             if not force:
                 remedy = "give a tire measured there, or another range (--over), or accept it"

@@ -60,7 +60,7 @@ class Graph:
             with np.errstate(all="ignore"):
                 return _OPERATIONS[op](*args).item()
         if op in _COMMUTE:  # constants first
-            args = tuple(sorted(args, key=lambda one: (isinstance(one, Term), one)))
+            args = tuple(sorted(args, key=lambda arg: (isinstance(arg, Term), arg)))
         simpler = _simplified(self, op, args)
         return self.term(op, *args) if simpler is None else simpler
 
@@ -96,22 +96,22 @@ def traced(
     if not by:
         closed = jax.make_jaxpr(function)(*[1.0] * count)
         values = _evaluate(graph, closed.jaxpr, closed.consts, given)
-        found = dict(zip(outputs, values, strict=True))
+        by_name = dict(zip(outputs, values, strict=True))
     else:
         # Trace the derivative once, with the direction as further inputs.
         def both(at: Sequence[Any], along: Sequence[Any]) -> Any:
             return jax.jvp(function, tuple(at), tuple(along))
 
         ones = [1.0] * count
-        closed, found = jax.make_jaxpr(both)(ones, ones), {}
+        closed, by_name = jax.make_jaxpr(both)(ones, ones), {}
         for k in by:
             along = [_array(float(j == k)) for j in range(count)]
             values = _evaluate(graph, closed.jaxpr, closed.consts, given + along)
-            found |= dict(zip(outputs, values[: len(outputs)], strict=True))
+            by_name |= dict(zip(outputs, values[: len(outputs)], strict=True))
             names = (f"{name}_{inputs[k]}" for name in outputs)
-            found |= dict(zip(names, values[len(outputs) :], strict=True))
-        found = {n: found[n] for n in (*outputs, *(n for n in found if n not in outputs))}
-    results = {name: value.item() for name, value in found.items()}
+            by_name |= dict(zip(names, values[len(outputs) :], strict=True))
+        by_name = {n: by_name[n] for n in (*outputs, *(n for n in by_name if n not in outputs))}
+    results = {name: value.item() for name, value in by_name.items()}
     program = _pruned(Program(tuple(inputs), results, graph.operations))
     if len(program.operations) > MOST_OPERATIONS:
         raise NotImplementedError(_TOO_LONG)
@@ -194,7 +194,7 @@ def _unrolled(graph: Graph, how: Mapping[str, Any], values: list[np.ndarray]) ->
         steps.append(results[how["num_carry"] :])
     if how["reverse"]:
         steps.reverse()
-    stacked = [np.stack(one) for one in zip(*steps, strict=True)] if steps else []
+    stacked = [np.stack(rows) for rows in zip(*steps, strict=True)] if steps else []
     return [*carry, *stacked]
 
 
@@ -281,7 +281,7 @@ def _pruned(program: Program) -> Program:
             used.add(term.place)
             args = program.operations[term.place].args
             wanted += [arg for arg in args if isinstance(arg, Term)]
-    kept = [(k, one) for k, one in enumerate(program.operations) if k in used]
+    kept = [(k, operation) for k, operation in enumerate(program.operations) if k in used]
     new = {old: k for k, (old, _) in enumerate(kept)}
 
     def placed(value: Any) -> Any:

@@ -32,7 +32,7 @@ def grid_of(
     """Slips and loads (3, n) on a grid with these numbers of points; with 0, a slip is zero."""
     counts = {"kappa": kappa, "alpha": alpha, "fz": fz}
     axes = [np.linspace(*ranges[k], n) if n else [0.0] for k, n in counts.items()]
-    return np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")])
+    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")])
 
 
 def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
     along, across = (31 if k in slips else 0 for k in _SLIP_OF.values())
     kappa, alpha, fz = grid_of(ranges, along, across, 5)
     at = TireInputs(sigma_from_kappa(kappa), alpha, fz, tire.speed)
-    both = [forces(one.model, at)._asdict() for one in (tire, held)]
+    both = [forces(each.model, at)._asdict() for each in (tire, held)]
     pure, missed, sizes = kappa * alpha == 0, [0.0], []
     for name in compared:
         off = np.abs(both[0][name] - both[1][name]) / fz
@@ -163,18 +163,18 @@ def ranges_of(tire: Tire, over: Ranges, static: bool = False) -> Ranges:
         over: ranges that replace those of the tire.
         static: whether the load of the tire is that of a car, whatever was measured.
     """
-    found = dict.fromkeys(("kappa", "alpha"), (-_USUAL_SLIP, _USUAL_SLIP))
-    found["fz"] = tire.load, tire.load
+    ranges = dict.fromkeys(("kappa", "alpha"), (-_USUAL_SLIP, _USUAL_SLIP))
+    ranges["fz"] = tire.load, tire.load
     for name in ("kappa", "alpha", *([] if static else ["fz"])):
         low, high = tire.measured.get(name, (0.0, 0.0))
         if high - low > _NARROW or name == "fz" and high > 0:
-            found[name] = low, high
-    found |= over
-    low, high = found["kappa"]
-    found["kappa"] = max(low, _SPIN), min(high, _LOCKED)
-    low, high = found["fz"]
-    found["fz"] = max(low, 0.1 * high), high
-    return found
+            ranges[name] = low, high
+    ranges |= over
+    low, high = ranges["kappa"]
+    ranges["kappa"] = max(low, _SPIN), min(high, _LOCKED)
+    low, high = ranges["fz"]
+    ranges["fz"] = max(low, 0.1 * high), high
+    return ranges
 
 
 def beyond_measured(tire: Tire, ranges: Ranges, convention: str) -> str:
@@ -184,19 +184,19 @@ def beyond_measured(tire: Tire, ranges: Ranges, convention: str) -> str:
     Loads may differ from the measured ones as they do in a drive (:data:`OTHER_LOADS`).
     A slip whose force was not fitted is not judged: the notes of the tire state that.
     """
-    found = []
-    own = {"kappa": "fx", "alpha": "fy"}
-    used, known = (turned_range(one, convention) for one in (ranges, tire.measured))
+    places = []
+    force_of = {"kappa": "fx", "alpha": "fy"}
+    used, known = (turned_range(ends, convention) for ends in (ranges, tire.measured))
     for name in [name for name in used if name in known]:
         (low, high), (least, most) = used[name], known[name]
         less, more = least - _NARROW, most + _NARROW
         if name == "fz":
             less, more = OTHER_LOADS[0] * least, OTHER_LOADS[1] * most
-        judged = name == "fz" or not tire.fitted or own[name] in tire.fitted
+        judged = name == "fz" or not tire.fitted or force_of[name] in tire.fitted
         if judged and (low < less or high > more):
             both = (range_text({name: ends}) for ends in ((low, high), (least, most)))
-            found.append(", measured ".join(both))
-    return "; ".join(found)
+            places.append(", measured ".join(both))
+    return "; ".join(places)
 
 
 def over_problems(over: Ranges) -> list[InputProblem]:
@@ -256,11 +256,11 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     grids = [grid_of(ranges, *_KINDS[kind].rough, 5) for kind in kinds]
     grids += [grid_of(ranges, *_KINDS[kind].fine, 7) for kind in kinds]
     grids += [grid_of(wide, *_KINDS[kind].fine, 2) for kind in pure]
-    found = _forces(tire, every, grids)
-    if not all(np.isfinite(one).all() for one in found):
+    wanted = _forces(tire, every, grids)
+    if not all(np.isfinite(part).all() for part in wanted):
         reason = f"a force of {tire.name} is not finite within the range of the refit"
         raise UsageError(InputProblem(reason, "narrow it, as with --over fz=LOW:HIGH"))
-    cases = list(zip(every, grids, found, strict=True))
+    cases = list(zip(every, grids, wanted, strict=True))
     starts = [formula.start(curves) for curves in _curves(tire)]
     values, fitted = dict(starts[0]), []
     rough = {kind: case for kind, *case in cases[: len(kinds)]}
@@ -289,19 +289,19 @@ def _forces(tire: Tire, kinds: Sequence[str], grids: Sequence[np.ndarray]) -> li
 
 
 def _off(
-    formula: Formula, kind: str, found: Sequence[Numbers], grid: Values, wanted: Values
+    formula: Formula, kind: str, computed: Sequence[Numbers], grid: Values, wanted: Values
 ) -> list[Any]:
     """Forces of a formula minus those of the tire, over load: a list of rows."""
     places = [formula.outputs.index(name) for name in _KINDS[kind].forces]
-    return [found[k] / grid[2] - row for k, row in zip(places, wanted, strict=True)]
+    return [computed[k] / grid[2] - row for k, row in zip(places, wanted, strict=True)]
 
 
 def _miss(
     formula: Formula, values: Mapping[str, float], kind: str, grid: np.ndarray, wanted: np.ndarray
 ) -> float:
     """Largest error, by the program that is also checked, without a compiler."""
-    found = compiled(formula.program(values, "braking"))(*grid)
-    off = _off(formula, kind, found, grid, wanted)
+    computed = compiled(formula.program(values, "braking"))(*grid)
+    off = _off(formula, kind, computed, grid, wanted)
     return float(np.max(np.linalg.norm(off, axis=0)))
 
 
@@ -313,8 +313,8 @@ def _compiled(
 
     def residuals(z: Array, others: Mapping[str, Scalar], grid: Array, wanted: Array) -> Array:
         values = {**others, **{name: z[k] for k, name in enumerate(names)}}
-        found = formula.canonical(values, *grid)
-        return jnp.concatenate(_off(formula, kind, found, grid, wanted))
+        computed = formula.canonical(values, *grid)
+        return jnp.concatenate(_off(formula, kind, computed, grid, wanted))
 
     return jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
 
@@ -328,7 +328,7 @@ def _solved(
     low, high = np.array([formula.stages[kind][name] for name in names]).T
     # Start within the bounds and not at them.
     edge = 1e-3 * (high - low)
-    found = [
+    solutions = [
         least_squares(
             lambda z: np.asarray(residuals(z, values, *at)),
             np.clip(start, low + edge, high - edge),
@@ -336,9 +336,9 @@ def _solved(
             bounds=(low, high),
             x_scale="jac",
         )
-        for start in dict.fromkeys(tuple(one[n] for n in names) for one in starts)
+        for start in dict.fromkeys(tuple(initial[n] for n in names) for initial in starts)
     ]
-    best = min(found, key=lambda one: one.cost)
+    best = min(solutions, key=lambda solution: solution.cost)
     return dict(zip(names, map(float, best.x), strict=True))
 
 
@@ -348,17 +348,17 @@ def _curves(tire: Tire) -> list[Curves]:
     slips = np.concatenate([[1e-4, -1e-4], np.linspace(0.01, 0.9, 90)])
     zero, load = np.zeros_like(slips), np.full_like(slips, tire.load)
     pure = [(slips, zero, load), *((zero, slips, k * load) for k in (1.0, 0.9, 1.1))]
-    found = []  # slope of each force over load, and its peak beyond
-    for (force,) in _forces(tire, ("fx", "fy", "fy", "fy"), [np.stack(one) for one in pure]):
+    slopes = []  # slope of each force over load, and its peak beyond
+    for (force,) in _forces(tire, ("fx", "fy", "fy", "fy"), [np.stack(inputs) for inputs in pure]):
         peak = np.max(force[2:], where=np.isfinite(force[2:]), initial=1e-9)
-        found.append((float(force[0] - force[1]) / 2e-4, float(peak)))
-    along, across, less, more = found
+        slopes.append((float(force[0] - force[1]) / 2e-4, float(peak)))
+    along, across, less, more = slopes
     fall = float(np.clip(-np.log(more[1] / less[1]) / np.log(1.1 / 0.9), 0.0, 1.0))
     along = along if "fx" in tire.modelled else across
     across = across if "fy" in tire.modelled else along
-    own = magic_formula_of(tire.model)
-    weights = own[2] if own else {}
-    begun = [Curves(own[0], own[1], tire.load, fall, weights)] if own else []
+    formula = magic_formula_of(tire.model)
+    weights = formula[2] if formula else {}
+    begun = [Curves(formula[0], formula[1], tire.load, fall, weights)] if formula else []
     for shape in _SHAPES:
         x, y = ((k / (shape * top), shape, top, 0.0) for k, top in (along, across))
         begun.append(Curves(x, y, tire.load, fall, weights))

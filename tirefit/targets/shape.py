@@ -48,16 +48,16 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
         values = middle | {"kappa": kappa, "alpha": alpha, "fz": signs.fz * fz} | others
         given = np.broadcast_arrays(*(values[k] for k in program.inputs))
         with np.errstate(all="ignore"):
-            found = force(*(np.asarray(one, np.float32) for one in given))
+            forces = force(*(np.asarray(value, np.float32) for value in given))
         shape = given[0].shape
-        return {n: np.broadcast_to(f, shape) for n, f in zip(names, found, strict=True)}
+        return {n: np.broadcast_to(f, shape) for n, f in zip(names, forces, strict=True)}
 
     def along(name: str, slips: np.ndarray, fz: float = load) -> np.ndarray:
         """A force at values of its own slip alone."""
         return at(**{_PURE[name][0]: slips}, fz=fz)[name]
 
     given = [name for name in _PURE if name in names]
-    found = [
+    checks = [
         _joined("zero slip", [_at_rest(name, along, load) for name in given]),
         _standing(at, names, "v" in program.inputs),
         _signs(along, given, signs),
@@ -65,8 +65,8 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
         _ellipse(at, along, given, most),
     ]
     pure = {name: (_PURE[name][1], along(name, _PURE[name][1])) for name in given}
-    failed = tuple(sentence for sentence, sound in found if not sound)
-    return Shape(tuple(sentence for sentence, _ in found), failed, pure)
+    failed = tuple(sentence for sentence, sound in checks if not sound)
+    return Shape(tuple(sentence for sentence, _ in checks), failed, pure)
 
 
 def _joined(title: str, checks: list[tuple[str, bool]]) -> tuple[str, bool]:
@@ -98,8 +98,8 @@ def _signs(along: Callable[..., Any], given: Iterable[str], signs: Convention) -
     for name in given:
         slip = _PURE[name][0]
         rise = np.diff(along(name, np.array([-0.02, 0.02])))[0]
-        own = getattr(signs, "slip" if slip == "kappa" else slip) * getattr(signs, name)
-        sound &= bool(rise * own > 0)
+        sign = getattr(signs, "slip" if slip == "kappa" else slip) * getattr(signs, name)
+        sound &= bool(rise * sign > 0)
         directions.append(f"{name} {'rises' if rise > 0 else 'falls'} with {slip}")
     word = "as the convention requires" if sound else "AGAINST the convention"
     return f"signs: {', '.join(directions)}, {word}", sound

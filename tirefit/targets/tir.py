@@ -49,13 +49,13 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
     """
     problems = _wheel_problems(wheel, ("radius",))
     UsageError.raise_for(problems + unknown_names("--model", [model], MAGIC_FORMULAS))
-    own = tire.model if tire.bare is None else tire.bare
-    notes = [re.sub("^in the forces:", "not in this file:", one) for one in tire.notes]
-    if isinstance(own, MFTire):
+    bare = tire.model if tire.bare is None else tire.bare
+    notes = [re.sub("^in the forces:", "not in this file:", note) for note in tire.notes]
+    if isinstance(bare, MFTire):
         kept = tire.tir if tire.tir and not tire.tir.is_infofile else None
-        tir = kept or _new_file(replace(tire, model=own))
+        tir = kept or _new_file(replace(tire, model=bare))
     else:
-        tir = _reduced(own, tire, wheel, model)
+        tir = _reduced(bare, tire, wheel, model)
         notes.append(
             "a Magic Formula cannot have the curve of a brush: only the slope 2 c_p a^2"
             f" and the largest force mu F_z are kept, at F_z = {tire.load:.4g} N"
@@ -71,10 +71,10 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
         }
         tir = _new_file(replace(tire, model=fit.tire, spread=spread))
     held = own_tire(tir)
-    if isinstance(own, MFTire):
+    if isinstance(bare, MFTire):
         # They may differ only by the rounding of a file.
-        pair = (jax.tree.map(lambda x: np.asarray(x, float), each) for each in (held, own))
-        held = own if eqx.tree_equal(*pair, rtol=1e-12) else held
+        pair = (jax.tree.map(lambda x: np.asarray(x, float), each) for each in (held, bare))
+        held = bare if eqx.tree_equal(*pair, rtol=1e-12) else held
     notes += [note for note in remarks(tir, held) if note not in notes]
     return replace(tire, model=held, bare=None, tir=tir, notes=tuple(notes))
 
@@ -89,9 +89,9 @@ def _wheel_problems(wheel: Mapping[str, float], keys: Collection[str]) -> list[I
 
 
 def _reduced(
-    own: AbstractTire, tire: Tire, wheel: Mapping[str, float], model: str | None
+    bare: AbstractTire, tire: Tire, wheel: Mapping[str, float], model: str | None
 ) -> TirFile:
-    values = parameter_values(own)
+    values = parameter_values(bare)
     if not {"cpa2", "mu"} <= values.keys():
         reason = f"a .tir file describes a whole Magic Formula, or c_p a^2 and mu; not {tire.name}"
         remedy = "fit mf52, mf61 or mf62 to the data, or a brush"
@@ -197,9 +197,9 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         notes.append("without coefficients of combined slip Chrono uses its ellipse")
     if tir.numbers.get("LKY", 1.0) != tir.numbers.get("LMUY", 1.0):
         notes.append("Chrono scales the cornering stiffness by LMUY, not by LKY")
-    own = own_tire(tir.with_values(dict.fromkeys(unread, 0.0))) if unread else held.model
-    notes += _limited(own, held.load)
-    return replace(held, model=own, tir=tir, notes=held.notes + tuple(notes))
+    read = own_tire(tir.with_values(dict.fromkeys(unread, 0.0))) if unread else held.model
+    notes += _limited(read, held.load)
+    return replace(held, model=read, tir=tir, notes=held.notes + tuple(notes))
 
 
 def _stated(tir: TirFile | None) -> dict[str, float]:
@@ -234,8 +234,8 @@ def _limited(model: MFTire, load: float) -> list[str]:
             """Force over load (n, loads) at slips that broadcast to it."""
             at, fz = np.broadcast_arrays(at, loads)
             given = TireInputs(fz=fz.ravel())._replace(**{slip: at.ravel()})
-            found = np.asarray(getattr(forces(model, given), name))
-            return found.reshape(at.shape) / fz
+            force = np.asarray(getattr(forces(model, given), name))
+            return force.reshape(at.shape) / fz
 
         less, more = share([[-_SMALL], [_SMALL]])
         most = _LIMIT * float(shapes[name]) * peaks[name] * 2 * _SMALL / np.abs(more - less)

@@ -132,8 +132,8 @@ class Tire:
             turned = kappa / jnp.maximum(1 - kappa, 1 / (1 + LOCKED))
             at = TireInputs(turned, signs.alpha * alpha, signs.fz * fz, v)
             inputs = at._replace(gamma=signs.gamma * gamma, pressure=pressure)
-            found = self.model(inputs)._asdict()
-            return tuple(getattr(signs, name) * found[name] for name in outputs)
+            of_model = self.model(inputs)._asdict()
+            return tuple(getattr(signs, name) * of_model[name] for name in outputs)
 
         return forces
 
@@ -160,11 +160,11 @@ def turned_range(
 ) -> dict[str, tuple[float, float]]:
     """Convert ranges of inputs between canonical signs and those of a convention."""
     signs = CONVENTIONS[convention]
-    found = {}
+    turned = {}
     for name, (low, high) in measured.items():
         sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
-        found[name] = (low, high) if sign > 0 else (-high, -low)
-    return found
+        turned[name] = (low, high) if sign > 0 else (-high, -low)
+    return turned
 
 
 def range_text(ranges: Mapping[str, tuple[float, float]]) -> str:
@@ -217,7 +217,9 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     origin += f", {path}" if path else ""
     fitted = content.get("parameters") or content["coefficients"]
     spread = {
-        name: one["std"] for name, one in fitted.items() if one.get("std") and not one.get("fixed")
+        name: estimate["std"]
+        for name, estimate in fitted.items()
+        if estimate.get("std") and not estimate.get("fixed")
     }
     ranges = {k: (low, high) for k, (low, high) in data.get("range", {}).items()}
     if "sigma_x" in ranges:
@@ -266,22 +268,22 @@ def _with_effects(tire: Tire, diagnosis: "Diagnosis | str | os.PathLike[str]") -
     except UsageError as error:
         file = os.fspath(diagnosis) if isinstance(diagnosis, str | os.PathLike) else ""
         raise UsageError([replace(problem, file=file) for problem in error.problems]) from None
-    own, before = document.extended_parameters, parameter_values(tire.model)
+    estimated, before = document.extended_parameters, parameter_values(tire.model)
     notes = _exportable(tire).notes + report.sentences
-    far = [k for k, x in own.items() if abs(x - before[k]) > abs(before[k])]
-    if far:
-        changes = ", ".join(f"{k} {before[k]:.4g} to {own[k]:.4g}" for k in far)
+    doubled = [k for k, x in estimated.items() if abs(x - before[k]) > abs(before[k])]
+    if doubled:
+        changes = ", ".join(f"{k} {before[k]:.4g} to {estimated[k]:.4g}" for k in doubled)
         notes = (f"warning: the diagnosis changes {changes}: is it for this tire?", *notes)
     if tire.spread:
-        changed = ", ".join(own)
+        changed = ", ".join(estimated)
         notes += (f"{changed}: estimates beside the effects, without standard error",)
     return replace(
         tire,
         model=report.tire,
         bare=report.bare if report.names else None,
-        spread={k: std for k, std in tire.spread.items() if k not in own},
+        spread={k: std for k, std in tire.spread.items() if k not in estimated},
         notes=notes,
-        tir=tire.tir and tire.tir.with_values(own),
+        tir=tire.tir and tire.tir.with_values(estimated),
     )
 
 
@@ -296,8 +298,8 @@ def _exportable(tire: Tire) -> Tire:
         )
         model = model.tire
     if isinstance(model, MagicFormula):
-        own = parameter_values(model)
-        both = {f"{k}{axis}": v for k, v in own.items() for axis in "xy"}
+        curve = parameter_values(model)
+        both = {f"{k}{axis}": v for k, v in curve.items() for axis in "xy"}
         model = with_values(CombinedMagicFormula(), both)
         notes.append(
             "the formula is for pure slip: both slips are combined by the method of"

@@ -119,7 +119,7 @@ def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
 def has_decimal_comma(cells: Iterable[str]) -> bool:
     """Whether numbers have commas, not all as in 4,000, and none has a point."""
     marked = [
-        one for one in cells if ("," in one or "." in one) and is_number(one.replace(",", "."))
+        cell for cell in cells if ("," in cell or "." in cell) and is_number(cell.replace(",", "."))
     ]
     if any("." in cell and is_number(cell) for cell in marked):
         return False

@@ -109,15 +109,15 @@ def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
             continue
         cells = [[cell.strip(' "') for cell in row] for row in split]
         rows = dict(zip(searched, cells, strict=True))
-        found = []  # rows of several cells, all numbers or empty
+        numeric = []  # rows of several cells, all numbers or empty
         for i, row in rows.items():
             filled = [cell.replace(",", ".", 1) for cell in row if cell]
             if len(filled) > 1 and all(map(is_number, filled)) and not counts_up(row):
-                found.append(i)
+                numeric.append(i)
         names = [
             i
             for i, row in rows.items()
-            if found and i < found[0] and len(row) == len(rows[found[0]])
+            if numeric and i < numeric[0] and len(row) == len(rows[numeric[0]])
             if row[0] and not counts_up(row) and known_unit(row[0]) is None
         ]
         if names:

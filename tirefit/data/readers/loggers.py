@@ -51,8 +51,8 @@ class VboTable(NamedTuple):
 
 def exported_by(line: str) -> str:
     """The program whose CSV export begins with this line; empty for another file."""
-    found = _EXPORT.match(line)
-    return _NAMES[found[1].casefold()] if found else ""
+    export = _EXPORT.match(line)
+    return _NAMES[export[1].casefold()] if export else ""
 
 
 def is_vbo(text: str) -> bool:
@@ -93,8 +93,8 @@ def _sections(lines: Sequence[str]) -> dict[str, list[tuple[int, str]]]:
     sections: dict[str, list[tuple[int, str]]] = {}
     title = ""
     for number, line in enumerate(map(str.strip, lines), 1):
-        if found := _TITLE.fullmatch(line):
-            title = found[1].casefold()
+        if heading := _TITLE.fullmatch(line):
+            title = heading[1].casefold()
         else:
             sections.setdefault(title, []).append((number, line))
     return sections
@@ -117,10 +117,10 @@ def _units(
     fitting: list[dict[int, str]] = []
     owners = []
     for known in (gps, gps | _MORE):
-        own = owners = [k for k, name in enumerate(header) if _plain(name) not in known]
+        owners = [k for k, name in enumerate(header) if _plain(name) not in known]
         for stated in ([line for line in lines if line], lines):
-            if own and len(stated) == len(own) and any(stated):
-                units = {k: unit for k, unit in zip(own, stated, strict=True) if unit}
+            if owners and len(stated) == len(owners) and any(stated):
+                units = {k: unit for k, unit in zip(owners, stated, strict=True) if unit}
                 fitting += [units] if units not in fitting else []
     if len(fitting) == 1:
         return [fitting[0].get(k) or standard[k] or "" for k in range(len(header))], ()
@@ -129,9 +129,9 @@ def _units(
     if not owners:
         return [unit or "" for unit in standard], ()
     listed = ", ".join(repr(header[k]) for k in owners)
-    doubt = f"[channel units] has {sum(map(bool, lines))} lines for {len(owners)} columns: not used"
-    doubt += f"; the units of {listed} are not known"
-    return [NO_UNIT if k in owners else unit or "" for k, unit in enumerate(standard)], (doubt,)
+    warning = f"[channel units] has {sum(map(bool, lines))} lines for {len(owners)} columns:"
+    warning += f" not used; the units of {listed} are not known"
+    return [NO_UNIT if k in owners else unit or "" for k, unit in enumerate(standard)], (warning,)
 
 
 def _plain(name: str) -> str:

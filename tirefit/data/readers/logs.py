@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.data.readers.extras import extra
+from tirefit.data.readers.extras import extra, readable
 from tirefit.data.readers.mat import Channels
 from tirefit.data.readers.remote import Place
 from tirefit.results import DataError
@@ -25,6 +25,7 @@ _BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
 _LARGEST_MESSAGE = 4096
 """Largest message [bytes] that is read; larger ones are images or point clouds."""
 _LONGEST_ARRAY = 16
+_REMEDY = "close the recording properly, or export it as CSV"
 _GAP = 5.0  # largest gap between two samples, in periods of their channel, that is interpolated
 
 
@@ -58,7 +59,7 @@ def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]
     logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
     signals: dict[str, Signal] = {}
     left = []
-    try:
+    with readable("MDF file", str(path), _REMEDY):
         with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
             warnings.simplefilter("ignore")
             copy = Path(folder) / "log.mf4"  # asammdf maps the file that it reads
@@ -73,8 +74,6 @@ def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]
                     elif len(values):
                         time = np.array(channel.timestamps, float)
                         signals[name] = Signal(time, values.astype(float), channel.unit or "")
-    except Exception as error:  # asammdf raises many kinds on damaged files
-        raise _damaged("MDF file", path, error) from error
     channels = on_one_clock(signals, is_known, str(path))
     unread = [f"channels not read: {', '.join(left)}"] if left else []
     return channels._replace(notes=("read as a log of MDF", *channels.notes, *unread))
@@ -100,7 +99,7 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
 
     signals: dict[str, Signal] = {}
     left: list[str] = []  # topics that are not read, with the reason
-    try:
+    with readable("bag", str(path), _REMEDY):
         with tempfile.TemporaryDirectory() as folder:
             place = Path(str(path))
             if content:
@@ -118,20 +117,12 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
                         read = f"no {kinds} by its definition: {why}"
                     signals |= read if isinstance(read, dict) else {}
                     left += [f"{topic!r} ({read})"] if isinstance(read, str) else []
-    except Exception as error:  # rosbags raises many kinds on damaged files
-        raise _damaged("bag", path, error) from error
     unread = [f"topics not read: {', '.join(left)}"] if left else []
     if left and not signals:
         remedy = "record messages with numbers, and their definitions"
         raise DataError(unread[0], remedy, str(path))
     channels = on_one_clock(signals, is_known, str(path))
     return channels._replace(notes=("read as a bag of ROS messages", *channels.notes, *unread))
-
-
-def _damaged(kind: str, path: Place, error: Exception) -> DataError:
-    reason = f"the {kind} cannot be read: {type(error).__name__}: {error}"
-    remedy = "close the recording properly, or export it as CSV"
-    return DataError(reason, remedy, str(path))
 
 
 def _topic(
@@ -195,7 +186,7 @@ def _fields(message: Any, place: str = "") -> Iterator[tuple[str, float]]:
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
             if value.size <= _LONGEST_ARRAY:
                 flat = enumerate(value.reshape(-1))
-                yield from ((f"{path}[{i}]", float(one)) for i, one in flat)
+                yield from ((f"{path}[{i}]", float(number)) for i, number in flat)
         elif hasattr(value, "__dataclass_fields__") and name != "stamp":
             yield from _fields(value, path)
 

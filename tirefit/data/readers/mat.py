@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tirefit.data.readers.extras import readable
 from tirefit.results import DataError
 
 MAT = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"  # first bytes of a file
@@ -56,7 +57,8 @@ def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) 
     """
     is_hdf5 = content.startswith(MAT[1])
     contents: dict[str, Any] = {}
-    try:
+    remedy = "save it again, or as version 7: save('file.mat', ..., '-v7')"
+    with readable("MATLAB file", file, remedy):
         if is_hdf5:
             import h5py  # 0.1 s
 
@@ -65,10 +67,6 @@ def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) 
                 contents = {key: _of_item(item, hdf5) for key, item in named}
         else:
             contents = _of_v5(content)
-    except Exception as error:  # the readers raise many kinds on damaged files
-        reason = f"the MATLAB file cannot be read: {error}"
-        remedy = "save it again, or as version 7: save('file.mat', ..., '-v7')"
-        raise DataError(reason, remedy, file) from error
     place, channels = _best(contents, file, is_known)
     units: dict[str, str] = {}  # of a struct ``channel`` or ``units``
     for name, struct in _structs(contents):
@@ -113,12 +111,11 @@ def _plain(value: Any) -> Any:
     if not isinstance(value, np.ndarray):
         return value
     if value.dtype.names:
-        items = [
-            {name: _plain(one[name]) for name in value.dtype.names} for one in value.reshape(-1)
-        ]
+        names = value.dtype.names
+        items = [{name: _plain(item[name]) for name in names} for item in value.reshape(-1)]
         return items[0] if len(items) == 1 else items
     if value.dtype.kind == "O":
-        return [_plain(one) for one in value.reshape(-1)]
+        return [_plain(element) for element in value.reshape(-1)]
     if value.dtype.kind == "U":
         texts = [str(text).rstrip() for text in value.reshape(-1)]
         return texts[0] if len(texts) == 1 else texts

@@ -1,7 +1,6 @@
 """Compute headings from the quaternions of a table: :func:`with_headings`."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,25 +22,19 @@ def heading(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.nd
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def with_headings(table: Table, stated: Sequence[str] = ()) -> tuple[Table, dict[str, str]]:
+def with_headings(table: Table) -> tuple[Table, dict[str, str]]:
     """The table with a column ``...yaw`` [rad] for each quaternion, and a map from the
     headers that name a quaternion (its components, their common beginning) to it.
 
     Rows without a component, or with a norm that is not 1, are NaN and are counted in
     the notes. If no header means a heading, the column of a single quaternion does.
-
-    Args:
-        stated: headers of x, y, z, w of one more quaternion.
     """
-    found: dict[str, dict[str, int]] = {}
+    places_of: dict[str, dict[str, int]] = {}
     for place, header in enumerate(table.headers):
         if match := _PART.fullmatch(header.strip()):
-            parts = found.setdefault(match["stem"], {})
+            parts = places_of.setdefault(match["stem"], {})
             parts[match["part"].lower()] = place
-    whole = {stem: parts for stem, parts in found.items() if len(parts) == 4}
-    if stated and set(stated) <= set(table.headers):
-        places = [table.headers.index(header) for header in stated]
-        whole[f"{stated[3]} "] = dict(zip("xyzw", places, strict=True))
+    whole = {stem: parts for stem, parts in places_of.items() if len(parts) == 4}
     known = any((g := guess(header)) and g.name == "heading" for header in table.headers)
     named: dict[str, str] = {}
     for stem, parts in whole.items():

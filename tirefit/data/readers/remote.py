@@ -81,15 +81,15 @@ def expanded(files: Iterable[Place]) -> list[Any]:
     """
     every: list[Place] = []
     for file in files:
-        text, found = str(file), [file]
+        text, matches = str(file), [file]
         if isinstance(file, RemoteFile):
             # A question mark in an address begins a query.
-            found = _listed(text) if "*" in text else found
+            matches = _listed(text) if "*" in text else matches
         elif _PATTERN.search(text) and not file.exists():
-            found = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
-        if not found:
+            matches = [Path(name) for name in sorted(glob.glob(text, recursive=True))]
+        if not matches:
             raise DataError("no file matches this pattern", "check the path", text)
-        every += found
+        every += matches
     return every
 
 

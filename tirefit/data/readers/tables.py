@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.data.readers.extras import extra
+from tirefit.data.readers.extras import extra, readable
 from tirefit.data.readers.mat import Channels
 from tirefit.door import DATA, MIB, too_large
 from tirefit.results import DataError
@@ -32,7 +32,7 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
     is_parquet = content.startswith(ARROW[0])
     kind = "Parquet" if is_parquet else "Arrow"
     pyarrow = extra("pyarrow", f"{kind} files", file)
-    try:
+    with readable(f"{kind} file", file, "write it again"):
         if is_parquet:
             packed = extra("pyarrow.parquet", "", file).ParquetFile(io.BytesIO(content))
             # Repeated values are compressed: a small file may hold a large table.
@@ -49,11 +49,6 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
             for key in _UNIT_KEYS
             if key in (field.metadata or {})
         }
-    except DataError:
-        raise
-    except Exception as error:  # pyarrow raises many kinds on damaged files
-        reason = f"the {kind} file cannot be read: {error}"
-        raise DataError(reason, "write it again", file) from error
     notes += [f"columns not read: {', '.join(left)}"] if left else []
     return Channels(columns, units, (f"read as a file of {kind}", *notes))
 
@@ -157,14 +152,9 @@ def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]
         if size > _UNPACKED:
             reason = f"unpacked, the workbook has {size / MIB:.0f} MiB,"
             raise DataError(f"{reason} more than {_UNPACKED // MIB}", _AS_CSV, file)
-    try:
+    remedy = "save it again, as .xlsx and without a password"
+    with readable(f"Excel file{age}", file, remedy):
         return {title: _rows(rows, file) for title, rows in cells(library, content)}
-    except DataError:
-        raise
-    except Exception as error:  # both raise many kinds on damaged files
-        reason = f"the Excel file{age} cannot be read: {error}"
-        remedy = "save it again, as .xlsx and without a password"
-        raise DataError(reason, remedy, file) from error
 
 
 def _cells_of_xlsx(

@@ -41,14 +41,14 @@ def recognised(table: Table) -> Table:
     names = set(table.headers)
     if not ("FZ" in names and names & _SLIPS and names & _MARKS):
         return table
-    own = table.layout
+    layout = table.layout
     load = _median(table, "FZ")
     slip, force = _numbers(table, "SA"), _numbers(table, "FY")
     usable = np.isfinite(slip + force) if len(slip) and len(force) else []
     turned = "FZ is positive, so the file was converted: signs read as"
     convention, reason = "iso-w", f"{turned} 'iso-w'"
-    if own.convention:
-        convention, reason = own.convention, f"signs stated in line {own.stated_in}"
+    if layout.convention:
+        convention, reason = layout.convention, f"signs stated in line {layout.stated_in}"
     elif load is None or load < 0:
         convention, reason = "sae", "signs read as 'sae', as FZ is negative"
     elif np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
@@ -71,7 +71,7 @@ def recognised(table: Table) -> Table:
         if pressure is not None:
             system = "psi: imperial" if is_imperial else "kPa: metric"
             notes.append(f"no units stated: P of {pressure:.4g} is {system} units")
-    layout = Layout(meant, units_from, convention, own.stated_in)
+    layout = Layout(meant, units_from, convention, layout.stated_in)
     return replace(table, layout=layout, units_row=units, notes=(*table.notes, *notes))
 
 

@@ -260,13 +260,13 @@ def _of_tire(
 
     The nominal size is also read from the header.
     """
-    found: dict[str, float] = {}
+    constants: dict[str, float] = {}
     notes: dict[str, str] = {}
 
     def take(key: str, value: float, line: str) -> None:
         largest = _LARGEST if key == "UNLOADED_RADIUS" else np.inf
-        if key not in found and 0 < value < largest:
-            found[key] = value
+        if key not in constants and 0 < value < largest:
+            constants[key] = value
             notes[line] = f"{key} = {value:.4g}: {' '.join(line.split())}"
 
     for key, factor, dimension, meaning in _OF_TIRE:
@@ -287,7 +287,7 @@ def _of_tire(
         if size := _SIZE.search(line):
             width, ratio, rim = map(float, size.groups())
             take("UNLOADED_RADIUS", rim * _INCH / 2 + width * ratio * 1e-5, line)
-    return found, notes
+    return constants, notes
 
 
 def _said(

@@ -336,10 +336,10 @@ def _followed(
 ) -> float:
     """The largest movement of a force with its slip beyond the bandwidth, see
     :meth:`~tirefit.data.rig.series.ZeroPhase.force_beyond`."""
-    found = [0.0]
+    moves = [0.0]
     for slip, force in FORCE_OF.items():
         swept = [p for p in parts if p.direction and slip in p.channel.split("+")]
         if swept and force in raw:
             rows = np.concatenate([np.arange(p.begin, p.end) for p in swept])
-            found.append(chosen.force_beyond(series, raw[slip], raw[force], rows))
-    return max(found)
+            moves.append(chosen.force_beyond(series, raw[slip], raw[force], rows))
+    return max(moves)

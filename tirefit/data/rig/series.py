@@ -146,7 +146,7 @@ class ZeroPhase(NamedTuple):
             rows: those that are compared.
         """
         fast = [(values - self.smoothed(values, series))[rows] for values in (slip, force)]
-        sizes = [float(np.sqrt(np.mean(one**2))) for one in fast]
+        sizes = [float(np.sqrt(np.mean(change**2))) for change in fast]
         if min(sizes) == 0:
             return 0.0
         shared = abs(float(np.mean(fast[0] * fast[1]))) / (sizes[0] * sizes[1])

@@ -80,14 +80,14 @@ def settings_of(
     width = np.minimum(width, np.minimum(*_room(center)))
     calm = np.zeros(len(values), int)
     calm[[(begin + end) // 2 for begin, end, _ in windows]] = 1
-    sure = np.concatenate([[0], np.cumsum(calm)])
-    code = _assigned(values, center, width, pieces, shortest, sure)
+    held_until = np.concatenate([[0], np.cumsum(calm)])
+    code = _assigned(values, center, width, pieces, shortest, held_until)
     used = np.unique(code[code >= 0])
     if not len(used):
         return nowhere
     if len(used) < len(center):  # some settings were passed but never held
         center, width = center[used], width[used]
-        code = _assigned(values, center, width, pieces, shortest, sure)
+        code = _assigned(values, center, width, pieces, shortest, held_until)
     return Settings(name, center, width, code)
 
 
@@ -133,7 +133,7 @@ def _assigned(
     width: np.ndarray,
     pieces: Sequence[slice],
     shortest: int,
-    sure: np.ndarray,
+    held_until: np.ndarray,
 ) -> np.ndarray:
     """The setting of each row; the channel must stay near it for long enough.
 
@@ -166,7 +166,7 @@ def _assigned(
             first = begin + (_end_of_way(goes, half) if begin else 0)
             last = end - (_end_of_way(goes[::-1], half) if end < len(part) else 0)
             held = last - first >= min(shortest, len(part))
-            held &= bool(sure[piece.start + last] > sure[piece.start + first])
+            held &= bool(held_until[piece.start + last] > held_until[piece.start + first])
             if not held:
                 first, last = end, end
             part[begin:first] = part[last:end] = -1

@@ -222,7 +222,7 @@ def read_tir(path: str | Path) -> TirFile:
     text, notes = decoded(content, Path(path))
     # Windows-1252 has letters at the control characters of Latin-1.
     text = re.sub(
-        "[\x80-\x9f]", lambda found: found[0].encode("latin-1").decode("cp1252", "replace"), text
+        "[\x80-\x9f]", lambda match: match[0].encode("latin-1").decode("cp1252", "replace"), text
     )
     odd = control_character(text)
     if odd is not None:

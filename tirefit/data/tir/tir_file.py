@@ -105,8 +105,8 @@ class TirFile:
         text = entry.text
         if re.fullmatch(_NUMBER, text) is None or ("," in text and not self.commas):
             return None
-        found = float(text.replace(",", ".").upper().replace("D", "E"))
-        return found if math.isfinite(found) else None
+        number = float(text.replace(",", ".").upper().replace("D", "E"))
+        return number if math.isfinite(number) else None
 
     @cached_property
     def _written(self) -> dict[str, float]:
@@ -134,8 +134,8 @@ class TirFile:
         entry = self.find("FITTYP")
         if entry and entry.text:
             name = FITTYP.get(self.number(entry) or 0) or _version_in(entry.text)
-            doubt = "" if name else " is not a supported version"
-            return Version(name, f"FITTYP = {entry.value}{doubt}")
+            failure = "" if name else " is not a supported version"
+            return Version(name, f"FITTYP = {entry.value}{failure}")
         entry = self.find("PROPERTY_FILE_FORMAT")
         if entry and (name := _version_in(entry.text)):
             return Version(name, f"{entry.key} = {entry.value}, and no FITTYP")
@@ -150,8 +150,8 @@ class TirFile:
 
     def _acting(self, generation: str) -> list[str]:
         """Coefficients of this generation only, whose values have an effect."""
-        own = (key for key, of in ONLY_IN.items() if of == generation)
-        return [k for k in own if self._written.get(k, _neutral(k)) != _neutral(k)]
+        keys = (key for key, of in ONLY_IN.items() if of == generation)
+        return [k for k in keys if self._written.get(k, _neutral(k)) != _neutral(k)]
 
     @property
     def version(self) -> str:
@@ -269,8 +269,8 @@ def shortest(number: float) -> str:
     return f"{number:.15g}"
 
 
-def _key(found: re.Match[str]) -> str:
-    return ALIASES.get(key := found["key"].upper(), key)
+def _key(match: re.Match[str]) -> str:
+    return ALIASES.get(key := match["key"].upper(), key)
 
 
 def _neutral(key: str) -> float:
@@ -282,10 +282,10 @@ def _version_in(text: str) -> str | None:
     """Version that a text such as MF52, MF-Tyre 6.1, MF_05 or PAC2002 names."""
     if "PAC2002" in text.upper():
         return "5.2"
-    found = re.search(r"(?<![\d.])(?:0?(5)[._]?[012]?|6[._]?([012]))(?!\d)", text)
-    if found is None:
+    version = re.search(r"(?<![\d.])(?:0?(5)[._]?[012]?|6[._]?([012]))(?!\d)", text)
+    if version is None:
         return None
-    return "5.2" if found[1] else "6.2" if found[2] == "2" else "6.1"
+    return "5.2" if version[1] else "6.2" if version[2] == "2" else "6.1"
 
 
 def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, list[InputProblem]]:
@@ -301,14 +301,14 @@ def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, li
         key, held = held, None
         if infofile and line[:1] in "\t ":  # a text or a table below its key
             continue
-        if key and (found := _CONTINUED.match(line)):
+        if key and (match := _CONTINUED.match(line)):
             if entries and (entries[-1].key, entries[-1].value) == (key, ""):
                 entries.pop()
         elif header := _SECTION.match(line):
             section = header[1].strip().upper()
             continue
-        elif found := _ENTRY.match(line):
-            key = _key(found)
+        elif match := _ENTRY.match(line):
+            key = _key(match)
         else:
             bare, broken = _BARE.match(line), _BROKEN.match(line)
             if bare and _key(bare) in KNOWN:
@@ -320,10 +320,10 @@ def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, li
             elif not _COMMENT.match(line):
                 words.append(row)
             continue
-        value = "" if found["value"] in ("&", "\\") else found["value"]
-        group = found.groupdict().get("group")
+        value = "" if match["value"] in ("&", "\\") else match["value"]
+        group = match.groupdict().get("group")
         inside = group.upper() if group else section
-        entries.append(Entry(inside, key, row, value, found.span("value")))
+        entries.append(Entry(inside, key, row, value, match.span("value")))
         held = key if not value else None
     messages = list(notes)
     if words:

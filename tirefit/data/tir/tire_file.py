@@ -86,20 +86,20 @@ def other_tire(text: str, file: str) -> list[InputProblem]:
     stated = _FORMAT.search(text)
     name = re.sub("[^A-Z0-9]", "", stated[1].upper()) if stated else "MF"  # one that is read
     other = not name.startswith(("MF", "PAC", "USER")) and not _COEFFICIENT.search(text)
-    if (found := stated) and (name in _FORMATS or (other and found[1].strip())):
-        model = _FORMATS.get(name, found[1].strip())
-        reason = f"a tire of the model {model} (PROPERTY_FILE_FORMAT = {found[1].strip()!r})"
-    elif found := _FTIRE.search(text):
-        reason = f"a tire of the model FTire (section {found[0].strip()})"
-    elif found := _ASSETTO.search(text):
+    if (mark := stated) and (name in _FORMATS or (other and mark[1].strip())):
+        model = _FORMATS.get(name, mark[1].strip())
+        reason = f"a tire of the model {model} (PROPERTY_FILE_FORMAT = {mark[1].strip()!r})"
+    elif mark := _FTIRE.search(text):
+        reason = f"a tire of the model FTire (section {mark[0].strip()})"
+    elif mark := _ASSETTO.search(text):
         reason = "a tyres.ini of Assetto Corsa"
-    elif found := _CHRONO.search(text):
+    elif mark := _CHRONO.search(text):
         template = _TEMPLATE.search(text)
         reason = f"a tire of Chrono ({template[1] if template else 'without template'})"
-    elif (found := INFOFILE.search(text)) and not _COEFFICIENT.search(text):
-        reason = f"a CarMaker infofile of the model {found[1]}, without Magic Formula"
+    elif (mark := INFOFILE.search(text)) and not _COEFFICIENT.search(text):
+        reason = f"a CarMaker infofile of the model {mark[1]}, without Magic Formula"
     else:
         return []
-    row = text.count("\n", 0, found.start()) + 1
+    row = text.count("\n", 0, mark.start()) + 1
     remedy = "give the .tir file that it names in place of it" if "Pac02" in reason else _REMEDY
     return [InputProblem(f"this is {reason}, which tirefit does not read", remedy, file, row)]

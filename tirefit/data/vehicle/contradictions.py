@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -232,11 +232,15 @@ def _gains(
     if wrong and (left or stray or len(faults) > 1):
         swappable = [name for name in _SWAPPED if name in columns]
         for pair in itertools.combinations(swappable, 2):
-            turned = agreements(track, motion, vehicle, pair)
+            other = dict(zip(pair, reversed(pair), strict=True))
+            channels = (
+                replace(c, quantity=other.get(c.quantity, c.quantity)) for c in track.channels
+            )
+            turned = agreements(replace(track, channels=tuple(channels)), motion, vehicle)
             right = {(a.pair.channel, a.pair.words) for a in turned if a.judged[0]}
             if wrong <= right and not any(a.strays or _not_explained([a]) for a in turned):
-                one, other = (columns[name].header for name in pair)
-                remedy = f'exchange them in [columns]: {pair[0]} = "{other}", {pair[1]} = "{one}"'
+                exchanged = ", ".join(f'{a} = "{columns[b].header}"' for a, b in other.items())
+                remedy = f"exchange them in [columns]: {exchanged}"
                 yield Deviation(pair, f"{pair[0]} and {pair[1]} are exchanged", remedy)
                 return
     if faults:

@@ -76,7 +76,7 @@ def with_noise(
     increased by the share of white noise that passes the filter.
     """
     settled = np.interp(track.time, motion.time, motion.settled.astype(float)) == 1
-    smooth = [np.interp(track.time, motion.time, one) for one in motion.logged.T]
+    smooth = [np.interp(track.time, motion.time, values) for values in motion.logged.T]
     rest = np.nan_to_num(track.signals - np.transpose(smooth))[settled]
     frequency = np.linspace(0, 0.5 / np.median(np.diff(track.time)), 200)
     settings = vehicle.filter
@@ -276,20 +276,20 @@ def _on_grid(
     there = np.isfinite(signals)
     whole = there.all(axis=0)
     uniform = np.zeros((len(grid), signals.shape[1]))
-    far = np.zeros(uniform.shape, bool)
+    in_gap = np.zeros(uniform.shape, bool)
     if len(time) > 1:
         uniform[:, whole] = CubicSpline(time, signals[:, whole])(grid)
     for k in np.flatnonzero(~whole):
         known = time[there[:, k]]
         if len(known) < 2:
-            far[:, k] = True
+            in_gap[:, k] = True
             continue
         uniform[:, k] = np.interp(grid, known, signals[there[:, k], k])
         after = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
         longest = max(max_gap, _LOST * float(np.median(np.diff(known))))
-        far[:, k] = (known[after] - known[after - 1] > longest) | (grid > known[-1])
+        in_gap[:, k] = (known[after] - known[after - 1] > longest) | (grid > known[-1])
     smooth = low_passed(uniform, vehicle)
-    return smooth if smooth is None else np.where(far, np.nan, smooth)
+    return smooth if smooth is None else np.where(in_gap, np.nan, smooth)
 
 
 def _from_pose(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:

@@ -210,15 +210,9 @@ class Agreement:
 # --- the pairs of a log ---------------------------------------------------------
 
 
-def agreements(
-    track: Track, motion: Motion, vehicle: Vehicle, swapped: tuple[str, str] | None = None
-) -> list[Agreement]:
-    """The estimates of all pairs of the log with enough samples.
-
-    Args:
-        swapped: two channels to exchange.
-    """
-    of, usable = _signals(track, motion, vehicle, swapped)
+def agreements(track: Track, motion: Motion, vehicle: Vehicle) -> list[Agreement]:
+    """The estimates of all pairs of the log with enough samples."""
+    of, usable = _signals(track, motion, vehicle)
     if not usable.any():
         return []
     speed = float(np.sqrt(np.mean(of["speed"][usable] ** 2)))
@@ -235,18 +229,18 @@ def agreements(
             values = np.prod([of[name] for name in names], axis=0)
             sign = -1 if product.startswith("-") else 1
             terms.append(Term(sign * values, dict(powers), text))
-        own = "yaw_turn" if channel == "yaw" else channel
-        if own in of and terms:
+        compared = "yaw_turn" if channel == "yaw" else channel
+        if compared in of and terms:
             words = words or " + ".join(term.words for term in terms)
             zero = _SENSORS[channel][0] or 0.02 * speed
             exact = channel not in ("yaw", "steering") and words != "v_x r"
-            pair = Pair(channel, words, of[own], tuple(terms), zero, exact)
+            pair = Pair(channel, words, of[compared], tuple(terms), zero, exact)
             estimates.append(_agreement(pair, motion.part, usable, vehicle))
     return [agreement for agreement in estimates if agreement is not None]
 
 
 def _signals(
-    track: Track, motion: Motion, vehicle: Vehicle, swapped: tuple[str, str] | None
+    track: Track, motion: Motion, vehicle: Vehicle
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Channels, and signals that follow from them -> values (n,), low-passed, NaN where they are
     not known; and which samples (n,) bool can be compared: in motion, away from edges."""
@@ -254,8 +248,6 @@ def _signals(
     slow = slowed(motion.logged, motion, vehicle)
     slow[np.abs(unknown) > 1e-3] = np.nan  # weight of unknown samples in a low-passed one
     of = {c.quantity: values for c, values in zip(track.channels, slow.T.copy(), strict=True)}
-    if swapped is not None:
-        of |= {swapped[0]: of[swapped[1]], swapped[1]: of[swapped[0]]}
     last_row = np.searchsorted(track.time, motion.time, side="right") - 1
     usable = (motion.within >= SLOWER * vehicle.filter.settling) & track.active[last_row]
 
@@ -345,8 +337,8 @@ def _agreement(
     for turn in range(_ROUNDS):
         along = gains if gains.any() else np.ones(k)  # the gains of a dead channel are 0
         sides = np.column_stack([terms, rates @ along])
-        own = pair.values[rows + shift]
-        fit = instrumented(own, sides[rows], around(sides, rows, step), zero)
+        late = pair.values[rows + shift]
+        fit = instrumented(late, sides[rows], around(sides, rows, step), zero)
         if fit is None:
             return None
         about = np.abs(fit.error - np.median(fit.error))
@@ -359,15 +351,16 @@ def _agreement(
         shift = int(np.clip(shift - rest, -latest, latest))
         gains, rows = fit.theta[:k], rows[good]
     assert fit is not None  # the loop has at least one round
-    near = np.hstack([around(pair.values[:, None], rows + shift, step), np.ones((len(own), 1))])
-    unseen = np.var(own - near @ np.linalg.lstsq(near, own)[0]) / max(np.var(own), _TINY)
-    moves = np.ptp(own) > 0 and np.ptp(own - fit.error) > 0
+    near = np.hstack([around(pair.values[:, None], rows + shift, step), np.ones((len(late), 1))])
+    unseen = np.var(late - near @ np.linalg.lstsq(near, late)[0]) / max(np.var(late), _TINY)
+    moves = np.ptp(late) > 0 and np.ptp(late - fit.error) > 0
     return Agreement(
         pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
         float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
         float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
-        float(1 - unseen), float(np.std(terms[rows].sum(axis=1))), float(np.std(own)),
-        float(np.corrcoef(own, own - fit.error)[0, 1]) if moves else 0.0, len(own), fit.effective,
+        float(1 - unseen), float(np.std(terms[rows].sum(axis=1))), float(np.std(late)),
+        float(np.corrcoef(late, late - fit.error)[0, 1]) if moves else 0.0, len(late),
+        fit.effective,
     )  # fmt: skip
 
 
@@ -416,11 +409,11 @@ def instrumented(
         zero: function of the (k,) factors of the sides that returns the standard
             deviation of the offset, in the unit of the values.
     """
-    one = np.ones((len(values), 1))
+    ones = np.ones((len(values), 1))
     scale = np.concatenate([np.std(sides, axis=0), [1.0]])
     scale[scale == 0] = 1.0
-    columns = np.hstack([sides, one]) / scale
-    instruments = np.hstack([near / np.maximum(np.std(near, axis=0), _TINY), one])
+    columns = np.hstack([sides, ones]) / scale
+    instruments = np.hstack([near / np.maximum(np.std(near, axis=0), _TINY), ones])
     seen = instruments @ np.linalg.lstsq(instruments, columns)[0]
     curvature, slope = seen.T @ columns, seen.T @ values
     prior = np.zeros_like(curvature)
@@ -453,6 +446,6 @@ def instrumented(
     # for noise and for a combination of the others (Sanderson, Windmeijer).
     for k in range(sides.shape[1]):
         part = np.linalg.lstsq(np.delete(seen, k, axis=1), seen[:, k])[0]
-        own, whole = (each[:, k] - np.delete(each, k, axis=1) @ part for each in (seen, columns))
-        shares.append(float(np.mean(own**2) / max(np.mean(whole**2), _TINY)))
+        kept, whole = (each[:, k] - np.delete(each, k, axis=1) @ part for each in (seen, columns))
+        shares.append(float(np.mean(kept**2) / max(np.mean(whole**2), _TINY)))
     return Fit(theta / scale, std / scale, np.array(shares), count, values - columns @ theta)

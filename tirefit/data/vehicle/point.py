@@ -6,10 +6,9 @@ acceleration by :math:`x \\dot r`. At moderate slip
 :math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
 c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
 :mod:`tirefit.data.vehicle.pairs`, values before and after a row are its instruments, and
-standard errors use the effective number of rows. The fit is repeated with signals below a
-fifth of the filter's cutoff, as noise of a pose that is differentiated twice may hide the
-force (:func:`_point`). A wrong yaw inertia, a delay and
-another place of the accelerometer act alike: the message names them.
+standard errors use the effective number of rows. The signals of a pose are low-passed further,
+as noise that is differentiated twice may hide the force (:data:`_PER_WHEELBASE`). A wrong
+yaw inertia, a delay and another place of the accelerometer act alike: the message names them.
 """
 
 import math
@@ -20,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.vehicle.findings import point_words
-from tirefit.data.vehicle.motion import SLOWER, Motion, further_ahead, slip_and_force, slowed
+from tirefit.data.vehicle.motion import Motion, further_ahead, slip_and_force, slowed
 from tirefit.data.vehicle.pairs import (
     ALIKE,
     AROUND,
@@ -88,6 +87,11 @@ _ON_CAR = (-0.5, 1.5)  # positions on a car [wheelbases ahead of the rear axle]
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
+_PER_WHEELBASE = 0.3
+"""Highest frequency of the signals of a pose [cycles per wheelbase travelled]: the motion of a car
+is slower, and above it noise that is differentiated twice hides the force. With 0.5, noise of 2 cm
+hides that of a full-size car; with 0.15, a log of a 1:10 car has too few independent rows."""
+
 
 class PointCheck(NamedTuple):
     """The estimate of the tracked point."""
@@ -105,8 +109,7 @@ class _Point(NamedTuple):
     ahead: float = 0.0  # of the stated point [m]
     std: float = math.inf  # its standard error
     effect: float = 0.0  # of the distance on the slip angle (rms over rms)
-    misfit: float = 0.0  # rms of the slip angle that is not explained [rad]; infinite if the
-    # fits of the filtered and of the slower signals contradict each other
+    misfit: float = 0.0  # rms of the slip angle that is not explained [rad]
     known: bool = False  # whether a stable tire at this point on the car explains the force
     slope: float = 0.0  # slip angle over force at the stated point, in its standard errors
 
@@ -122,22 +125,22 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
     Args:
         kept: (n,) bool, the samples that will be written.
     """
-    found = _point(motion, vehicle, kept)
+    point = _point(motion, vehicle, kept)
     line, estimate = "this log does not determine it", None
-    if found.known:
-        line, estimate = point_words(found.ahead, found.std), (found.at, found.std)
+    if point.known:
+        line, estimate = point_words(point.ahead, point.std), (point.at, point.std)
     check = PointCheck(f"tracked point: {line}", estimate)
-    against = found.slope <= -SURE
-    if (found.is_off or not found.known) and _fits_mirrored(motion, vehicle, kept, found):
+    against = point.slope <= -SURE
+    if (point.is_off or not point.known) and _fits_mirrored(motion, vehicle, kept, point):
         other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
         unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
         words = f"v_y or {other} has the wrong sign"
         remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
-    elif found.is_off:
-        stated, left = found.at - found.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
-        words = f"the tracked point is {found.at:.3g} ± {found.std:.1g} m ahead of the rear axle,"
+    elif point.is_off:
+        stated, left = point.at - point.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
+        words = f"the tracked point is {point.at:.3g} ± {point.std:.1g} m ahead of the rear axle,"
         words += f" not {stated:.3g} m"
-        remedy = f"set tracked_point = [{found.at:.3g}, {left:g}] in vehicle.toml"
+        remedy = f"set tracked_point = [{point.at:.3g}, {left:g}] in vehicle.toml"
         if not vehicle.tracked_point:
             words += " (the centre of gravity, which is assumed, as tracked_point is not stated)"
             remedy += " (or correct l_r)"
@@ -153,14 +156,15 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
     if not against:
         return check._replace(warnings=(f"lateral force against slip angle: {words}; {remedy}",))
     reason = "channels contradict each other: the lateral force acts in the direction"
-    reason += f" of the axle's slip ({-found.slope:.0f} standard errors): {words}"
+    reason += f" of the axle's slip ({-point.slope:.0f} standard errors): {words}"
     return check._replace(problems=(InputProblem(reason, remedy, file),))
 
 
-def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept: np.ndarray, found: _Point) -> bool:
+def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept: np.ndarray, point: _Point) -> bool:
     """Whether the stated point fits the other sign of v_y of the tracked point (and of the a_y
-    that follows from it where none is logged) better than the point that was found. If neither
-    sign determines a point, whether the force is in the direction of the slip only as stated."""
+    that follows from it where none is logged) better than ``point`` fits the logged one. If
+    neither sign determines a point, whether the force is in the direction of the slip only as
+    stated."""
     if vehicle.columns.motion == POSE:
         return False
     v_y = 2 * vehicle.cg_from_tracked[0] * motion.yaw_rate - motion.v_y
@@ -169,8 +173,8 @@ def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept: np.ndarray, found: _P
         a_y = a_y + motion.rate_of(v_y - motion.v_y)
     other = _point(replace(motion, v_y=v_y, a_y=a_y), vehicle, kept)
     if not other.known:
-        return not found.known and found.slope <= -SURE < other.slope
-    return not other.is_off and (not found.known or other.misfit * ALIKE < found.misfit)
+        return not point.known and point.slope <= -SURE < other.slope
+    return not other.is_off and (not point.known or other.misfit < point.misfit)
 
 
 # --- fit ------------------------------------------------------------------------
@@ -190,13 +194,12 @@ class _Lines(NamedTuple):
     def moderate(self, x: float) -> tuple[np.ndarray, float, float]:
         """The rows of moderate force at a point, or all if they are too few; the strong force
         [N]; and the prior standard deviation of alpha_0: infinite if it is fitted, else 0."""
-        force = np.abs(self.force + x * self.force_x)[self.every]
-        strong = max(float(np.percentile(force, 95)), 1e-300)
-        weak = force <= _MODERATE * strong
+        force = (self.force + x * self.force_x)[self.every]
+        strong = max(float(np.percentile(abs(force), 95)), 1e-300)
+        weak = abs(force) <= _MODERATE * strong
         weak |= weak.sum() < FEWEST
-        rows = self.every[weak]
-        both = turns_both_ways((self.force + x * self.force_x)[rows] / strong)
-        return rows, strong, math.inf if both else 0.0
+        both = turns_both_ways(force[weak] / strong)
+        return self.every[weak], strong, math.inf if both else 0.0
 
     def at(self, x: float, strong: float) -> tuple[np.ndarray, np.ndarray]:
         """Slip angle (n,) at a point, and force over the strong force and its cube (n, 2)."""
@@ -214,49 +217,40 @@ class _Lines(NamedTuple):
         return fit._replace(std=np.hypot(fit.std, other.theta - fit.theta))
 
 
-def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Point:
-    """The point by the filtered signals, or by the slower ones if only these determine it or, of a
-    pose, if these determine it better or contradict it."""
-    each = [_fitted(lines, vehicle) for lines in _lines(motion, vehicle, kept)]
-    known = [point for point in each if point.known]
-    best = known[-1] if known else _Point()
-    if len(known) > 1:
-        apart = abs(known[0].at - best.at) > SURE * math.hypot(known[0].std, best.std)
-        better = apart or 2.0 * best.std < known[0].std
-        if not (better and vehicle.columns.motion == POSE):  # rates are differentiated less
-            best = known[0]
-        best = best._replace(misfit=math.inf if apart else best.misfit)
-    effect = max((point.effect for point in known), default=0.0)
-    return best._replace(effect=effect, slope=min((point.slope for point in each), default=0.0))
-
-
-def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> Iterator[_Lines]:
-    """The lines of the filtered signals and of those below a fifth of the cutoff."""
+def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Lines | None:
+    """The lines of the filtered signals; None if too few rows are known."""
+    if not kept.any():
+        return None
     small = 0.01 * vehicle.wheelbase
     alpha, force, _ = slip_and_force(motion, vehicle)
     alphas, forces, _ = slip_and_force(*further_ahead(motion, vehicle, small))
     slopes = (np.tan(alphas) - np.tan(alpha)) / small, (forces - force) / small
     signals = np.stack([np.tan(alpha), force, *slopes], axis=1)
-    if kept.any():  # values of other rows, as at standstill, are arbitrary
-        low, high = np.nanmin(signals[kept], axis=0), np.nanmax(signals[kept], axis=0)
-        signals = np.clip(signals, low, high)
-    for slower in (1.0, SLOWER):
-        if slower > 1:
-            signals = slowed(signals, motion, vehicle)
-            kept = kept & (motion.within >= slower * vehicle.filter.settling)
-        step = max(1, round(slower * vehicle.filter.sample_rate / vehicle.filter.cutoff))
-        known = np.isfinite(signals).all(axis=1)
-        every = surrounded(motion.part, kept & known, known, 2 * step + 1)
-        every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
-        if len(every) >= FEWEST:
-            slip, force, slip_x, force_x = np.nan_to_num(signals.T)
-            yield _Lines(slip, force, slip_x, force_x, every, step)
+    # Values of other rows, as at standstill, are arbitrary.
+    signals = np.clip(signals, np.nanmin(signals[kept], axis=0), np.nanmax(signals[kept], axis=0))
+    slower = 1.0
+    if vehicle.columns.motion == POSE:
+        highest = _PER_WHEELBASE * float(np.median(motion.v_x[kept])) / vehicle.wheelbase
+        slower = max(1.0, vehicle.filter.cutoff / highest)
+        signals = slowed(signals, motion, vehicle, slower)
+        kept = kept & (motion.within >= slower * vehicle.filter.settling)
+    step = max(1, round(slower * vehicle.filter.sample_rate / vehicle.filter.cutoff))
+    known = np.isfinite(signals).all(axis=1)
+    every = surrounded(motion.part, kept & known, known, 2 * step + 1)
+    every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
+    if len(every) < FEWEST:
+        return None
+    slip, force, slip_x, force_x = np.nan_to_num(signals.T)
+    return _Lines(slip, force, slip_x, force_x, every, step)
 
 
-def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
+def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Point:
     """Fit of the tracked point; starts at the best point of a grid."""
+    lines = _lines(motion, vehicle, kept)
+    if lines is None:
+        return _Point()
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
-    slope, start, misfit = _slope(lines), 0.0, math.inf
+    slope, start, smallest = _slope(lines), 0.0, math.inf
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
         rows, strong, offset = lines.moderate(x)
@@ -264,8 +258,8 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
         sides = np.hstack([sides, np.ones((len(rows), 1 if offset else 0))])
         theta = np.linalg.lstsq(sides, alpha)[0]
         variance = float(np.var(alpha - sides @ theta))
-        if theta[0] > 0 and variance < misfit:
-            start, misfit = x, variance
+        if theta[0] > 0 and variance < smallest:
+            start, smallest = x, variance
     rows, strong, offset = lines.moderate(start)
     x, fit = start, None
     try:
@@ -285,17 +279,19 @@ def _fitted(lines: _Lines, vehicle: Vehicle) -> _Point:
     size = max(float(np.mean(alpha[rows] ** 2)), 1e-300)
     effect = abs(x) * math.sqrt(np.mean(sides[rows, 2] ** 2) / size)
     # With instruments, the bias of least squares over their F statistic remains: Bound,
-    # Jaeger, Baker, JASA 1995, eq. 7.
+    # Jaeger, Baker, JASA 1995, eq. 7. F itself is known to 0.1 at best.
     share, count = fit.seen[2], sides.shape[1] * len(AROUND)
     strength = share / max(1 - share, 1e-9) * fit.effective / count
     bias = 0.01 * vehicle.wheelbase  # by the cube of a filtered force, in simulated drives
-    std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 1e-9), bias)
+    std = math.hypot(fit.std[2], abs(x - start) / max(strength - 1, 0.1), bias)
     on_car = _ON_CAR[0] < (stated + x) / vehicle.wheelbase < _ON_CAR[1]
     stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
     # Largest standard error [wheelbases] of an estimate that is reported: a quarter of the distance
     # from the centre of gravity to an axle, about.
     known = on_car and stable and std < 0.15 * vehicle.wheelbase
-    return _Point(stated + x, x, std, effect, math.sqrt(np.mean(fit.error**2)), known, slope)
+    if not known:
+        return _Point(slope=slope)
+    return _Point(stated + x, x, std, effect, math.sqrt(np.mean(fit.error**2)), True, slope)
 
 
 def _slope(lines: _Lines) -> float:

@@ -1,7 +1,7 @@
 """Read the usable samples of a vehicle log, in SI: :func:`read_track`."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,10 +24,6 @@ _CLOSEST = 0.3  # samples closer than this share of the sampling period are repe
 _LASTING = 1.0
 """A new run begins if time stamps go back and stay back for this time [s]; rows that a
 recorder wrote late end sooner."""
-
-_HELD, _COARSE = 0.02, 1e-3
-"""Smallest share of samples that repeat the one before, and smallest half step over the
-standard deviation of a channel, for a note on its quantisation."""
 
 _MEANT = {"yaw": "heading", "v_x": "v"}
 """Quantity of a log -> its canonical column, if that has another name."""
@@ -118,7 +114,6 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         "repeated pose": int(np.count_nonzero(later & ~fresh)),
     }
     signals = signals[fresh]
-    notes += _steps(channels, signals)
     for channel, values in zip(channels, signals.T, strict=True):
         if channel.quantity == "yaw":
             there = np.isfinite(values)
@@ -170,12 +165,9 @@ def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
 
     If the yaw of the vehicle is a quaternion, it is replaced by the column of its heading.
     """
-    given = vehicle.columns.model_dump(exclude={"yaw"}).values()
-    stated = vehicle.columns.yaw or ""
-    parts = stated if isinstance(stated, list) else []
-    yaw = stated if isinstance(stated, str) else stated[0]
-    wanted = [n for n in (*given, *(parts or [yaw]), vehicle.keep.active) if n]
-    table, headings = with_headings(read_table(path, wanted), parts)
+    yaw = vehicle.columns.yaw or ""
+    wanted = [n for n in (*vehicle.columns.model_dump().values(), vehicle.keep.active) if n]
+    table, headings = with_headings(read_table(path, wanted))
     if yaw in headings:
         columns = vehicle.columns.model_copy(update={"yaw": headings[yaw]})
         vehicle = vehicle.model_copy(update={"columns": columns})
@@ -301,22 +293,6 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
     else:
         reason = "holds fewer than two samples"
     raise DataError(reason, remedy, file, column=vehicle.columns.time)
-
-
-def _steps(channels: Iterable[Channel], signals: np.ndarray) -> list[str]:
-    """A note on channels whose quantisation is coarse compared with their changes."""
-    coarse = []
-    for channel, values in zip(channels, signals.T, strict=True):
-        values = values[np.isfinite(values)]
-        levels = np.unique(values)
-        if len(levels) < 3 or np.mean(np.diff(values) == 0) < _HELD:
-            continue
-        step = float(np.min(np.diff(levels)))
-        if step > _COARSE * math.sqrt(12) * float(np.std(values)):
-            text = f"{step / abs(channel.factor):.3g} {channel.unit.removeprefix('-')}"
-            coarse.append(f"{channel.quantity} {text.strip()}")
-    what = f"channels in steps, an error of 0.29 step (rms) each: {', '.join(coarse)}"
-    return [what] if coarse else []
 
 
 def _later(time: np.ndarray, period: float) -> np.ndarray:

@@ -48,14 +48,14 @@ class Columns(Section):
     columns are compared with these. If both are named, the pose is used.
 
     Attributes:
-        yaw: a heading, or the components x, y, z, w of a quaternion.
+        yaw: a heading, or a component of a quaternion.
         run: names or numbers of runs, which are treated separately.
     """
 
     time: str
     x: str | None = None
     y: str | None = None
-    yaw: str | Annotated[list[str], Field(min_length=4, max_length=4)] | None = None
+    yaw: str | None = None
     v_x: str | None = None
     v_y: str | None = None
     yaw_rate: str | None = None
@@ -68,8 +68,7 @@ class Columns(Section):
         given = [name for name in CHECKS if getattr(self, name) is not None]
         names: dict[str, list[str]] = {}
         for name in ("time", *given, "run"):
-            stated = getattr(self, name)
-            for header in stated if isinstance(stated, list) else [stated] if stated else []:
+            if header := getattr(self, name):
                 names.setdefault(header, []).append(f"columns.{name}")
         for header, keys in names.items():
             if len(keys) > 1:

@@ -44,17 +44,17 @@ def _message(header: str) -> str:
     return header.partition(".")[0] if header.startswith("/") else ""
 
 
-def _template(found: Mapping[str, str], names: Sequence[str], steered: str) -> str:
+def _template(headers: Mapping[str, str], names: Sequence[str], steered: str) -> str:
     """The lines of a vehicle.toml; those of needed channels without a column are comments.
     ``steered`` is the unit of the steering, as written."""
     lines = [*_CAR]
     for name in names:
-        if name in found:
-            lines.append(f"{name} = {json.dumps(found[name], ensure_ascii=False)}")
+        if name in headers:
+            lines.append(f"{name} = {json.dumps(headers[name], ensure_ascii=False)}")
         elif name in ("v_x", "v_y", "yaw_rate"):
             other = _ENDS[name].split()[-1]
             lines.append(f'# {name} = "..."  # not in this log: a column such as {other!r}')
-    if "steering" in found:
+    if "steering" in headers:
         unit = known_unit(steered) if steered else None
         scale = unit.scale if unit and unit.dimension == "angle" else 1.0
         reach = 1.0 if scale == 1.0 else _REACH / scale
@@ -82,7 +82,7 @@ def vehicle_log(
     """
     from tirefit.data.vehicle.vehicle import POSE, RATES  # which no other reader waits for
 
-    found: dict[str, str] = {}
+    header_of: dict[str, str] = {}
     for header in headers:
         words = re.findall("[a-z0-9]+", re.sub(r"[\[(].*", "", header.casefold()))
         if words[-1:] == ["data"]:  # the field of a ROS message that holds one number
@@ -94,39 +94,39 @@ def vehicle_log(
             if name in ("v_x", "v_y") and "angular" in words:
                 continue
             # Heading and speeds of the message that has the place, not of another sensor.
-            message = _message(found.get("x", ""))
-            beside = _message(header) == message != _message(found.get(name, ""))
-            if ends & set(known.split()) and (name not in found or beside and name in _OF_ONE):
-                found[name] = header
+            message = _message(header_of.get("x", ""))
+            beside = _message(header) == message != _message(header_of.get(name, ""))
+            if ends & set(known.split()) and (name not in header_of or beside and name in _OF_ONE):
+                header_of[name] = header
     # A message with both has measured both: speeds are differentiated once, not twice.
-    messages = {_message(found.get(name, "")) for name in ("x", *RATES)}
-    has_pose = by_pose and found.keys() >= {*POSE}
+    messages = {_message(header_of.get(name, "")) for name in ("x", *RATES)}
+    has_pose = by_pose and header_of.keys() >= {*POSE}
     motion = POSE if has_pose and (len(messages) > 1 or messages == {""}) else RATES
-    steering = found.get("steering", "")
+    steering = header_of.get("steering", "")
     below = units[list(headers).index(steering)] if units and steering else ""
     steered = " ".join((stated_unit(steering) or below).split())
-    if not found.keys() >= {*motion}:
-        there = [name for name in (*RATES, "a_y", "steering") if name in found]
+    if not header_of.keys() >= {*motion}:
+        there = [name for name in (*RATES, "a_y", "steering") if name in header_of]
         # No test rig measures two of these.
-        if "time" not in found or len(there) < 2:
+        if "time" not in header_of or len(there) < 2:
             return None
-        has = ", ".join(f"{name} ({found[name]!r})" for name in there)
-        lacks = " and ".join(name for name in RATES if name not in found)
+        has = ", ".join(f"{name} ({header_of[name]!r})" for name in there)
+        lacks = " and ".join(name for name in RATES if name not in header_of)
         remedy = (
             "tirefit derive computes those of an axle from v_x, v_y and yaw_rate, or from the pose"
             f" x, y and yaw (VEHICLE.md). This log has {has}, and no {lacks}: add it, as from an"
             " optical sensor or a GPS with two antennas, or name its column in vehicle.toml:"
         )
-        remedy += _template(found, ("time", *RATES, "a_y", "steering"), steered)
+        remedy += _template(header_of, ("time", *RATES, "a_y", "steering"), steered)
         remedy += f"\n      The columns of this log: {', '.join(map(repr, headers))}"
         return InputProblem(IS_VEHICLE_LOG, remedy, file)
     # The index of a data frame often has no header; in such logs it is the time.
-    found.setdefault("time", "" if "" in headers else "HEADER")
+    header_of.setdefault("time", "" if "" in headers else "HEADER")
     names = ("time", *motion, *(("a_y",) if motion == RATES else ()), "steering")
     return InputProblem(
         IS_VEHICLE_LOG,
         f"tirefit derive {file} --vehicle vehicle.toml --out axle.csv computes those of"
         " an axle. Write vehicle.toml (VEHICLE.md) with the numbers of your car:"
-        + _template(found, names, steered),
+        + _template(header_of, names, steered),
         file,
     )

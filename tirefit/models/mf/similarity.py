@@ -45,8 +45,8 @@ def similar_forces(
     stuck = ratio(slips[0], limit_x), ratio(slips[1], limit_y)
     resultant, sliding = _length(*stuck), _length(*slips)
     cosines = [
-        turned(resultant / 3, one / resultant, other / sliding)
-        for one, other in zip(stuck, slips, strict=True)
+        turned(resultant / 3, stick / resultant, other / sliding)
+        for stick, other in zip(stuck, slips, strict=True)
     ]
 
     def fx(slip: Array) -> Scalar:

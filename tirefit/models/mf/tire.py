@@ -307,14 +307,14 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
 
     along, across = tire.longitudinal, tire.lateral
     weights = {"fx": along.weight(at, scale), "fy": across.weight(at, scale)}
-    found = {
+    largest = {
         "fx": acting(along.curve(at, scale)),
         "fy": acting(side.curve),
         "mz": acting(tire.aligning.curve(at, scale, slip), tire.aligning.QDZ1),
     }
     for force, weight in weights.items():
-        found[force] = jnp.maximum(found[force], weighting(force, weight))
-    return {force: value for force, value in found.items() if force not in tire.lacks}
+        largest[force] = jnp.maximum(largest[force], weighting(force, weight))
+    return {force: value for force, value in largest.items() if force not in tire.lacks}
 
 
 _largest_of_all = jax.jit(jax.vmap(_largest, (None, 0)))
