@@ -5,7 +5,6 @@ import errno
 import json
 import math
 import os
-import shutil
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -21,10 +20,7 @@ except ImportError:  # Windows has no such locks: two processes may write at onc
     fcntl = None
 
 PART = ".tirefit-part"
-"""End of the name of a file that is not complete yet, or of a folder with earlier files; the
-name begins with a dot."""
-
-_EARLIER = f".earlier{PART}"
+"""End of the name of a file that is not complete yet; the name begins with a dot."""
 
 _ABANDONED = 86_400.0
 """Age [s] of a temporary file above which its process was killed: no command takes a day to
@@ -98,87 +94,34 @@ def _temporary(path: Path) -> Iterator[Path]:
 def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> None:
     """Replace files that belong together, so that a killed process leaves no mixture.
 
-    All earlier files are renamed before the first new one takes its place, the last of
-    ``made`` first: whoever finds the last file, finds the others of the same result.
-    After a kill, :func:`remove_left` or the next replacement restores the earlier files.
+    The last of ``made``, their document, is removed first and written last: whoever finds it,
+    finds the others of the same result.
 
     Args:
         made: path -> the new file that is renamed to it.
         gone: earlier files that have no successor.
 
     Raises:
-        OSError: a file could not be renamed; then all are as before.
+        OSError: a file could not be renamed; where a folder has its name, nothing is changed.
     """
     for path in made:
         if path.is_dir():  # found before the first file is replaced
             raise IsADirectoryError(errno.EISDIR, "there is a folder", str(path))
-    places = list(dict.fromkeys([*(path for path in gone if not path.is_dir()), *made]))
-    lasts = {path.parent: path for path in places}.values()  # of each folder
-    asides = {last.parent: _aside(last) for last in lasts}
-    try:
-        for last in lasts:
-            _recover(last)  # of a process that was killed
-            asides[last.parent].mkdir()
-        for number, path in reversed([*enumerate(places)]):
-            kept = asides[path.parent] / f"{number}.{path.name}"
-            if os.path.lexists(path):
-                os.replace(path, kept)
-            else:
-                kept.mkdir()  # states that there was no such file
-        for path, new in made.items():
-            os.replace(new, path)
-    except BaseException as error:  # Ctrl-C too
-        for aside in asides.values():
-            _put_back(aside)
-        if isinstance(error, OSError):  # the user does not know the names within ``aside``
-            raise _of(places[-1], error) from None
-        raise
-    for aside in asides.values():
-        shutil.rmtree(aside, ignore_errors=True)
-
-
-def _aside(last: Path) -> Path:
-    """The folder in which earlier files wait until all new ones, ``last`` too, are in place."""
-    return last.with_name(f".{last.name}{_EARLIER}")
-
-
-def _recover(last: Path) -> None:
-    """Undo a replacement that was killed before ``last`` was in place; end a later one."""
-    if os.path.lexists(last):
-        shutil.rmtree(_aside(last), ignore_errors=True)
-    else:
-        _put_back(_aside(last))
-
-
-def _put_back(aside: Path) -> None:
-    """Rename the files in ``aside`` back, the last one last; but a file that was written
-    since they were moved there stays."""
-    if not aside.is_dir():
-        return
-    moved = aside.stat().st_mtime_ns
-    for kept in sorted(aside.iterdir(), key=lambda path: int(path.name.partition(".")[0])):
-        path = aside.with_name(kept.name.partition(".")[2])
-        later = os.path.lexists(path) and path.lstat().st_mtime_ns > moved
-        if not kept.is_dir():
-            kept.unlink() if later else os.replace(kept, path)
-            continue
-        if not later:
-            path.unlink(missing_ok=True)
-        kept.rmdir()
-    aside.rmdir()
+    earlier = [path for path in gone if os.path.lexists(path) and not path.is_dir()]
+    if len(made) + len(earlier) > 1:
+        [*made][-1].unlink(missing_ok=True)
+    for path in earlier:
+        path.unlink()
+    for path, new in made.items():
+        os.replace(new, path)
 
 
 def remove_left(folder: Path) -> None:
-    """Remove what killed processes left in a folder.
-
-    Earlier files whose replacement did not end are restored. Temporary files that were last
-    written more than a day ago are removed: no living process needs them.
-    """
+    """Remove temporary files that killed processes left in a folder: those that were last
+    written more than a day ago, which no living process needs."""
     for path in folder.glob(f".*{PART}"):
         with suppress(OSError):
-            if path.name.endswith(_EARLIER):
-                _recover(path.with_name(path.name[1:].removesuffix(_EARLIER)))
-            elif time.time() - path.lstat().st_mtime > _ABANDONED:
+            if time.time() - path.lstat().st_mtime > _ABANDONED:
                 path.unlink()
 
 
@@ -205,7 +148,7 @@ def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> None:
-    """Write several files that belong together, as :func:`write_text_atomic`.
+    """Write several files that belong together, as :func:`replace_together`.
 
     All content is on the disk before the first file is replaced.
 
@@ -218,16 +161,12 @@ def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> 
     """
     made: dict[Path, Path] = {}
     with ExitStack() as waiting:
-        for path, text in reversed([(Path(path), text) for path, text in texts.items()]):
+        for path, text in [(Path(path), text) for path, text in texts.items()]:
             temporary = waiting.enter_context(_temporary(path))
             temporary.write_bytes(text if isinstance(text, bytes) else text.encode())
             os.chmod(temporary, _mode(path))
             made[path] = temporary
-        gone = [path for path in gone if os.path.lexists(path)]
-        if len(made) + len(gone) > 1:
-            replace_together(dict(reversed(made.items())), gone)
-        for path, temporary in made.items() if len(made) + len(gone) == 1 else ():
-            os.replace(temporary, path)
+        replace_together(made, gone)
 
 
 def took_lock(handle: int) -> bool:

@@ -17,7 +17,6 @@ from typer.testing import CliRunner
 from tirefit.cli import fleet
 from tirefit.cli.cluster import cluster
 from tirefit.cli.commands import app
-from tirefit.compiled import list_entries
 
 
 @contextmanager
@@ -35,10 +34,7 @@ def commands_cache():
         patch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         jax.config.update("jax_compilation_cache_dir", None)
         reset_cache()  # JAX would use the directory that it opened first
-        # What the other worker has not listed yet is not removed.
-        patch.setattr("tirefit.compiled.open_entries", lambda folder: None)
         yield
-        list_entries(commands / "tirefit")
     for name, value in before.items():
         jax.config.update(name, value)
     reset_cache()

@@ -13,7 +13,7 @@ from typing import Any
 from tirefit import __version__
 from tirefit.cli.options import CONTEXT, complain, say
 from tirefit.door import replaced_inputs
-from tirefit.files import PART, fcntl, remove_left, replace_together, took_lock
+from tirefit.files import fcntl, remove_left, replace_together, took_lock
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 
@@ -42,10 +42,6 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
         if reason:
             problems.append(InputProblem(reason, remedy, str(directory)))
     UsageError.raise_for(problems)
-    for directory in folders:
-        if any(directory.glob(f".*{PART}")):
-            with claimed(directory):  # a killed command may have left its result in parts
-                pass
     check_inputs_kept(made, inputs)
     reason = "it would be replaced, but tirefit did not write it"
     remedy = "choose another folder with --out, or rename the file"
@@ -117,43 +113,26 @@ def check_table(path: Path, text: str) -> None:
         raise DataError(reason, "choose another --out, or remove the file", str(path))
 
 
+_OURS = {".json": b'"schema": "tirefit.', ".toml": b"that tirefit fit estimated"}
+"""Ending of a file -> what it contains if tirefit wrote it; the others name tirefit."""
+
+
 def _is_of_others(path: Path, made: Collection[Path]) -> bool:
     """Whether tirefit did not write this file.
 
-    A file that does not name tirefit, as a figure, is ours if a document of its result is:
-    a JSON file or page among ``made`` in its folder, of the same name if there is one.
+    A table, which does not name tirefit, is ours if a document of ours (a JSON file or page
+    among ``made``) is beside it.
     """
     try:
         content = path.read_bytes()
     except OSError:
         return False
-    if not content.strip():
+    if not content.strip() or _OURS.get(path.suffix, b"tirefit") in content:
         return False
-    if path.suffix in (".json", ".toml"):
-        return not _is_our_text(path.suffix, content.decode(errors="replace"))
-    if b"tirefit" in content or path.suffix.lower() in (".html", ".mcap"):
-        return b"tirefit" not in content
+    if path.suffix in (".json", ".toml", ".html", ".mcap"):
+        return True
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
-    own = [
-        document
-        for document in documents
-        if path.name.startswith(f"{document.name.partition('.')[0]}.")
-    ]
-    documents = own or documents
     return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)
-
-
-def _is_our_text(ending: str, text: str) -> bool:
-    """Whether tirefit wrote a JSON or TOML file. A damaged JSON file counts as written by
-    tirefit if it names a schema of tirefit."""
-    if ending == ".toml":
-        return "that tirefit fit estimated" in text.partition("\n")[0]
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        return '"schema": "tirefit.' in text
-    schema = content.get("schema") if isinstance(content, dict) else None
-    return str(schema).startswith("tirefit.")
 
 
 def _is(path: Path) -> bool:
@@ -230,10 +209,19 @@ def staged(
     try:
         folder.mkdir()
         yield folder
-        _move(folder, directory, known)
+        # The document is moved last, so that the other files belong to it.
+        made = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
+        gone = [directory / name for name in known if not (folder / name).exists()]
+        replace_together({directory / path.name: path for path in made}, gone)
     except OSError as error:
         say(str(report))
-        raise _of(directory, folder, error) from None
+        path = Path(error.filename or folder)
+        if path.is_relative_to(folder):  # the user does not know the temporary name
+            path = directory / path.relative_to(folder)
+        named = OSError(error.errno, error.strerror or str(error), str(path))
+        there = f"{directory} is as it was before"
+        named.add_note(there if directory.is_dir() else f"the folder {directory} is gone")
+        raise named from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -337,24 +325,3 @@ def is_page(path: Path) -> bool:
         return bool(_SCHEMA.search(path.read_bytes()))
     except OSError:
         return False
-
-
-def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
-    """Move the files of the folder to the directory, and remove known ones it lacks."""
-    # The document is moved last, so that the other files belong to it.
-    made = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
-    gone = [directory / name for name in known if not (folder / name).exists()]
-    replace_together({directory / path.name: path for path in made}, gone)
-
-
-def _of(directory: Path, folder: Path, error: OSError) -> OSError:
-    """The error with the name of the directory or its file instead of a temporary one."""
-    path = Path(error.filename or folder)
-    if path.is_relative_to(folder):
-        path = directory / path.relative_to(folder)
-    named = OSError(error.errno, error.strerror or str(error), str(path))
-    there = directory.is_dir()
-    named.add_note(
-        f"{directory} is as it was before" if there else f"the folder {directory} is gone"
-    )
-    return named
