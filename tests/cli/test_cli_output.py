@@ -1,18 +1,15 @@
 """Complete results or none, one process per directory, Ctrl-C, and progress bars."""
 
-import io
 import os
 import pty
-import re
 import subprocess
 import sys
 import threading
-import time
 
 import pytest
 from test_cli_fit import FAST, content, write
 
-from tirefit.cli import options, silence
+from tirefit.cli import options
 from tirefit.cli.commands import app
 from tirefit.cli.output import check_results, claimed, is_page, staged
 from tirefit.files import replacing
@@ -266,31 +263,3 @@ def test_progress_without_a_terminal_is_printed_as_lines(monkeypatch, capsys):
         "posterior: 12 %, step 5",
         "posterior: 38 %, step 15",
     ]
-
-
-def test_a_long_silence_is_ended_by_a_line(monkeypatch):
-    heard, until = io.StringIO(), time.monotonic() + 60
-    monkeypatch.setattr(sys, "stderr", heard)
-    with silence.reported(most=0.01):
-        while heard.getvalue().count("\n") < 2 and time.monotonic() < until:
-            pass
-    assert re.match(r"(still at work, for \d+ s\n){2}", heard.getvalue())
-
-
-def test_no_line_is_printed_while_a_command_waits_for_its_input(monkeypatch):
-    heard, before = io.StringIO(), set(threading.enumerate())
-    monkeypatch.setattr(sys, "stderr", heard)
-    with silence.reported(most=3600):
-        (watcher,) = set(threading.enumerate()) - before
-        silence.expected()
-        watcher.join(60)
-        assert not watcher.is_alive() and heard.getvalue() == ""
-
-
-def test_a_command_that_prints_is_not_silent(monkeypatch):
-    heard = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", heard)
-    for talks in (lambda: options.complain("heard"), lambda: options.say("heard")):
-        before = silence._LATEST[0] = 0.0
-        talks()
-        assert silence._LATEST[0] > before

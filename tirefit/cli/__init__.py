@@ -57,11 +57,9 @@ def main() -> None:
     sys.unraisablehook = unheard
     try:
         # Imported here, so that Ctrl-C is answered during the imports as well.
-        from tirefit.cli import silence
         from tirefit.cli.commands import app
 
-        with silence.reported():
-            app()
+        app()
     except OSError as error:
         # The command could not print; it handles its own errors otherwise.
         if came:

@@ -27,12 +27,11 @@ COMMANDS = {
     " parameters of models.",
     "derive": "Compute slip angle and lateral force of an axle from vehicle logs.",
     "predict": "Compute the forces of a fit or a model for each row of a data file.",
-    "version": "Print the version.",
     "simulate": "Simulate logs and rig sweeps whose true tire is known.",
 }
 """Name -> first paragraph of its help, for the list of the commands."""
 
-_MODULES = dict.fromkeys(("version", "models", "methods", "inspect", "derive", "predict"), "tables")
+_MODULES = dict.fromkeys(("models", "methods", "inspect", "derive", "predict"), "tables")
 """Name -> module, where it is not of the same name."""
 
 _STYLE: dict[str, Any] = {"rich_markup_mode": None, "pretty_exceptions_enable": False}

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli import silence
 from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
@@ -134,7 +133,6 @@ def _follow(
     from tirefit.online.estimate import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
-    silence.expected()  # rows may come at any time
     # A row with bytes that are not text is flagged, and reading continues.
     sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)

@@ -132,7 +132,6 @@ def fit(
         bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
     ] = False,
     resume: Resume = False,
-    svg: Annotated[bool, typer.Option("--svg", help="write every figure as SVG too")] = False,
     html: Html = False,
     full: Full = False,
     jobs: Jobs = None,
@@ -159,7 +158,7 @@ def fit(
     if sampler is not None:
         chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
         settings = settings.model_copy(update={"posterior": chosen})
-    also = Also(svg, html, full)
+    also = Also(html, full)
     if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
         whole = {"part": part, "like": like, "leave_out": leave_out}
         whole = {name: value for name, value in whole.items() if value is not None}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,7 +30,6 @@ def fit_files(directory: Path) -> list[Path]:
 class Also(NamedTuple):
     """Options on what is written and printed in addition to result and figures."""
 
-    svg: bool = False
     html: bool = False
     full: bool = False  # the report with all details
 
@@ -83,7 +83,6 @@ def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
 
     expected = ["fit.json", "fit.png"]
     expected += ["posterior.nc"] if task.posterior else []
-    expected += ["fit.svg"] if task.also.svg else []
     expected += [PAGE] if task.also.html else []
     files = [directory / name for name in expected]
     record = done_before(files, files[0], asked, record_of)
@@ -139,11 +138,10 @@ def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:
     """Write the result, its figures and its page; returns the names of the files."""
     from tirefit.report.fit_figures import save_figures
 
-    def draw(folder: Path) -> None:
-        save_figures(result, folder, svg=also.svg)
-
     known = [path.name for path in fit_files(directory) if path.name != CHAIN]
-    return write_result(result, directory, known, draw, PAGE if also.html else "", text="")
+    return write_result(
+        result, directory, known, partial(save_figures, result), PAGE if also.html else "", text=""
+    )
 
 
 def _sampled(result: "FitResult", directory: Path, settings: Any, resume: bool) -> "FitResult":

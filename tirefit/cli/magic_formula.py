@@ -138,7 +138,7 @@ def _write(
 
     def draw(folder: Path) -> None:
         if also is not None:
-            save_magic_formula(result, folder, also.svg)
+            save_magic_formula(result, folder)
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
     known = [*dict.fromkeys(path.name for path in _files(out) if path.name != CHAIN)]

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli import silence
 from tirefit.data.readers.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -73,7 +72,6 @@ Full = Annotated[bool, typer.Option("--full", help="print the report with all de
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model")
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 Html = Annotated[bool, typer.Option("--html", help="write the report as one HTML page, too")]
 Forces = Annotated[
     list[str] | None,
@@ -315,7 +313,6 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
-    silence.broken()
     try:
         typer.echo(_printable(text))
     except BrokenPipeError:
@@ -326,7 +323,6 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
-    silence.broken()
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
@@ -411,7 +407,6 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
         task = bar.add_task(title, total=1.0, note="")
 
         def show(share: float, note: str) -> None:
-            silence.broken()
             bar.update(task, completed=share, note=note)
 
         yield show

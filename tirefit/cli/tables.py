@@ -1,4 +1,4 @@
-"""Small commands: version, and tables of models, methods, files and forces."""
+"""Small commands: tables of models, methods, files and forces."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,7 +16,6 @@ from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
-    JsonOption,
     OutFile,
     SetOption,
     SideOption,
@@ -49,25 +48,20 @@ if TYPE_CHECKING:
 Axle = StrEnum("Axle", "rear front")
 
 
-def version() -> None:
-    """Print the version."""
-    say(__version__)
-
-
-def models(json: JsonOption = False) -> None:
+def models() -> None:
     """List the models: parameters, units, bounds, meaning, source equation."""
     from tirefit.models import MODELS
-    from tirefit.report.model_tables import models_dict, models_table
+    from tirefit.report.model_tables import models_table
 
-    say(dumps(models_dict(MODELS), indent=1) if json else models_table(MODELS))
+    say(models_table(MODELS))
 
 
-def methods(json: JsonOption = False) -> None:
+def methods() -> None:
     """List the online methods: inputs, estimates, valid range of used friction, source."""
     from tirefit.online.methods import METHODS
-    from tirefit.report.model_tables import methods_dict, methods_table
+    from tirefit.report.model_tables import methods_table
 
-    say(dumps(methods_dict(METHODS), indent=1) if json else methods_table(METHODS))
+    say(methods_table(METHODS))
 
 
 @takes_data_options
@@ -88,7 +82,7 @@ def inspect(
             "--gate/--no-gate", help="compute how well the file determines the parameters of models"
         ),
     ] = True,
-    json: JsonOption = False,
+    json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
 ) -> None:
     """Show how a file was read, which fits it supports, and how well it determines the
     parameters of models."""

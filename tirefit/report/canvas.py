@@ -224,12 +224,9 @@ def panel_title(axes: Any, text: str, note: str = "") -> None:
         axes.text(0, 1.02, plain_text("\n".join(lines)), transform=axes.transAxes, **small)
 
 
-def save_pictures(
-    pictures: Iterable[tuple[str, Picture]], folder: Path, svg: bool = False
-) -> list[Path]:
-    """Write named pictures as PNG, and as SVG if ``svg``; returns the files."""
-    ends = (".png", ".svg") if svg else (".png",)
-    return [save_picture(p, folder / f"{name}{end}") for name, p in pictures for end in ends]
+def save_pictures(pictures: Iterable[tuple[str, Picture]], folder: Path) -> list[Path]:
+    """Write named pictures as PNG; returns the files."""
+    return [save_picture(picture, folder / f"{name}.png") for name, picture in pictures]
 
 
 def save_picture(picture: Picture, path: Path) -> Path:

@@ -17,11 +17,7 @@ from tirefit.report.fit_figures import curve_panel, draw_fit
 from tirefit.report.fit_tables import fit_files
 from tirefit.results import UsageError
 
-MAGIC_FORMULA_FILES = tuple(
-    f"{name}{suffix}"
-    for name in ("fit", *FORCE_LABEL, "residuals", "ellipse")
-    for suffix in (".png", ".svg")
-)
+MAGIC_FORMULA_FILES = tuple(f"{name}.png" for name in ("fit", *FORCE_LABEL, "residuals", "ellipse"))
 """Every file that :func:`save_magic_formula` may write."""
 
 _POINTS = 80  # points of a curve between the first and the last bin
@@ -221,10 +217,8 @@ def page_pictures(fit: MagicFormulaFit) -> list[dict[str, Any]]:
     return images_of(curve_panel(curve, curve.title) for curve in every)
 
 
-def save_magic_formula(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
-    """Write the figures as PNG, and as SVG if ``svg``; returns the files."""
+def save_magic_formula(fit: MagicFormulaFit, folder: Path) -> list[Path]:
+    """Write the figures; returns the files."""
     curves = curves_of(fit)
     named = {"fit": _first(fit, curves), **curves}.items()
-    return save_pictures(
-        ((name, stacked(some, title_of(fit))) for name, some in named), folder, svg
-    )
+    return save_pictures(((name, stacked(some, title_of(fit))) for name, some in named), folder)
