@@ -122,7 +122,7 @@ def unrendered(rendered_only):
 def no_figures(monkeypatch):
     """Fits write a ``fit.png`` without a picture: figures take half of the time of a command."""
 
-    def figures(result, folder, svg=False):
+    def figures(result, folder):
         (folder / "fit.png").write_text("no picture")
         return [folder / "fit.png"]
 

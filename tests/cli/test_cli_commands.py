@@ -248,7 +248,7 @@ def test_the_list_of_commands_holds_the_beginning_of_their_own_help():
 
 def test_python_dash_m_starts_tirefit():
     done = subprocess.run(
-        [sys.executable, "-m", "tirefit", "version"], capture_output=True, text=True
+        [sys.executable, "-m", "tirefit", "--version"], capture_output=True, text=True
     )
     assert done.returncode == 0 and done.stderr == ""
 

@@ -78,7 +78,7 @@ def test_a_failed_write_keeps_the_earlier_result(
     run(*ARGUMENTS)
     before = files_of(tmp_path / "o")
 
-    def stopped(result, directory, svg):
+    def stopped(result, directory):
         (directory / "fit.png").write_bytes(b"half")
         raise error
 

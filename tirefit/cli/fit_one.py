@@ -139,9 +139,8 @@ def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:
     from tirefit.report.fit_figures import save_figures
 
     known = [path.name for path in fit_files(directory) if path.name != CHAIN]
-    return write_result(
-        result, directory, known, partial(save_figures, result), PAGE if also.html else "", text=""
-    )
+    draw, page = partial(save_figures, result), PAGE if also.html else ""
+    return write_result(result, directory, known, draw, page, text="")
 
 
 def _sampled(result: "FitResult", directory: Path, settings: Any, resume: bool) -> "FitResult":
