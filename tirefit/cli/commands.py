@@ -57,7 +57,7 @@ class LazyCommand(TyperCommand):
             from tirefit.cli.options import errors_to_exit  # imported with the command
 
             function, found = errors_to_exit()(found), typer.Typer(add_completion=False, **_STYLE)
-            found.command(self.name, cls=getattr(module, "Command", None))(function)
+            found.command(self.name)(function)
         return typer.main.get_command(found)
 
     def get_short_help_str(self, limit: int = 0) -> str:

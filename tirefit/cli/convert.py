@@ -14,11 +14,15 @@ from tirefit.cli.magic_formula import (
     is_whole,
 )
 from tirefit.cli.options import (
+    File,
+    Folder,
+    Number,
     SeedOrNone,
     SignsOption,
+    Text,
     complain,
     model_names,
-    path_option,
+    option,
     say,
     start_jax,
 )
@@ -36,36 +40,27 @@ _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
 
 Force = StrEnum("Force", "fx fy")
 
+_MODEL = """\
+model to fit: a brush model (default: brush), or another version of the Magic Formula: mf52, mf61, \
+mf62"""
+
 
 def convert(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2")
+        File, typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2")
     ] = None,
     *,
-    out: Annotated[Path, path_option("FOLDER", "folder of the results")],
+    out: Folder,
     magic_formula: Annotated[
-        str | None,
-        typer.Option(metavar="B,C,D,E", help="coefficients of one curve, instead of a .tir file"),
+        Text, option("B,C,D,E", "coefficients of one curve, instead of a .tir file")
     ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="model to fit: a brush model (default: brush), or another version of"
-            " the Magic Formula: mf52, mf61, mf62",
-            autocompletion=model_names,
-        ),
-    ] = None,
-    force: Annotated[Force | None, typer.Option(help="force to convert (default: fx)")] = None,
+    model: Annotated[Text, option("", _MODEL, autocompletion=model_names)] = None,
+    force: Annotated[Force | None, option("", "force to convert (default: fx)")] = None,
     slip_max: Annotated[
-        float | None, typer.Option(help=f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})")
+        Number, option("", f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})")
     ] = None,
-    slip_min: Annotated[
-        float | None, typer.Option(help="smallest slip (default: minus the largest)")
-    ] = None,
-    loads: Annotated[
-        str | None,
-        typer.Option(metavar="N,N,...", help="loads [N] (default: 0.5, 1 and 1.5 FNOMIN)"),
-    ] = None,
+    slip_min: Annotated[Number, option("", "smallest slip (default: minus the largest)")] = None,
+    loads: Annotated[Text, option("N,N,...", "loads [N] (default: 0.5, 1 and 1.5 FNOMIN)")] = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
     seed: SeedOrNone = None,

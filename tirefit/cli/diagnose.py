@@ -2,12 +2,10 @@
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
@@ -15,6 +13,7 @@ from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
+    File,
     Files,
     Folder,
     Forces,
@@ -23,10 +22,13 @@ from tirefit.cli.options import (
     Seed,
     SideOption,
     SignsOption,
+    Text,
+    Texts,
     complain,
     completed,
     forces_named,
     numbers,
+    option,
     read_config,
     read_options,
     refuse,
@@ -54,26 +56,15 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
     from tirefit.data.table import TireData
     from tirefit.diagnosis.rows.rig import Rig
-    from tirefit.fitting.problem.config import FitConfig
 
 
-class Command(TyperCommand):
-    """``--holdout A B C``: all file names up to the next option."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        spread, after = [], False
-        for word, following in zip_longest(args, args[1:], fillvalue="-"):
-            if word.startswith("-"):
-                after = word == "--holdout"
-                if after and following.startswith("-"):
-                    raise typer.BadParameter("no file follows", ctx, param_hint=word)
-                if not after:
-                    spread.append(word)
-            elif after:
-                spread += ["--holdout", word]
-            else:
-                spread.append(word)
-        return super().parse_args(ctx, spread)
+_MODEL = """\
+model to fit first (default: brush), or a file: a simulator's tire, used unchanged; with --sim: \
+the model that represents the simulator (default: brush, or mf61 if the brush does not follow it)"""
+_SIM = "FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"
+_SIM_LOG = """\
+--vehicle: states that your simulator predicted for the inputs of FILE (one for each FILE): what \
+it has wrong of the car"""
 
 
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
@@ -88,61 +79,43 @@ def diagnose(
     options: DataOptions,
     out: Folder,
     model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MODEL|FIT.json|FILE.tir",
-            help="model to fit first (default: brush), or a file: a simulator's tire,"
-            " used unchanged; with --sim: the model that represents the simulator"
-            " (default: brush, or mf61 if the brush does not follow it)",
+        Text,
+        option(
+            "MODEL|FIT.json|FILE.tir",
+            _MODEL,
             autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
     ] = None,
     parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="use MODEL unchanged, with this value"),
+        Texts, option("NAME=VALUE", "use MODEL unchanged, with this value", "--set")
     ] = None,
-    sim: Annotated[
-        bool,
-        typer.Option("--sim", help="FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"),
-    ] = False,
+    sim: Annotated[bool, option("", _SIM, "--sim")] = False,
     side: SideOption = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
     force: Forces = None,
-    rig: Annotated[
-        Path | None, typer.Option(metavar="RIG.TOML", help="known noise and properties of the rig")
-    ] = None,
+    rig: Annotated[File, option("RIG.TOML", "known noise and properties of the rig")] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE...", help="files that are only used to check the result"),
+        option("FILE", "file that is only used to check the result (repeat for more)"),
     ] = None,
     without: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="ID",
-            help="do not search for this effect",
+        Texts,
+        option(
+            "ID",
+            "do not search for this effect",
             autocompletion=lambda incomplete: completed(*effect_names())(incomplete),
         ),
     ] = None,
     vehicle: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="VEHICLE.TOML",
-            help="FILE are logs of this car: find the effects that its model lacks",
-        ),
+        File,
+        option("VEHICLE.TOML", "FILE are logs of this car: find the effects that its model lacks"),
     ] = None,
     front: TireOption = None,
     rear: TireOption = None,
-    sim_log: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="SIM.CSV",
-            help="--vehicle: states that your simulator predicted for the inputs of FILE (one for"
-            " each FILE): what it has wrong of the car",
-        ),
-    ] = None,
+    sim_log: Annotated[list[Path] | None, option("SIM.CSV", _SIM_LOG)] = None,
     figures: Annotated[
-        bool, typer.Option("--figures", "--html", help="write NAME.png and NAME.html")
+        bool, option("", "write NAME.png and NAME.html", "--figures", "--html")
     ] = False,
     full: Full = False,
     resume: Resume = False,
@@ -169,8 +142,9 @@ def diagnose(
     how, plain = read_options(options, config), _PLAIN if model is None else model
     if config is not None:
         force = force or ([*config.force] if config.force else None)
-        asked = {"model": plain, "seed": seed, "force": force}
-        _warn_of_unused(config, how, asked)
+        if unused := sorted(config.model_fields_set - {"data", "force", "source"}):
+            text = f"{', '.join(unused)}: used only by `tirefit fit`, not by diagnose"
+            complain(f"warning: {config.source}: {text}")
     start_jax()
     # A simulator known by its forces is represented by the best stand-in.
     base = model if sim else plain
@@ -195,33 +169,6 @@ _OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".s
 _NOT_COMPARED = "holdout", "full", "seed"
 """Those that ``--sim-log`` does not use."""
 _PLAIN = "brush"  # the default base model
-
-_INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
-"""Key or section of fit.toml -> the option or file of diagnose that replaces it."""
-
-
-def _warn_of_unused(config: Any, how: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Warn once of keys that only a fit uses, except those with the values ``asked`` by
-    options. ``how`` has the keys of ``[data]`` that reading uses."""
-    used = {f"data.{key}" for key in how}
-    used |= {key for key, value in asked.items() if getattr(config, key) == value}
-    unused = [key for key in _keys(config) if key not in used]
-    if not unused:
-        return
-    sections = dict.fromkeys(key.split(".")[0] for key in unused)
-    instead = [f"{k} by {_INSTEAD[k]}" for k in sections if k in _INSTEAD]
-    rest = f"; give {', '.join(instead)}" if instead else ""
-    text = f"{', '.join(unused)}: used only by `tirefit fit`, not by diagnose{rest}"
-    complain(f"warning: {config.source}: {text}")
-
-
-def _keys(config: "FitConfig") -> list[str]:
-    """Keys that a configuration sets: ``force``, ``noise.fx``, ``parameters.mu``."""
-    keys = []
-    for name, value in config.model_dump(exclude_unset=True).items():
-        section = isinstance(value, dict)
-        keys += [f"{name}.{key}" for key in sorted(value)] if section else [name]
-    return keys
 
 
 def _read(path: Path, how: dict[str, Any], rig: "Rig | None" = None) -> "TireData":

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from tirefit.cli.options import progress_bar, start_jax
+from tirefit.cli.options import Text, option, progress_bar, start_jax
 from tirefit.cli.output import check_results, claimed, told_where, write_result
 from tirefit.display import Record
 
@@ -15,10 +13,7 @@ COMPARED = ("comparison.json", "comparison.png", "comparison.html")
 
 
 TireOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FIT.json|FILE.tir|MODEL", help="--vehicle: tire of this axle (default: brush)"
-    ),
+    Text, option("FIT.json|FILE.tir|MODEL", "--vehicle: tire of this axle (default: brush)")
 ]
 
 

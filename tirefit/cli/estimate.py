@@ -11,9 +11,12 @@ import typer
 from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
+    File,
     Seed,
+    Texts,
     complain,
     numbers,
+    option,
     path_option,
     read_config,
     read_options,
@@ -36,19 +39,14 @@ def estimate(
         str, typer.Argument(metavar="LOG.csv|-", help="log in time order, or - (standard input)")
     ],
     options: DataOptions,
-    method: Annotated[
-        str, typer.Option(metavar="NAME[,NAME...]", help="methods (see `tirefit methods`)")
-    ] = "rls",
+    method: Annotated[str, option("NAME[,NAME...]", "methods (see `tirefit methods`)")] = "rls",
     out: Annotated[
-        Path | None, path_option("FOLDER", "folder of the results (required without --follow)")
+        File, path_option("FOLDER", "folder of the results (required without --follow)")
     ] = None,
     follow: Annotated[
-        bool, typer.Option("--follow", help="read rows from standard input as they come (LOG is -)")
+        bool, option("", "read rows from standard input as they come (LOG is -)", "--follow")
     ] = False,
-    setting: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="[METHOD.]NAME=VALUE", help="setting of a method"),
-    ] = None,
+    setting: Annotated[Texts, option("[METHOD.]NAME=VALUE", "setting of a method", "--set")] = None,
     seed: Seed = 0,
 ) -> None:
     """Estimate friction and stiffness at each row, from the rows up to it."""

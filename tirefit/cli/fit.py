@@ -14,15 +14,20 @@ from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_piec
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
     DataOptions,
+    File,
     Files,
     Forces,
     Full,
     Html,
+    Number,
     Resume,
     SeedOrNone,
+    Text,
+    Texts,
     complain,
     completed,
     forces_named,
+    option,
     path_option,
     read_config,
     read_options,
@@ -47,6 +52,20 @@ Sampler = StrEnum("Sampler", "emcee importance")
 
 PAGE_OF_ALL = "fits.html"
 
+_MODEL = """\
+model of `tirefit models` (default: brush); mf52, mf61, mf62: a whole Magic Formula to all files; \
+with --vehicle: front=NAME,rear=NAME"""
+_PART = "mf52, mf61, mf62: fit this part only (default: all that the files determine)"
+_LIKE = """\
+mf52, mf61, mf62: take forces and coefficients that the files do not determine from this similar \
+tire"""
+_LEAVE_OUT = """\
+mf52, mf61, mf62: rows left out in turn to check the bands (default: the bins of three loads)"""
+_VEHICLE = "the files are logs of this car: fit the tires of both axles to its trajectories"
+_UNKNOWN = """\
+--vehicle: also fit this (repeat for more): yaw_inertia, cg_ahead, steering_ratio, \
+steering_offset, steering_delay, sideslip_zero (default: steering_offset and steering_delay)"""
+
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
     alone = len(files) == 1 or joint
@@ -65,71 +84,31 @@ def fit(
     files: Files,
     options: DataOptions,
     model: Annotated[
-        str | None,
-        typer.Option(
-            help="model of `tirefit models` (default: brush); mf52, mf61, mf62: a whole"
-            " Magic Formula to all files; with --vehicle: front=NAME,rear=NAME",
-            autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
-        ),
+        Text, option("", _MODEL, autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES))
     ] = None,
     posterior: Annotated[
-        bool, typer.Option("--posterior/--no-posterior", help="sample the posterior")
+        bool, option("", "sample the posterior", "--posterior/--no-posterior")
     ] = True,
     solver: Annotated[
-        Solver | None, typer.Option(help="least-squares solver; jaxopt is no longer maintained")
+        Solver | None, option("", "least-squares solver; jaxopt is no longer maintained")
     ] = None,
-    sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
+    sampler: Annotated[Sampler | None, option("", "posterior sampler")] = None,
     seed: SeedOrNone = None,
-    out: Annotated[Path | None, path_option("FOLDER", "folder of the results")] = None,
+    out: Annotated[File, path_option("FOLDER", "folder of the results")] = None,
     force: Forces = None,
-    part: Annotated[
-        str | None,
-        typer.Option(
-            metavar="fx|fy|mz|mx|my|combined|all",
-            help="mf52, mf61, mf62: fit this part only (default: all that the files determine)",
-        ),
-    ] = None,
-    like: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OTHER.tir",
-            help="mf52, mf61, mf62: take forces and coefficients that the files do not"
-            " determine from this similar tire",
-        ),
-    ] = None,
-    leave_out: Annotated[
-        str | None,
-        typer.Option(
-            metavar="three|load|bin|none",
-            help="mf52, mf61, mf62: rows left out in turn to check the bands (default:"
-            " the bins of three loads)",
-        ),
-    ] = None,
-    vehicle: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="VEHICLE.toml",
-            help="the files are logs of this car: fit the tires of both axles to its trajectories",
-        ),
-    ] = None,
-    unknown: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="--vehicle: also fit this (repeat for more): yaw_inertia, cg_ahead,"
-            " steering_ratio, steering_offset, steering_delay, sideslip_zero (default:"
-            " steering_offset and steering_delay)",
-        ),
-    ] = None,
+    part: Annotated[Text, option("fx|fy|mz|mx|my|combined|all", _PART)] = None,
+    like: Annotated[File, option("OTHER.tir", _LIKE)] = None,
+    leave_out: Annotated[Text, option("three|load|bin|none", _LEAVE_OUT)] = None,
+    vehicle: Annotated[File, option("VEHICLE.toml", _VEHICLE)] = None,
+    unknown: Annotated[Texts, option("NAME", _UNKNOWN)] = None,
     window: Annotated[
-        float | None,
-        typer.Option(min=0.05, help="--vehicle: length of a window [s] (default: 0.5)"),
+        Number, option("", "--vehicle: length of a window [s] (default: 0.5)", min=0.05)
     ] = None,
     joint: Annotated[
-        bool, typer.Option("--joint", help="fit all files together, each file as a run")
+        bool, option("", "fit all files together, each file as a run", "--joint")
     ] = False,
     strict: Annotated[
-        bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
+        bool, option("", "exit 5 if a parameter is not identified", "--strict")
     ] = False,
     resume: Resume = False,
     html: Html = False,

@@ -19,21 +19,25 @@ import typer
 from tirefit import __version__
 from tirefit.cli.cluster import cluster, shared
 from tirefit.cli.notes import merged_notes
-from tirefit.cli.options import Unheard, complain, error_text, has_terminal, progress_bar, say
+from tirefit.cli.options import (
+    Text,
+    Unheard,
+    complain,
+    error_text,
+    has_terminal,
+    option,
+    progress_bar,
+    say,
+)
 from tirefit.cli.output import swept
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-Jobs = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="number of processes that share the files")
-]
+Jobs = Annotated[int | None, option("N", "number of processes that share the files", min=1)]
 Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS", help="Dask scheduler whose workers share the files, e.g. tcp://host:8786"
-    ),
+    Text, option("ADDRESS", "Dask scheduler whose workers share the files, e.g. tcp://host:8786")
 ]
 
 TABLE, PAGE = "results.parquet", "fleet.html"

@@ -38,9 +38,14 @@ def named_path(text: str) -> Path:
     return Path(text)
 
 
+def option(metavar: str, help: str, *flags: str, **how: Any) -> Any:
+    """An option; its name is that of the parameter unless ``flags`` give it."""
+    return typer.Option(*flags, metavar=metavar or None, help=help, **how)
+
+
 def path_option(metavar: str, help: str) -> Any:
     """An option that takes the path of a file or folder."""
-    return typer.Option(metavar=metavar, parser=named_path, help=help)
+    return option(metavar, help, parser=named_path)
 
 
 def completed(*names: str) -> Callable[[str], list[str]]:
@@ -54,6 +59,10 @@ def completed(*names: str) -> Callable[[str], list[str]]:
 
 model_names = completed(*MODEL_NAMES)
 
+Text = str | None
+Texts = list[str] | None
+Number = float | None
+File = Path | None
 Files = Annotated[
     list[Path],
     typer.Argument(
@@ -69,73 +78,46 @@ _SEED = typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
 Seed = Annotated[int, _SEED]
 SeedOrNone = Annotated[int | None, _SEED]
 Full = Annotated[bool, typer.Option("--full", help="print the report with all details")]
-SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model")
-]
+SetOption = Annotated[Texts, option("NAME=VALUE", "parameter of the model", "--set")]
 Html = Annotated[bool, typer.Option("--html", help="write the report as one HTML page, too")]
-Forces = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--force", help="fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
-    ),
-]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="skip finished files; continue interrupted chains")
-]
+_FORCES = "fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
+Forces = Annotated[Texts, option("", _FORCES, "--force")]
+Resume = Annotated[bool, option("", "skip finished files; continue interrupted chains", "--resume")]
 
 Side = StrEnum("Side", "left right")
 
 SideOption = Annotated[
-    Side | None, typer.Option(help="FILE.tir: side of the vehicle (default: TYRESIDE of the file)")
+    Side | None, option("", "FILE.tir: side of the vehicle (default: TYRESIDE of the file)")
 ]
-SignsOption = Annotated[
-    str | None,
-    typer.Option(
-        help="sign convention of FILE.tir, and of fx_sim, ... in diagnose; values as"
-        " for --convention (default: iso-w)",
-        autocompletion=completed(*CONVENTIONS),
-    ),
-]
+_SIGNS = "sign convention of FILE.tir, and of fx_sim, ... in diagnose; values as for --convention"
+_SIGNS += " (default: iso-w)"
+SignsOption = Annotated[Text, option("", _SIGNS, autocompletion=completed(*CONVENTIONS))]
+
+
+_CONVENTION = """\
+signs of the file: braking (slip and force positive when braking), iso-w (driving positive, z up), \
+sae (driving positive, z down), adapted-sae (driving positive, F_y > 0 for alpha > 0); default: as \
+the file states, else braking"""
+_SLIP = "definition of the slip column: sigma_x, kappa, s, slip_ratio"
 
 
 @dataclass(frozen=True, kw_only=True)
 class DataOptions:
     """Options that describe the data files; every field is an option."""
 
-    config: Annotated[Path | None, path_option("FIT.TOML", "settings file")] = None
-    column: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=HEADER", help="header of a quantity, e.g. fx=Force"),
-    ] = None
-    unit: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=UNIT", help="unit of a quantity, e.g. fx=kN")
-    ] = None
-    constant: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="a quantity without a column, in SI units"),
-    ] = None
-    convention: Annotated[
-        str | None,
-        typer.Option(
-            help="signs of the file: braking (slip and force positive when braking),"
-            " iso-w (driving positive, z up), sae (driving positive, z down),"
-            " adapted-sae (driving positive, F_y > 0 for alpha > 0); default: as the"
-            " file states, else braking",
-            autocompletion=completed(*CONVENTIONS),
-        ),
-    ] = None
-    slip: Annotated[
-        str | None,
-        typer.Option(
-            help="definition of the slip column: sigma_x, kappa, s, slip_ratio",
-            autocompletion=completed(*SLIP_DEFINITIONS),
-        ),
-    ] = None
-    rolling_radius: Annotated[float | None, typer.Option(help="effective rolling radius [m]")] = (
+    config: Annotated[File, path_option("FIT.TOML", "settings file")] = None
+    column: Annotated[Texts, option("NAME=HEADER", "header of a quantity, e.g. fx=Force")] = None
+    unit: Annotated[Texts, option("NAME=UNIT", "unit of a quantity, e.g. fx=kN")] = None
+    constant: Annotated[Texts, option("NAME=VALUE", "a quantity without a column, in SI units")] = (
         None
     )
+    convention: Annotated[Text, option("", _CONVENTION, autocompletion=completed(*CONVENTIONS))] = (
+        None
+    )
+    slip: Annotated[Text, option("", _SLIP, autocompletion=completed(*SLIP_DEFINITIONS))] = None
+    rolling_radius: Annotated[Number, option("", "effective rolling radius [m]")] = None
     mask_bad_rows: Annotated[
-        bool, typer.Option("--mask-bad-rows", help="exclude and list invalid rows, and continue")
+        bool, option("", "exclude and list invalid rows, and continue", "--mask-bad-rows")
     ] = False
 
 

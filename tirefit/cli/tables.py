@@ -20,9 +20,11 @@ from tirefit.cli.options import (
     SetOption,
     SideOption,
     SignsOption,
+    Texts,
     complain,
     model_names,
     numbers,
+    option,
     pairs,
     path_option,
     read_config,
@@ -47,6 +49,15 @@ if TYPE_CHECKING:
 
 Axle = StrEnum("Axle", "rear front")
 
+_MODEL = """\
+model whose parameters are checked (repeat for more; default: some brush models and the Magic \
+Formula)"""
+_VEHICLE = "mass, geometry, inertia and columns of the log (see VEHICLE.md)"
+_UNIT = "unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s) reverses the sign"
+_STARRED = "FILE.tir: use tan(alpha) and sin(gamma) instead of the angles"
+_BESIDE = """\
+write the columns of DATA.csv and these forces as fx_sim, ..., for `tirefit diagnose --sim`"""
+
 
 def models() -> None:
     """List the models: parameters, units, bounds, meaning, source equation."""
@@ -68,21 +79,11 @@ def methods() -> None:
 def inspect(
     files: Files,
     options: DataOptions,
-    model: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="model whose parameters are checked (repeat for more; default: some"
-            " brush models and the Magic Formula)",
-            autocompletion=model_names,
-        ),
-    ] = None,
+    model: Annotated[Texts, option("", _MODEL, autocompletion=model_names)] = None,
     gate: Annotated[
-        bool,
-        typer.Option(
-            "--gate/--no-gate", help="compute how well the file determines the parameters of models"
-        ),
+        bool, option("", "compute how well the file determines the parameters", "--gate/--no-gate")
     ] = True,
-    json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
+    json: Annotated[bool, option("", "print JSON", "--json")] = False,
 ) -> None:
     """Show how a file was read, which fits it supports, and how well it determines the
     parameters of models."""
@@ -118,26 +119,12 @@ def _identified(data: "TireData", models: list[str] | None) -> "Identifiability"
 
 def derive(
     files: Files,
-    vehicle: Annotated[
-        Path,
-        path_option(
-            "VEHICLE.TOML", "mass, geometry, inertia and columns of the log (see VEHICLE.md)"
-        ),
-    ],
+    vehicle: Annotated[Path, path_option("VEHICLE.TOML", _VEHICLE)],
     out: OutFile,
-    axle: Annotated[Axle, typer.Option(help="axle to derive")] = Axle.rear,
-    unit: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=UNIT",
-            help="unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s) reverses the sign",
-        ),
-    ] = None,
+    axle: Annotated[Axle, option("", "axle to derive")] = Axle.rear,
+    unit: Annotated[Texts, option("NAME=UNIT", _UNIT)] = None,
     believe: Annotated[
-        bool,
-        typer.Option(
-            "--believe", help="warn, instead of stopping, if channels contradict each other"
-        ),
+        bool, option("", "only warn if channels contradict each other", "--believe")
     ] = False,
 ) -> None:
     """Compute slip angle and lateral force of an axle from vehicle logs."""
@@ -157,23 +144,11 @@ def predict(
     out: OutFile,
     options: DataOptions,
     parameter: SetOption = None,
-    starred_angles: Annotated[
-        bool,
-        typer.Option(
-            "--starred-angles", help="FILE.tir: use tan(alpha) and sin(gamma) instead of the angles"
-        ),
-    ] = False,
+    starred_angles: Annotated[bool, option("", _STARRED, "--starred-angles")] = False,
     side: SideOption = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
-    beside: Annotated[
-        bool,
-        typer.Option(
-            "--beside",
-            help="write the columns of DATA.csv and these forces as fx_sim, ..., for"
-            " `tirefit diagnose --sim`",
-        ),
-    ] = False,
+    beside: Annotated[bool, option("", _BESIDE, "--beside")] = False,
 ) -> None:
     """Compute the forces of a fit or a model for each row of a data file."""
     how = read_options(options, read_config(options.config))
