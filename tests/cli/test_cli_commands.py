@@ -198,7 +198,6 @@ def test_inspect_goes_on_after_a_bad_file(run, tmp_path):
 def test_version(run):
     from tirefit import __version__
 
-    assert run("version").stdout.strip() == __version__
     assert run("--version").stdout.strip() == f"tirefit {__version__}"
 
 

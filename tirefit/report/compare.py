@@ -7,7 +7,7 @@ import numpy as np
 
 from tirefit.diagnosis.summary.compare import Apart, Comparison
 from tirefit.diagnosis.summary.forces import ForceCurve, ForceDifference
-from tirefit.report.canvas import GREY, Panel, Picture, axes_panel, colors_of, images_of, together
+from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, images_of, together
 from tirefit.report.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
@@ -198,14 +198,6 @@ def comparison_text(found: Comparison) -> str:
     return f"{_title(found)}\n{report_text([first, *sections_of(found)])}"
 
 
-def _panels(found: Comparison) -> list[Panel]:
-    panels, names = [_force_panel(force) for force in found.forces], [x.name for x in found.sources]
-    for given, what in ((found.numbers, "Parameters"), (found.effects, "Sizes of effects")):
-        if shown := [one for one in given if one.difference is not None]:
-            panels.append(_number_panel(shown, names, what))
-    return panels
-
-
 def _force_panel(one: ForceDifference) -> Panel:
     label, unit, _ = FORCE_LABEL[one.force]
     axis, middle = slip_axis(one.slip, one.slips), len(one.loads) // 2
@@ -223,41 +215,20 @@ def _force_panel(one: ForceDifference) -> Panel:
     return axes_panel(draw, title, x_label, f"{label} [{unit}]")
 
 
-def _number_panel(given: Sequence[Apart], names: Sequence[str], what: str) -> Panel:
-    """Each number about its weighted mean, in standard errors of the farthest one."""
-
-    def draw(axes: Any) -> None:
-        colors = dict(zip(names, colors_of(len(names)), strict=True))
-        axes.axvline(0, color=GREY, lw=0.8)
-        for row, one in enumerate(given):
-            known = {k: x for k, x in one.values.items() if x.std is not None}
-            value = np.array([x.value for x in known.values()])
-            std = np.array([x.std for x in known.values()], float)
-            weight = np.maximum(std, 1e-12) ** -2
-            middle = weight @ value / weight.sum()
-            for k, name in enumerate(known):
-                place = row + 0.16 * (k - (len(known) - 1) / 2)
-                x, bar = (value[k] - middle) / one.std, std[k] / one.std
-                label = plain_text(name) if row == 0 else None
-                axes.errorbar(x, place, xerr=bar, fmt="o", ms=4, color=colors[name], label=label)
-        axes.set_yticks(range(len(given)), [plain_text(one.name) for one in given])
-        axes.set_ylim(len(given) - 0.5, -0.4 - 0.35 * len(names))  # room for the legend
-
-    label = "distance from the mean [errors of the difference]"
-    panel = axes_panel(draw, f"{what} about their mean, ± 1 standard error", label, "")
-    return panel._replace(size=(panel.size[0], 1.3 + 0.45 * len(given)))
-
-
 def plot_comparison(found: Comparison) -> Picture:
-    """Forces with their bands, and parameters and sizes of effects about their means."""
-    if not found.drawable:
-        raise UsageError("no figure: no forces and no errors to compare")
-    return together(_panels(found), _title(found), "; ".join(answer(found)), "braking positive, SI")
+    """Forces with their bands; numbers are in the tables."""
+    if not found.forces:
+        raise UsageError("no figure: no forces to compare")
+    panels = [_force_panel(force) for force in found.forces]
+    return together(panels, _title(found), "; ".join(answer(found)), "braking positive, SI")
 
 
 def comparison_page(found: Comparison) -> str:
     """The comparison as one HTML document with its pictures."""
-    sections = [Section("", pictures=images_of(_panels(found))), *sections_of(found)]
+    sections = [
+        Section("", pictures=images_of(map(_force_panel, found.forces))),
+        *sections_of(found),
+    ]
     first, *more = answer(found)
     return page(_title(found), sections, verdict_of(first, more, True), record=found.to_json())
 
@@ -266,7 +237,7 @@ def comparison_fragment(found: Comparison) -> str:
     """The tables, with the figure, for notebooks."""
     if found.models:
         return fragment("", sections_of(found))
-    pictures = [image_of(plot_comparison(found), _title(found))] if found.drawable else []
+    pictures = [image_of(plot_comparison(found), _title(found))] if found.forces else []
     first, *more = answer(found)
     sections = [Section("", pictures=pictures), *sections_of(found)]
     return fragment(_title(found), sections, verdict_of(first, more, True))

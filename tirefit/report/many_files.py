@@ -19,8 +19,6 @@ from tirefit.fitting.store import record_of_fit
 from tirefit.fitting.uncertainty.derived import quantity_of
 from tirefit.fitting.verdict.across_files import AcrossFiles, across_files
 from tirefit.report.canvas import images_of
-from tirefit.report.curves import overlay_of
-from tirefit.report.fit_figures import curve_panel
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Rows, Section, page, table_parts, verdict_of
 from tirefit.report.values import Points, points_panel
@@ -256,25 +254,17 @@ def _settings(files: Files, notes: Sequence[str]) -> Iterator[str]:
     yield from notes
 
 
-def files_page(
-    files: Files, title: str, curves: Sequence[dict[str, Any]] = (), notes: Sequence[str] = ()
-) -> str:
+def files_page(files: Files, title: str, notes: Sequence[str] = ()) -> str:
     """Results of several files as one HTML document, without script or external resource.
 
     Args:
-        curves: pictures of fitted curves.
         notes: assumptions on the files.
     """
-    more = len(files.names) - _LISTED
     none = ["no quantity of three files or more"] * (not files.quantities)
     sections = [
-        Section("Fitted curves", (), (), curves),
         Section("Quantities over the files", none, _quantities(files), _pictures(files)),
         Section("Files that differ", (), _different(files), note=_DISTANCE),
-        Section(
-            "Files", [f"and {more} more, in the table of results"] * (more > 0),
-            _table_of_files(files),
-        ),
+        Section("Files", (), _table_of_files(files), note=f"the first {_LISTED}", folded=True),
         Section("Data and settings", list(_settings(files, notes))),
     ]  # fmt: skip
     subtitle = "; ".join(filter(None, [files.pattern, "braking positive, SI"]))
@@ -303,15 +293,9 @@ def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = 
         FileRecord(name, "", "", FAILED, problem=text) for name, text in (failed or {}).items()
     ]
     files = files_of(records)
-    by_name = dict(zip(files.names, fits.values(), strict=False))
-    channels = dict.fromkeys(channel for result in fits.values() for channel in result.forces)
-    curves = images_of(
-        curve_panel(overlay_of(by_name, channel), f"Fitted curves of {channel} of all files")
-        for channel in channels
-    )
     notes = merged((name, result.data["assumptions"]) for name, result in fits.items())
     models = ", ".join(dict.fromkeys(result.model for result in fits.values()))
-    return files_page(files, f"{models} fitted to {len(fits)} files", curves, notes)
+    return files_page(files, f"{models} fitted to {len(fits)} files", notes)
 
 
 def write_fits_page(

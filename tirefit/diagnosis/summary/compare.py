@@ -147,12 +147,6 @@ class Comparison(Record):
     level: float = LEVEL
     version: str = field(default=__version__)
 
-    @property
-    def drawable(self) -> bool:
-        """Whether there are curves, or numbers with errors, for the figure."""
-        each = *self.numbers, *self.effects
-        return bool(self.forces) or any(one.difference is not None for one in each)
-
     def to_dict(self) -> dict[str, Any]:
         """Content of ``comparison.json``."""
         return json_safe({"schema": SCHEMA} | mappings(self))
