@@ -22,10 +22,6 @@ except ImportError:  # Windows has no such locks: two processes may write at onc
 PART = ".tirefit-part"
 """End of the name of a file that is not complete yet; the name begins with a dot."""
 
-_ABANDONED = 86_400.0
-"""Age [s] of a temporary file above which its process was killed: no command takes a day to
-write one."""
-
 
 def listed(given: Any) -> list[Any]:
     """A single name or path as a list of one; else all of them."""
@@ -121,7 +117,9 @@ def remove_left(folder: Path) -> None:
     written more than a day ago, which no living process needs."""
     for path in folder.glob(f".*{PART}"):
         with suppress(OSError):
-            if time.time() - path.lstat().st_mtime > _ABANDONED:
+            # Age [s] of a temporary file above which its process was killed: no command takes a day
+            # to write one.
+            if time.time() - path.lstat().st_mtime > 86_400.0:
                 path.unlink()
 
 

@@ -15,12 +15,6 @@ from typing import NoReturn
 
 __all__ = ["main"]
 
-_OVER = 0.01  # seconds after which a callback of the garbage collector has ended
-_YOUNG = 100_000
-"""New objects after which Python looks for garbage. Imports make 370,000 that stay; at
-Python's own 700, looking through them took 0.3 of the 2.6 s of a fit with figures. At
-500,000 a loop over files held 595 MiB, at this number and at 700 it held 357 MiB."""
-
 
 def main() -> None:
     """Run the ``tirefit`` command; Ctrl-C or SIGTERM ends it with exit code 130."""
@@ -34,7 +28,8 @@ def main() -> None:
         # Python ignores exceptions within a callback of the garbage collector, which JAX
         # has, so raise an interrupt that comes then again after its end.
         if issubclass(what.exc_type, KeyboardInterrupt) and came:
-            threading.Timer(_OVER, _thread.interrupt_main, [came[-1]]).start()
+            # Seconds after which a callback of the garbage collector has ended.
+            threading.Timer(0.01, _thread.interrupt_main, [came[-1]]).start()
         else:
             sys.__unraisablehook__(what)
 
@@ -48,7 +43,10 @@ def main() -> None:
     # simulations read from the result whether the integration succeeded.
     os.environ.setdefault("EQX_ON_ERROR", "off")
     os.environ["MPLBACKEND"] = "agg"  # figures are only written to files
-    gc.set_threshold(_YOUNG)
+    # New objects after which Python looks for garbage. Imports make 370,000 that stay; at Python's
+    # own 700, looking through them took 0.3 of the 2.6 s of a fit with figures. At 500,000 a loop
+    # over files held 595 MiB, at this number and at 700 it held 357 MiB.
+    gc.set_threshold(100_000)
     atexit.register(gc.freeze)  # at the end, a search for garbage would take 0.4 s
     # A job that a shell starts in the background ignores Ctrl-C: do not change that.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:

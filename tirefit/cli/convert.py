@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from tirefit.fitting.result import FitResult
 
 
-_SLIPS = 61  # slips of the grid, both ends included
-
 _SLIP_MAX = 0.3
 _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
 
@@ -124,7 +122,7 @@ def _checked(
         problems.append(InputProblem(reason, "-1 < --slip-min < --slip-max < 1"))
     UsageError.raise_for(problems)
     check_results(fit_files(out))
-    return coefficients, np.linspace(low, high, _SLIPS), chosen
+    return coefficients, np.linspace(low, high, 61), chosen  # slips of the grid, both ends included
 
 
 def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]:

@@ -55,10 +55,6 @@ from tirefit.params import par
 _SUBSTEPS = 4
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _JUMP = 0.03  # jump of the torque over R F_z after which the motion is initialised again
-_SUMMED = 10.0  # number of surprises that are reported as one
-_SPUN = 0.015
-"""Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
-wheel of S section 5."""
 _LEAST, _MOST = 0.05, 4.0  # limits of theta
 _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Slips at which the peak of the steady force is searched: in steps of 9 %."""
@@ -159,7 +155,9 @@ class LuGreObserver(AbstractEstimator):
         jump = jnp.abs(u[3] - state.x[6]) > _JUMP * self.radius * jnp.abs(u[2])
         jump |= self._locked(u)
         smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + state.waited, 1e3))
-        anew = (state.waited > _LONGEST) | (smooth < _SPUN)
+        # Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
+        # wheel of S section 5.
+        anew = (state.waited > _LONGEST) | (smooth < 0.015)
         dt = jnp.clip(state.waited, 1e-6, _LONGEST)
 
         def flat(x: Float[Array, "7"], u: Float[Array, "4"]) -> Float[Array, "8"]:
@@ -188,7 +186,7 @@ class LuGreObserver(AbstractEstimator):
         # correlated (by a quarter with slip noise of S section 5.1): a sum of n has variance
         # 1.5 n. The standardised sum of ten is reported.
         count, total = state.summed + 1, state.sum + jnp.clip(surprise, -4.0, 4.0)
-        full = count >= _SUMMED
+        full = count >= 10.0  # number of surprises that are reported as one
         reported = jnp.where(full & ~anew, total / jnp.sqrt(1.5 * count), jnp.nan)
         total, count = jnp.where(full, 0.0, total), jnp.where(full, 0.0, count)
         moved = held._replace(x=x, covariance=spread[:7, :7], sum=total, summed=count)

@@ -23,9 +23,6 @@ from tirefit.online.base import Estimate, Method, Sample, choose, floats, widest
 from tirefit.online.regression import AbstractRegression, corrected, limited
 from tirefit.params import par
 
-_SAMPLES_OF_NOISE = 20.0
-"""Weight, in samples, of the stated noise relative to the observed errors."""
-
 
 class RlsState(NamedTuple):
     """theta [-] with the coefficients of y and of u_2 from which it follows, P over the
@@ -63,7 +60,8 @@ class Rls(AbstractRegression):
 
     def init(self) -> RlsState:
         theta = floats(self.start0, self.start1)
-        errors = _SAMPLES_OF_NOISE * floats(self.force_noise**2, 1.0)
+        # Weight, in samples, of the stated noise relative to the observed errors.
+        errors = 20.0 * floats(self.force_noise**2, 1.0)
         return RlsState(theta, theta, jnp.zeros(2), self._first(), *errors)
 
     def step(self, state: RlsState, sample: Sample) -> tuple[RlsState, Estimate]:

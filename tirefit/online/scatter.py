@@ -20,7 +20,6 @@ from jaxtyping import Array, Bool, Float
 
 from tirefit.online.base import RESOLVED, AbstractEstimator, Estimate, Flag, code
 
-_SECONDS = 20.0  # memory of the scatter [s]
 MODEL = 0.05
 """Error of a tire model in mu that no log shows by itself, relative: batch fits of one run each
 differ by 3 to 6 % on the f1tenth and DART cars."""
@@ -43,7 +42,7 @@ class Scatter(NamedTuple):
         """The scatter with an estimate that holds for ``dt`` [s], and its own std."""
         new = dt / (1 + (std / (RESOLVED * mu)) ** 2)
         new = jnp.where(jnp.isfinite(new) & jnp.isfinite(mu), new, 0.0)
-        keep = jnp.exp(-dt / _SECONDS)
+        keep = jnp.exp(-dt / 20.0)  # memory of the scatter [s]
         weight, level = keep * self.weight + new, keep * self.level + new
         off = jnp.where(new > 0, mu - self.mean, 0.0)
         step = new / jnp.where(level > 0, level, 1.0) * off

@@ -44,8 +44,6 @@ from tirefit.results import UsageError
 Wheels = Float[Array, " w"]
 _STEADY = 0.05  # time [s] over which the deceleration of the vehicle is averaged
 _SLOWEST = 2.0  # speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v
-_FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as in O(8)
-_LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
 
 
@@ -225,7 +223,8 @@ class XbsServo(AbstractController):
         slowing = s.slowing + weight * (m.deceleration - s.slowing)
         vehicle = jnp.maximum(s.vehicle - self.period * slowing, 0.0)
         ready = m.pressure + jnp.sum(s.coming, axis=0)
-        follows = jnp.abs(s.target - ready) < _FOLLOWED
+        # Error of the pressure [Pa] up to which the servo acts as in O(8).
+        follows = jnp.abs(s.target - ready) < 3e5
         xbs, slope, slope_std, flag = self._slope(s, m.wheel_speed, follows)
         wanted = self._wanted(m, vehicle)
         error = (slope - wanted) / wanted
@@ -270,7 +269,7 @@ class XbsServo(AbstractController):
         moving = jnp.maximum(vehicle, _SLOWEST)
         angle = jnp.asarray(self.steered) * m.steering
         angle = angle - jnp.asarray(self.ahead) * m.yaw_rate / moving
-        along = jnp.maximum(moving / turning - 1, _LEAST_SLIP)
+        along = jnp.maximum(moving / turning - 1, 0.01)
         across = self.stiffness_ratio * jnp.tan(angle) * (1 + along)
         slope = braking_slope(self.share, jnp.asarray(self.stiffness), jnp.arctan2(across, along))
         return slope / turning

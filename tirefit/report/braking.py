@@ -34,9 +34,6 @@ _SHORT = {
     "recovery_time": "recovery",
 }
 """Numbers shown in the terminal."""
-_SLOWEST_SHOWN = 2.0
-"""Speed [m/s] above which a path of slip is shown; below, controllers switch off."""
-_PEAKS_SHOWN = 8.0  # largest slip shown, over that of the highest peak
 
 
 def _scaled(name: str) -> tuple[float, str]:
@@ -177,7 +174,8 @@ def stop_figure(result: Braking) -> Picture:
 
 def _slowest_shown(stop: Stop) -> float:
     """Speed [m/s] below which the slip of a wheel is not shown."""
-    return min(_SLOWEST_SHOWN, 0.5 * float(stop.log.motion.v_x[0]))
+    # Speed [m/s] above which a path of slip is shown; below, controllers switch off.
+    return min(2.0, 0.5 * float(stop.log.motion.v_x[0]))
 
 
 class Path(NamedTuple):
@@ -204,7 +202,7 @@ def paths_figure(result: Braking) -> Picture:
     Below: the share of time that it spent at each slip, locked wheels at the right end.
     """
     peak = max(float(np.max(s.log.reading.truth.peak)) for s in result.stops.values())
-    limit = min(_PEAKS_SHOWN * peak, 1.0)
+    limit = min(8.0 * peak, 1.0)  # largest slip shown, over that of the highest peak
     paths = {name: path_of(stop) for name, stop in result.stops.items()}
 
     def on_curve(axes: Any) -> None:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:  # which imports much that other fits do not need
 
 FORCE_UNIT = {force: CANONICAL[force][0] for force in FORCES}
 _ROUTES = ("covariance", "profile", "posterior", "independent")
-_STRONG = 0.9
 
 
 def short_run(result: FitResult, run: str) -> str:
@@ -295,7 +294,7 @@ def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
         (abs(matrix[i, j]), f"{names[j]} and {names[i]}: {matrix[i, j]:+.3f}")
         for i in range(len(labels))
         for j in range(i)
-        if abs(matrix[i, j]) > _STRONG
+        if abs(matrix[i, j]) > 0.9
     ]
     pairs.sort(key=lambda pair: -pair[0])
     lines = [text for _, text in pairs[:most]]

@@ -28,7 +28,6 @@ _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
 """Kinds of quantities in the order of the page, without given values (``base``)."""
 _OWN_STD = ("parameter", "effect", "derived")
 """Kinds whose numbers have a standard deviation; without one a number counts as unknown."""
-_FEW = 3  # smallest number of files for a quantity to be shown
 _PICTURES, _LISTED = 12, 40
 """Largest numbers of drawn quantities and of listed files."""
 _DISTANCE = f"""\
@@ -87,7 +86,8 @@ def files_of(records: Sequence[FileRecord]) -> Files:
         if kind not in _OWN_STD:
             std = np.zeros(count)
         known = np.isfinite(value + std)
-        if kind in _KINDS and known.sum() >= min(_FEW, count):
+        # Smallest number of files for a quantity to be shown.
+        if kind in _KINDS and known.sum() >= min(3, count):
             across = across_files(value[known], std[known], when[known])
             quantities.append(Quantity(kind, name, unit, value, std, known, across))
     quantities.sort(key=lambda quantity: _KINDS.index(quantity.kind))

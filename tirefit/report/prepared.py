@@ -34,9 +34,6 @@ _PANELS = {
 }
 """Channels that are shown, in this order, and their labels."""
 _ALSO = {"fx": (1.0, "N"), "fy": (1.0, "N"), "temperature": (1.0, "°C")}
-_LEAST_FORCE = 0.1
-"""Smallest range of a force that has a panel, over the largest load."""
-_KILO = 2000.0  # forces above this [N] are shown in kN
 _POINTS = 1500
 """Number of columns of the picture; a line has its smallest and largest value in each."""
 
@@ -86,7 +83,8 @@ def _is_telling(name: str, prepared: Prepared, settings: int) -> bool:
     if name in LEAST:
         return size >= LEAST[name]
     if name in ("fx", "fy") and "fz" in prepared.columns:
-        return size >= _LEAST_FORCE * float(np.max(prepared.columns["fz"]))
+        # Smallest range of a force that has a panel, over the largest load.
+        return size >= 0.1 * float(np.max(prepared.columns["fz"]))
     return name not in ("gamma", "pressure", "v") or settings != 1
 
 
@@ -100,7 +98,7 @@ def _panels(prepared: Prepared) -> list[Panel]:
         scale, unit = (SHOWN | _ALSO)[name]
         if name == "sigma_x":
             value = slip_from_sigma(value, "slip_ratio")
-        if unit == "N" and np.max(np.abs(value)) > _KILO:
+        if unit == "N" and np.max(np.abs(value)) > 2000.0:  # forces above this [N] are shown in kN
             scale, unit = 1e-3, "kN"
         held = settings is not None and settings.is_held
         center = settings.center if settings is not None and held else np.zeros(0)

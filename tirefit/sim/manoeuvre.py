@@ -32,7 +32,6 @@ from tirefit.sim.brake_request import (
 )
 from tirefit.sim.brake_result import Braking, Stop, Summary, summarise
 
-_TOGETHER = 50  # stops in one batch: more need much memory, and all wait for the slowest one
 _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
 """A tire with a peak: the sliding friction is four fifths of the peak, S(33)."""
 
@@ -122,7 +121,8 @@ def many_stops(
         log = simulate_stop(plant, controller, sensors, speed, key, samples, queue)
         return summarise(plant, log, 1 / controller.rate)
 
-    return jax.lax.map(one, (plants, keys), batch_size=_TOGETHER)
+    # Stops in one batch: more need much memory, and all wait for the slowest one.
+    return jax.lax.map(one, (plants, keys), batch_size=50)
 
 
 def braked(
