@@ -5,19 +5,13 @@ import errno
 import json
 import math
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import ModuleType
 from typing import Any
-
-fcntl: ModuleType | None
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks: two processes may write at once
-    fcntl = None
 
 PART = ".tirefit-part"
 """End of the name of a file that is not complete yet; the name begins with a dot."""
@@ -112,15 +106,17 @@ def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> No
         os.replace(new, path)
 
 
+WRITING = ".tirefit-writing"
+"""Beginning of the name of the folder to which a result is written until complete."""
+
+
 def remove_left(folder: Path) -> None:
-    """Remove temporary files that killed processes left in a folder: those that were last
-    written more than a day ago, which no living process needs."""
-    for path in folder.glob(f".*{PART}"):
+    """Remove temporary files and folders that killed processes left in a folder: those that
+    were last written more than a day ago, which no living process needs."""
+    for path in (*folder.glob(f".*{PART}"), *folder.glob(f"{WRITING}*")):
         with suppress(OSError):
-            # Age [s] of a temporary file above which its process was killed: no command takes a day
-            # to write one.
             if time.time() - path.lstat().st_mtime > 86_400.0:
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def _of(path: Path, error: OSError) -> OSError:
@@ -165,15 +161,3 @@ def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> 
             os.chmod(temporary, _mode(path))
             made[path] = temporary
         replace_together(made, gone)
-
-
-def took_lock(handle: int) -> bool:
-    """Lock an open folder until its handle is closed; returns whether no other process holds
-    it, also where the file system has no locks."""
-    if fcntl is not None:
-        with suppress(OSError):
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return False
-    return True

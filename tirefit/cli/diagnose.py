@@ -1,5 +1,6 @@
 """``tirefit diagnose``: find the effects that a model lacks, and the gap without them."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -7,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
@@ -29,6 +29,7 @@ from tirefit.cli.options import (
     forces_named,
     numbers,
     option,
+    progress_bar,
     read_config,
     read_options,
     refuse,
@@ -45,10 +46,12 @@ from tirefit.cli.output import (
     done_before,
     is_page,
     names_of,
+    told_where,
     write_result,
 )
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
+from tirefit.display import Record
 from tirefit.names import MODEL_NAMES, effect_names
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
@@ -65,6 +68,11 @@ _SIM = "FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"
 _SIM_LOG = """\
 --vehicle: states that your simulator predicted for the inputs of FILE (one for each FILE): what \
 it has wrong of the car"""
+
+
+TireOption = Annotated[
+    Text, option("FIT.json|FILE.tir|MODEL", "--vehicle: tire of this axle (default: brush)")
+]
 
 
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
@@ -129,7 +137,7 @@ def diagnose(
         refuse_besides([*_OF_VEHICLE, "sim_log"])
         if sim_log:
             refuse(_NOT_COMPARED, "with --sim-log", "leave it out: the car itself is not diagnosed")
-        return diagnose_car(
+        return _diagnose_car(
             files, vehicle, (front, rear), out, sim_log or [], holdout=holdout or (),
             without=without or (), figures=figures, full=full, seed=seed,
         )  # fmt: skip
@@ -284,3 +292,50 @@ def _asked(task: _Task, table: "TireData") -> str:
         task.how,
         task.seed,
     )
+
+
+# --- logs of a vehicle ---------------------------------------------------------------
+
+_CAR_FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
+_COMPARED_FILES = ("comparison.json", "comparison.png", "comparison.html")
+
+
+def _diagnose_car(
+    logs: list[Path],
+    vehicle: Path,
+    tires: tuple[str | None, str | None],
+    out: Path,
+    sim_logs: list[Path],
+    *,
+    holdout: Sequence[Path],
+    without: Sequence[str],
+    figures: bool,
+    full: bool,
+    seed: int,
+) -> None:
+    """Diagnose the car, or compare it with its simulator; print the report, write the files.
+
+    Args:
+        tires: of the front and of the rear axle; None: brush.
+        sim_logs: what the simulator predicted for each log; empty: diagnose the car itself.
+    """
+    names = _COMPARED_FILES if sim_logs else _CAR_FILES
+    front, rear = (tire or "brush" for tire in tires)
+    check_results([out / name for name in names], [*logs, *sim_logs])
+    # The first line of progress at once, as JAX takes seconds to load and to compile.
+    with claimed(out):
+        with told_where(out, "diagnosis"), progress_bar("diagnose", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.diagnose import diagnose_vehicle
+            from tirefit.vehicle.simulated import compare_with_simulator
+
+            how: dict[str, Any] = {"without": without, "progress": progress}
+            if sim_logs:
+                result: Record = compare_with_simulator(logs, sim_logs, vehicle, front, rear, **how)
+            else:
+                how |= {"holdout": holdout, "seed": seed}
+                result = diagnose_vehicle(logs, vehicle, front, rear, **how)
+        drawn, page = ({names[1]: ""}, names[2]) if figures else ({}, "")
+        text = result.summary() if sim_logs else result.summary(full=full)
+        write_result(result, out, names, drawn, page, text=text)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
-from tirefit.cli.fit_vehicle import fit_vehicle
 from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
@@ -29,6 +28,7 @@ from tirefit.cli.options import (
     forces_named,
     option,
     path_option,
+    progress_bar,
     read_config,
     read_options,
     refuse_besides,
@@ -37,10 +37,10 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_results, is_page, names_of
+from tirefit.cli.output import check_results, claimed, is_page, names_of, told_where, write_result
 from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode
+from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -123,7 +123,7 @@ def fit(
     if vehicle is not None:
         refuse_besides(_OF_VEHICLE)
         car = {"unknowns": unknown, "window": window}
-        raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
+        raise typer.Exit(_fit_vehicle(files, vehicle, model, out, **car))
     refuse_of_vehicle("unknown", "window")
     base = read_config(options.config) or FitConfig()
     how = read_options(options, base)
@@ -217,3 +217,42 @@ def _page_of_all(folder: Path, fits: dict[str, Any], failed: dict[str, str]) -> 
         say(f"wrote {page}")
     elif is_page(page):
         page.unlink()
+
+
+# --- logs of a vehicle ---------------------------------------------------------------
+
+_TRAJECTORY = "trajectory.png"
+_OF_TRAJECTORY = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", _TRAJECTORY)
+
+
+def _models_of(text: str | None) -> dict[str, Any]:
+    """The models in ``front=brush,rear=brush``, or in a single name for both axles."""
+    if text is None or "=" not in text:
+        return dict.fromkeys(("front", "rear"), text or "brush")
+    found = dict(part.strip().partition("=")[::2] for part in text.split(","))
+    if set(found) != {"front", "rear"}:
+        reason = f"--model {text} with --vehicle"
+        raise UsageError(InputProblem(reason, "write front=brush,rear=brush"))
+    return found
+
+
+def _fit_vehicle(
+    logs: list[Path], vehicle: Path, model: str | None, out: Path | None, **how: Any
+) -> ExitCode:
+    """Fit the car, print the report and write the files.
+
+    Args:
+        how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for its defaults.
+    """
+    models, out = _models_of(model), out or Path(f"{vehicle.stem}.fit")
+    check_results([out / name for name in _OF_TRAJECTORY], logs)
+    how = {k: v for k, v in how.items() if v is not None}
+    with claimed(out):
+        with told_where(out, "fit"), progress_bar("fit", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.trajectory import fit_trajectory
+
+            result = fit_trajectory(logs, vehicle, progress=progress, **(models | how))
+        write_result(result, out, _OF_TRAJECTORY, {_TRAJECTORY: ""})
+    return exit_code(result.outcomes)

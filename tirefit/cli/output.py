@@ -1,10 +1,11 @@
-"""Write folders of results: by one process at a time, each result completely or not."""
+"""Write folders of results, each completely or not."""
 
 import hashlib
 import json
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 from tirefit import __version__
 from tirefit.cli.options import CONTEXT, complain, say
 from tirefit.door import replaced_inputs
-from tirefit.files import fcntl, remove_left, replace_together, took_lock
+from tirefit.files import WRITING, remove_left, replace_together
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 
@@ -154,60 +155,36 @@ def told_where(out: Path, work: str) -> Iterator[None]:
 
 @contextmanager
 def claimed(directory: Path) -> Iterator[None]:
-    """Context manager: create the directory and lock it for other processes.
-
-    A created directory is removed at the end if it is empty.
-
-    Raises:
-        UsageError: another process has claimed it.
-    """
+    """Context manager: create the directory; it is removed at the end if it is then empty."""
     made = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)
-    # A lock on the directory itself ends with the process in any case, and leaves no file.
-    handle = None if fcntl is None else os.open(directory, os.O_RDONLY)
+    remove_left(directory)
     try:
-        if handle is not None and not took_lock(handle):
-            reason = "another tirefit is writing its results into this folder"
-            remedy = "wait until it has ended, or choose another folder with --out"
-            raise UsageError(reason, remedy, str(directory))
-        remove_left(directory)
-        for left in directory.glob(f"{_WRITING}*"):
-            shutil.rmtree(left, ignore_errors=True)
         yield
     finally:
         for path in made:
             with suppress(OSError):  # not empty
                 path.rmdir()
-        if handle is not None:
-            os.close(handle)
-
-
-_WRITING = ".tirefit-writing"
-"""Beginning of the name of the folder to which a result is written until complete."""
 
 
 @contextmanager
-def staged(
-    directory: Path, known: Collection[str], report: object, apart: str = ""
-) -> Iterator[Path]:
+def staged(directory: Path, known: Collection[str], report: object) -> Iterator[Path]:
     """Context manager: a folder for a result, whose files move to ``directory`` at the end.
 
     If the block fails or is interrupted, ``directory`` is not changed.
 
     Args:
-        directory: claimed by this process, or by the one that shares its work.
+        directory: an existing folder.
         known: files of an earlier result; those that are not written again are removed,
             as they would be mistaken for files of this one.
         report: the result in words. Where it cannot be written, it is said at least.
-        apart: end of the name of the folder, if processes write at the same time.
 
     Raises:
         OSError: naming the file that was not written; a note tells what exists.
     """
-    folder = directory / f"{_WRITING}{apart}"
-    shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
+    folder = directory
     try:
-        folder.mkdir()
+        folder = Path(tempfile.mkdtemp(prefix=WRITING, dir=directory))
         yield folder
         # The document is moved last, so that the other files belong to it.
         made = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
@@ -215,15 +192,18 @@ def staged(
         replace_together({directory / path.name: path for path in made}, gone)
     except OSError as error:
         say(str(report))
-        path = Path(error.filename or folder)
+        path = Path(error.filename or directory)
         if path.is_relative_to(folder):  # the user does not know the temporary name
             path = directory / path.relative_to(folder)
+        elif path.name.startswith(WRITING):
+            path = directory
         named = OSError(error.errno, error.strerror or str(error), str(path))
         there = f"{directory} is as it was before"
         named.add_note(there if directory.is_dir() else f"the folder {directory} is gone")
         raise named from None
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder != directory:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_result(
@@ -236,7 +216,7 @@ def write_result(
     text: str | None = None,
     **how: bool,
 ) -> list[str]:
-    """Write a result with its figures into a claimed folder; print it, and the files.
+    """Write a result with its figures into an existing folder; print it, and the files.
 
     Args:
         known: every file that the command may write, in the order of the printed list.
@@ -252,9 +232,7 @@ def write_result(
     """
     from tirefit.report.canvas import save_picture
 
-    # A page of the user is neither replaced nor removed.
-    known = [one for one in known if one == page or not one.endswith(".html") or is_page(out / one)]
-    with staged(out, known, result, f".{name}" if name else "") as folder:
+    with staged(out, known, result) as folder:
         result.save(folder, *([name] if name else []))
         if callable(figures):
             figures(folder)
@@ -276,13 +254,11 @@ def say_written(out: Path, written: Iterable[str]) -> None:
 
 
 def swept(directory: Path) -> None:
-    """Remove half-written results of a killed process, and the directory if it is then
-    empty; but not if another process works in it."""
-    if directory.is_dir():
-        with suppress(UsageError), claimed(directory):
-            pass
-        with suppress(OSError):  # not empty
-            directory.rmdir()
+    """Remove half-written results of a killed process, and the directory if it is then empty."""
+    for left in directory.glob(f"{WRITING}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    with suppress(OSError):  # not empty, or not there
+        directory.rmdir()
 
 
 def digest(*asked: Any) -> str:

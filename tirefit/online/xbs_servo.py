@@ -177,7 +177,6 @@ class XbsServo(AbstractController):
     fall: float = 80e6  # fastest fall through its outlet [Pa/s]
     lag: float = 0.02  # time constant [s] of an open valve
     delay: float = eqx.field(static=True, default=0.01)  # time [s] until a command takes effect
-    dead_band: float = 0.0  # error of the pressure [Pa] below which no valve moves
     reach: float = 1e6  # largest distance [Pa] of the target from the pressure
     response: float = par(
         1.0, (0.05, 1.0), "-", "share of that error removed in an interval", "", "q"
@@ -280,5 +279,4 @@ class XbsServo(AbstractController):
         down = jnp.clip(ready / self.lag, _LEAST_FLOW, self.fall)
         full = self.period * jnp.where(error > 0, up, down)
         share = jnp.clip(self.response * error / full, -1.0, 1.0)
-        share = jnp.where(jnp.abs(error) > self.dead_band, share, 0.0)
         return share, share * full
