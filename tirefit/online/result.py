@@ -76,7 +76,6 @@ class Estimates(Record):
     use: np.ndarray | None
     methods: Mapping[str, MethodEstimates]
     data: Mapping[str, Any]
-    seed: int
     version: str
 
     @property
@@ -120,7 +119,7 @@ class Estimates(Record):
                 "settings": dict(method.settings),
             }  # fmt: skip
         content = {
-            "schema": SCHEMA, "version": self.version, "seed": self.seed,
+            "schema": SCHEMA, "version": self.version,
             "convention": "braking, SI", "units": units, "data": dict(self.data),
             "methods": methods,
         }  # fmt: skip

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 from tirefit.online.base import Estimate, Method, Sample, choose, floats, widest
 from tirefit.online.regression import AbstractRegression, corrected, limited
 from tirefit.params import par
@@ -92,9 +92,7 @@ class Rls(AbstractRegression):
         surprise = jnp.where(unused, jnp.nan, surprise)
         return after, self._estimate(after, idle, slides, surprise)
 
-    def hold(
-        self, state: RlsState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[RlsState, Estimate]:
+    def hold(self, state: RlsState, dt: Number, steps: Number) -> tuple[RlsState, Estimate]:
         # A branch, as nearly every row comes without lost samples.
         p = jax.lax.cond(
             steps > 0,
@@ -194,9 +192,7 @@ class Mit(AbstractRegression):
         surprise = jnp.where(idle | slides, jnp.nan, error / jnp.sqrt(spread))
         return after, self._estimate(after, idle, slides, surprise)
 
-    def hold(
-        self, state: MitState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[MitState, Estimate]:
+    def hold(self, state: MitState, dt: Number, steps: Number) -> tuple[MitState, Estimate]:
         """The state is not changed, as the rule has no model of change over time."""
         return state, self._estimate(state, False, False, jnp.nan)
 
