@@ -277,10 +277,6 @@ def test_resume_keeps_finished_cases(again, calls, tmp_path):
     assert contents(tmp_path / "out") == before  # the old one stays until the new one
 
 
-def test_a_holdout_without_a_file_is_an_error(again):
-    assert "--holdout" in again("load.csv", "--holdout", exit_code=2).stderr
-
-
 @pytest.mark.parametrize(
     "change",
     [

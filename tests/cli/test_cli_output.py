@@ -175,7 +175,7 @@ def test_sigterm_acts_as_ctrl_c(rig):
 
 
 def test_ctrl_c_stays_ignored_in_the_background():
-    done = ended("typer", "version", ignored=True)
+    done = ended("typer", "--version", ignored=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 

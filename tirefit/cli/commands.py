@@ -52,13 +52,14 @@ class LazyCommand(TyperCommand):
         """The command itself, or the group of commands."""
         assert self.name is not None
         module = import_module(f"tirefit.cli.{_MODULES.get(self.name, self.name)}")
-        found = getattr(module, self.name)
-        if not isinstance(found, typer.Typer):
+        command = getattr(module, self.name)
+        if not isinstance(command, typer.Typer):
             from tirefit.cli.options import errors_to_exit  # imported with the command
 
-            function, found = errors_to_exit()(found), typer.Typer(add_completion=False, **_STYLE)
-            found.command(self.name)(function)
-        return typer.main.get_command(found)
+            function = errors_to_exit()(command)
+            command = typer.Typer(add_completion=False, **_STYLE)
+            command.command(self.name)(function)
+        return typer.main.get_command(command)
 
     def get_short_help_str(self, limit: int = 0) -> str:
         return self.help or ""  # whole, not cut at a line

@@ -75,8 +75,8 @@ def convert(
         is_whole(model, (), ("magic_formula", "force", "slip_min", "seed"))
         assert file is not None  # as --magic-formula is not given
         of_file = {"signs": signs, "combination": combination}
-        found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
-        raise typer.Exit(found)
+        code = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
+        raise typer.Exit(code)
     if combination:
         remedy = "leave it out: a brush is fitted to one force in pure slip"
         raise UsageError(f"--combination with --model {model or 'brush'}", remedy)

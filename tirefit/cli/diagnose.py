@@ -144,7 +144,7 @@ def diagnose(
     refuse_of_vehicle("front", "rear", "sim_log")
     names = names_of(files, "rename one: their results would overwrite each other")
     parts = [part for name in names for part in _written(name, figures)]
-    made = [out / one for part in parts for one in part]
+    made = [out / file for part in parts for file in part]
     check_results([*made, *sharing.files(out, made)], files)
     config = read_config(options.config)
     how, plain = read_options(options, config), _PLAIN if model is None else model
@@ -165,7 +165,7 @@ def diagnose(
         task = _Task(out, settings, kept, how, figures, resume, seed, full)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         work = partial(_one, task)
-        codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
+        codes = [outcome.code for outcome in run_pieces("diagnose", pieces, work, sharing, out)]
         if len(pieces) > 1:
             done = codes.count(ExitCode.OK)
             say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
@@ -268,7 +268,7 @@ def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
     document, asked = out / f"{name}.json", _asked(task, table)
-    files = [out / one for one in expected]
+    files = [out / part for part in expected]
     if task.resume and (record := done_before(files, document, asked, record_of_document)):
         say(f"{file}: done before, kept: {document}")
         return ExitCode.OK, record
@@ -288,7 +288,7 @@ def _asked(task: _Task, table: "TireData") -> str:
         given = [given.kind, given.source, given.sha256]
     return digest(
         task.settings | {"rig": [asdict(rig), rig.beside(table)], "sim": given},
-        [one.source.sha256 for one in (table, *task.kept)],
+        [data.source.sha256 for data in (table, *task.kept)],
         task.how,
         task.seed,
     )

@@ -229,11 +229,11 @@ def _models_of(text: str | None) -> dict[str, Any]:
     """The models in ``front=brush,rear=brush``, or in a single name for both axles."""
     if text is None or "=" not in text:
         return dict.fromkeys(("front", "rear"), text or "brush")
-    found = dict(part.strip().partition("=")[::2] for part in text.split(","))
-    if set(found) != {"front", "rear"}:
+    by_axle = dict(part.strip().partition("=")[::2] for part in text.split(","))
+    if set(by_axle) != {"front", "rear"}:
         reason = f"--model {text} with --vehicle"
         raise UsageError(InputProblem(reason, "write front=brush,rear=brush"))
-    return found
+    return by_axle
 
 
 def _fit_vehicle(

@@ -130,8 +130,8 @@ def _first_words(result: "FitResult", directory: Path) -> str:
     from tirefit.report.fit_tables import parameter_rows
 
     rows = parameter_rows(result)[1:]
-    found = ", ".join(" ".join(row[:3]).removesuffix(" -") for row in rows)
-    return f"least squares: {found}; written to {directory}; sampling the posterior\n"
+    estimates = ", ".join(" ".join(row[:3]).removesuffix(" -") for row in rows)
+    return f"least squares: {estimates}; written to {directory}; sampling the posterior\n"
 
 
 def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:

@@ -134,18 +134,18 @@ def takes_data_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(**given, options=options)
 
     signature = inspect.signature(command)
-    ours = [
+    of_data = [
         inspect.Parameter(
             field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
         )
         for field in fields(DataOptions)
     ]
-    own = [
+    parameters = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for parameter in signature.parameters.values()
         if parameter.name != "options"
     ]
-    whole = signature.replace(parameters=[*own, *ours])
+    whole = signature.replace(parameters=[*parameters, *of_data])
     # inspect.signature uses this attribute first.
     with_options.__signature__ = whole  # type: ignore[attr-defined]
     return with_options
@@ -263,15 +263,15 @@ def read_options(given: DataOptions, config: "FitConfig | None") -> dict[str, An
     below = {} if config is None else config.data.model_dump()
     single = {}
     for name in ("convention", "slip", "rolling_radius"):
-        own, stated = getattr(given, name), below.get(name)
-        single[name] = stated if own is None else own
-        if None not in (own, stated) and own != stated:
+        chosen, stated = getattr(given, name), below.get(name)
+        single[name] = stated if chosen is None else chosen
+        if None not in (chosen, stated) and chosen != stated:
             unused = f"[data] {name} = {stated!r} is not used"
-            option = f"--{name.replace('_', '-')} {own}"
+            option = f"--{name.replace('_', '-')} {chosen}"
             where = "" if config is None else config.source
             complain(f"warning: {where}: {unused}: {option} is given")
     return {
-        **{name: below.get(name, {}) | own for name, own in named.items()},
+        **{name: below.get(name, {}) | pairs for name, pairs in named.items()},
         **single,
         "mask_bad_rows": given.mask_bad_rows or below.get("mask_bad_rows", False),
     }

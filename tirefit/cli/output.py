@@ -80,17 +80,17 @@ def _named_files() -> dict[str, list[object]]:
     context = CONTEXT.get()
     if context is None:  # in a worker: the command has checked before
         return {}
-    found: dict[str, list[object]] = {}
-    for one in context.command.params:
-        given = context.params.get(one.name)
-        if one.name in _WRITTEN or given is None:
+    named: dict[str, list[object]] = {}
+    for param in context.command.params:
+        given = context.params.get(param.name)
+        if param.name in _WRITTEN or given is None:
             continue
         values = given if isinstance(given, list | tuple) else [given]
         # Text may be NAME=FILE,NAME=FILE, as in front=a.json,rear=b.json.
         parts = [p for v in values if isinstance(v, str) for p in re.split("[=,]", v)]
-        name = one.opts[0] if one.param_type_name == "option" else str(one.name).upper()
-        found[name] = [*values, *parts]
-    return found
+        name = param.opts[0] if param.param_type_name == "option" else str(param.name).upper()
+        named[name] = [*values, *parts]
+    return named
 
 
 _FORCES = ("fx", "fy", "mz", "mx", "my")
@@ -105,12 +105,12 @@ def check_table(path: Path, text: str) -> None:
             there = lines.readline(10 * len(first) + 100).rstrip("\r\n")
     except OSError:  # none, or writing it raises the error
         return
-    one, other = (
+    old, new = (
         [name for name in line.split(",") if name.partition("_")[0] not in _FORCES]
         for line in (there, first)
     )
-    if there and one != other and "tirefit" not in there:
-        reason = "it would be replaced, but it has other columns: tirefit did not write it so"
+    if there and old != new and "tirefit" not in there:
+        reason = "it would be replaced, but it has new columns: tirefit did not write it so"
         raise DataError(reason, "choose another --out, or remove the file", str(path))
 
 
@@ -193,10 +193,11 @@ def staged(directory: Path, known: Collection[str], report: object) -> Iterator[
     except OSError as error:
         say(str(report))
         path = Path(error.filename or directory)
-        if path.is_relative_to(folder):  # the user does not know the temporary name
-            path = directory / path.relative_to(folder)
-        elif path.name.startswith(WRITING):
+        # The user does not know the temporary name.
+        if path.name.startswith(WRITING):
             path = directory
+        elif path.is_relative_to(folder):
+            path = directory / path.relative_to(folder)
         named = OSError(error.errno, error.strerror or str(error), str(path))
         there = f"{directory} is as it was before"
         named.add_note(there if directory.is_dir() else f"the folder {directory} is gone")
@@ -241,7 +242,7 @@ def write_result(
                 save_picture(result.plot(what) if what else result.plot(), folder / file)
         if page:
             result.save(folder / page)
-        written = [one for one in known if (folder / one).exists()]
+        written = [file_name for file_name in known if (folder / file_name).exists()]
     if text != "":
         say(text or result.summary(**how))
         say_written(out, written)

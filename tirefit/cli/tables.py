@@ -106,7 +106,7 @@ def inspect(
     how, files = read_options(options, read_config(options.config)), expanded(files)
     pieces = [Piece(file, "") for file in files]
     done = run_pieces("inspect", pieces, show, Sharing(), Path())
-    raise typer.Exit(worst_of([one.code for one in done]))
+    raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 def _identified(data: "TireData", models: list[str] | None) -> "Identifiability":
@@ -156,8 +156,8 @@ def predict(
     of_file["starred"] = starred_angles
     kind = tire_kind(source)
     if kind != "tir" and any(of_file.values()):
-        own = "--starred-angles, --side, --signs and --combination"
-        reason = f"{own} apply to .tir files only"
+        tir_only = "--starred-angles, --side, --signs and --combination"
+        reason = f"{tir_only} apply to .tir files only"
         raise UsageError(reason, f"leave them out with {source}")
     values = _checked_request(kind == "fit", out, parameter)
     from tirefit.data.tir.tir import read_tir

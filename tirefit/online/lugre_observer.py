@@ -64,10 +64,10 @@ def peak_share(tire: LuGre, theta: float, v: Scalar) -> Number:
     """Largest steady force over the load [-] of S(18) with theta g, at a speed [m/s].
 
     Args:
-        tire: with theta one; theta: factor of g.
+        tire: with theta ones; theta: factor of g.
     """
-    one = jnp.ones(len(_SLIPS))
-    at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
+    ones = jnp.ones(len(_SLIPS))
+    at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=ones, v=v * ones)
     return jnp.max(jnp.asarray(tire.scaled(theta)(at).fx))
 
 
@@ -243,8 +243,8 @@ class LuGreObserver(AbstractEstimator):
 
     def _peak(self, theta: Scalar, v: Scalar) -> Float[Array, "2"]:
         """mu at a speed [m/s], and its slope by theta."""
-        at, one = (jnp.asarray(theta, float),), (jnp.ones(()),)
-        return jnp.stack(jax.jvp(lambda t: peak_share(self.tire, t, v), at, one))
+        at, tangent = (jnp.asarray(theta, float),), (jnp.ones(()),)
+        return jnp.stack(jax.jvp(lambda t: peak_share(self.tire, t, v), at, tangent))
 
     def _locked(self, u: Float[Array, "4"]) -> Bool[Array, ""]:
         return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]

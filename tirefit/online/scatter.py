@@ -67,14 +67,14 @@ def reported(
         dt: time [s] for which the estimate holds; 0 if the sample cannot be used.
         changed: whether a new mean starts with the row.
     """
-    names, own = estimator.method.parameters, jnp.asarray(estimate.std)
+    names, method_std = estimator.method.parameters, jnp.asarray(estimate.std)
     if "mu" not in names:
-        return scatter, estimate._replace(own_std=own)
+        return scatter, estimate._replace(own_std=method_std)
     k = names.index("mu")
     mu, flag = estimate.value[k], estimate.flag
     level = jnp.where(changed, 0.0, scatter.level)
-    scatter = scatter._replace(level=level).after(mu, own[k], dt)
-    wide = jnp.sqrt(own[k] ** 2 + scatter.variance + (MODEL * mu) ** 2)
+    scatter = scatter._replace(level=level).after(mu, method_std[k], dt)
+    wide = jnp.sqrt(method_std[k] ** 2 + scatter.variance + (MODEL * mu) ** 2)
     if estimator.judged:
-        flag = jnp.where(own[k] < RESOLVED * mu, flag, jnp.maximum(flag, code(Flag.LOW_USE)))
-    return scatter, estimate._replace(std=own.at[k].set(wide), own_std=own, flag=flag)
+        flag = jnp.where(method_std[k] < RESOLVED * mu, flag, jnp.maximum(flag, code(Flag.LOW_USE)))
+    return scatter, estimate._replace(std=method_std.at[k].set(wide), own_std=method_std, flag=flag)

@@ -284,8 +284,8 @@ class Xbs(AbstractEstimator):
         low, filtered = second.step(s.low, passed)
         increment = filtered - s.filtered
         settled = s.age >= self._settling()
-        one = jnp.ones(())
-        added = Sums(s.increment**2, s.increment * increment, one, one)
+        unit = jnp.ones(())
+        added = Sums(s.increment**2, s.increment * increment, unit, unit)
         # Time [s] of the recent mean square, compared with that of the memory.
         power = s.power + (increment**2 - s.power) / (0.1 * self.rate)
         faded = power * s.sums.weight < self.quiet * s.sums.square

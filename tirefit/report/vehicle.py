@@ -83,16 +83,16 @@ def turning(result: Replay) -> tuple[float, float] | None:
 def _worse(result: Replay, model: str, other: str) -> str:
     """Where a model predicts worse than another one by the largest ratio, such as ``the yaw rate
     after 5 s by 23 rad/s instead of 0.57``; empty if it is nowhere worse."""
-    found, most = "", _AS_WELL
-    own, than = (result.models[k].rms() for k in (model, other))
+    worst, most = "", _AS_WELL
+    errors, reference = (result.models[k].rms() for k in (model, other))
     for name in ("yaw_rate", "lateral"):
-        each = zip(result.horizons, result.windows, own[name], than[name], strict=True)
+        each = zip(result.horizons, result.windows, errors[name], reference[name], strict=True)
         for horizon, count, wrong, less in each:
             if count >= _FEWEST and wrong and less and wrong > most * less:
                 most = wrong / less
-                found = f"the {_NAMES[name]} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
-                found += f" instead of {less:.2g}"
-    return found
+                worst = f"the {_NAMES[name]} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
+                worst += f" instead of {less:.2g}"
+    return worst
 
 
 def conclusions(result: Replay) -> list[str]:
@@ -312,7 +312,7 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
         reach = np.percentile(np.abs(rows["alpha"]), 99.5)
         alpha = np.linspace(-reach, reach, 121)
         at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
-        drawn = [np.asarray(forces(one, at).fy) for one in tire.drawn(generator, 60)]
+        drawn = [np.asarray(forces(sample, at).fy) for sample in tire.drawn(generator, 60)]
         low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
         axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
         axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)

@@ -241,12 +241,12 @@ class RoadTire(eqx.Module):
     ) -> tuple[Float[Array, " w"], Float[Array, " w"]]:
         """Forces [N] (w,) along and across wheels on a road of friction mu (w,)."""
 
-        def one(mu: Array, *at: Array) -> tuple[Array, Array]:
+        def forces_at(mu: Array, *at: Array) -> tuple[Array, Array]:
             made = self.tire(_similar(mu / self.usual, *at))
             across = jnp.zeros(()) if made.fy is None else made.fy
             return mu / self.usual * jnp.asarray(made.fx), mu / self.usual * across
 
-        return jax.vmap(one)(mu, *slips, jnp.maximum(fz, 1.0))
+        return jax.vmap(forces_at)(mu, *slips, jnp.maximum(fz, 1.0))
 
     def peaks(self, mu: Array, speed: Array, fz: Array) -> tuple[Array, Array]:
         """Largest braking force over load (w,) on roads mu (w,), at speeds [m/s] and
@@ -288,10 +288,10 @@ def _peaked(
     loads = jnp.asarray(fz) * jnp.linspace(0.2, 2.4, _LOADS)
     roads = jnp.sort(jnp.asarray(roads, float))
 
-    def own(k: Array) -> Array:
+    def of_tire(k: Array) -> Array:
         return jnp.asarray(tire(TireInputs(sigma_from_kappa(k), 0.0, fz, speed)).fx) / fz
 
-    usual, _ = _highest(own)
+    usual, _ = _highest(of_tire)
 
     def highest(mu: Array, v: Array, load: Array) -> tuple[Array, Array]:
         def curve(k: Array) -> Array:

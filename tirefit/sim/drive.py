@@ -203,7 +203,7 @@ def _integrate(numbers: _Numbers, time: Array, max_steps: int) -> tuple[_State, 
 def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.Array]:
     """Measured and true columns from the states (n, ...) at the times."""
 
-    def one(t: Array, s: _State) -> dict[str, Array]:
+    def columns_at(t: Array, s: _State) -> dict[str, Array]:
         steering, sigma, angles, loads, along, across, (forward, left, _) = _tires(numbers, t, s)
         wheels = {"omega": s.omega, "torque": _torques(numbers, t, s)}
         wheels |= {"sigma_x": sigma, "fx": along, "fz": loads}
@@ -222,7 +222,7 @@ def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.A
             "mu": _mu(numbers, t),
         }  # fmt: skip
 
-    return jax.vmap(one)(time, states)
+    return jax.vmap(columns_at)(time, states)
 
 
 def simulate_drive(
