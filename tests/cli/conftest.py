@@ -15,7 +15,6 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from typer.testing import CliRunner
 
 from tirefit.cli import fleet
-from tirefit.cli.cluster import cluster
 from tirefit.cli.commands import app
 
 
@@ -53,7 +52,7 @@ def own_cache():
 def two():
     """A client of a cluster of two workers. Even idle, they use a twentieth of the
     processor time, so one file holds all tests of them."""
-    with cluster(2) as client:
+    with fleet.cluster(2) as client:
         yield client
 
 

@@ -57,9 +57,6 @@ def test_a_variable_without_a_meaning_here_changes_nothing(tmp_path):
     others = {
         "MPLBACKEND": "nonsense",
         "MPLCONFIGDIR": str(tmp_path / "absent"),
-        "JAX_DEBUG_NANS": "1",
-        "JAX_NUMPY_DTYPE_PROMOTION": "strict",
-        "JAX_TRANSFER_GUARD": "disallow",
         "TMPDIR": str(tmp_path / "absent"),
         "TERM": "nonsense",
         "COLUMNS": "abc",

@@ -1,7 +1,7 @@
 """``tirefit diagnose``: find the effects that a model lacks, and the gap without them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -162,9 +162,9 @@ def diagnose(
     settings |= _simulator(base, parameter, sim, how, of_tir)
     with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
         kept = [_read(path, how) for path in holdout or []]
-        task = _Task(out, settings, kept, how, figures, resume, seed, full)
+        written = {"figures": figures, "resume": resume, "full": full}
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        work = partial(_one, task)
+        work = partial(_one, out, settings, kept, how, written, seed)
         codes = [outcome.code for outcome in run_pieces("diagnose", pieces, work, sharing, out)]
         if len(pieces) > 1:
             done = codes.count(ExitCode.OK)
@@ -243,54 +243,58 @@ def _simulator(
     return {"model": _PLAIN, "sim": given}
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Settings that all files share."""
+def _one(
+    out: Path,
+    settings: dict[str, Any],
+    kept: list["TireData"],
+    how: dict[str, Any],
+    written: dict[str, bool],
+    seed: int,
+    piece: Piece,
+) -> tuple[ExitCode, "FileRecord"]:
+    """Diagnose one file, unless its result exists.
 
-    out: Path  # folder of the results
-    settings: dict[str, Any]  # arguments of ``tirefit.diagnose``
-    kept: list[Any]  # tables held out
-    how: dict[str, Any]  # arguments of ``tirefit.read``
-    figures: bool
-    resume: bool
-    seed: int
-    full: bool
-
-
-def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
-    """Diagnose one file, unless its result exists."""
+    Args:
+        settings: arguments of ``tirefit.diagnose``; how: of ``tirefit.read``.
+        kept: tables held out.
+        written: the options ``figures``, ``resume`` and ``full``.
+    """
     from tirefit.diagnosis.diagnose import diagnose as study
     from tirefit.diagnosis.summary.result import record_of_document
 
     file, name = piece
-    out, figures = task.out, task.figures
-    table = _read(file, task.how, task.settings["rig"])
-    written, drawn = _written(name, True)
-    expected = written + drawn if figures else written
-    document, asked = out / f"{name}.json", _asked(task, table)
-    files = [out / part for part in expected]
-    if task.resume and (record := done_before(files, document, asked, record_of_document)):
+    figures = written["figures"]
+    table = _read(file, how, settings["rig"])
+    always, drawn = _written(name, True)
+    document, asked = out / f"{name}.json", _asked(settings, kept, how, seed, table)
+    files = [out / part for part in (always + drawn if figures else always)]
+    if written["resume"] and (record := done_before(files, document, asked, record_of_document)):
         say(f"{file}: done before, kept: {document}")
         return ExitCode.OK, record
-    result = study(table, holdout=task.kept, seed=task.seed, **task.settings)
-    result = replace(result, asked=asked)
+    result = replace(study(table, holdout=kept, seed=seed, **settings), asked=asked)
     pictures, page = ({drawn[0]: ""}, drawn[1]) if figures else ({}, "")
     # A figure without an earlier page beside it is the user's own.
-    known = written + drawn if figures or is_page(out / drawn[1]) else written
-    write_result(result, out, known, pictures, page, name, full=task.full)
+    known = always + drawn if figures or is_page(out / drawn[1]) else always
+    write_result(result, out, known, pictures, page, name, full=written["full"])
     return exit_code(result.outcomes), record_of_document(document)
 
 
-def _asked(task: _Task, table: "TireData") -> str:
+def _asked(
+    settings: dict[str, Any],
+    kept: list["TireData"],
+    how: dict[str, Any],
+    seed: int,
+    table: "TireData",
+) -> str:
     """Digest of everything that the diagnosis of this table depends on."""
-    rig, given = task.settings["rig"], task.settings.get("sim")
+    rig, given = settings["rig"], settings.get("sim")
     if given not in (None, True):
         given = [given.kind, given.source, given.sha256]
     return digest(
-        task.settings | {"rig": [asdict(rig), rig.beside(table)], "sim": given},
-        [data.source.sha256 for data in (table, *task.kept)],
-        task.how,
-        task.seed,
+        settings | {"rig": [asdict(rig), rig.beside(table)], "sim": given},
+        [data.source.sha256 for data in (table, *kept)],
+        how,
+        seed,
     )
 
 

@@ -109,7 +109,7 @@ def fit_into(
             # Write it before sampling; keep a posterior that will be continued.
             if not (resume and (directory / "fit.json").exists()):
                 _save(result, directory, also)
-                say(_first_words(result, directory))
+                say(f"least squares: written to {directory}; sampling the posterior\n")
             result = _sampled(result, directory, settings, resume)
         try:
             written = _save(replace(result, asked=asked), directory, also)
@@ -123,15 +123,6 @@ def fit_into(
     say(replace(result, data=record).summary(full=also.full))
     say_written(directory, written)
     return result
-
-
-def _first_words(result: "FitResult", directory: Path) -> str:
-    """A line on the least-squares estimates, printed before the posterior is sampled."""
-    from tirefit.report.fit_tables import parameter_rows
-
-    rows = parameter_rows(result)[1:]
-    estimates = ", ".join(" ".join(row[:3]).removesuffix(" -") for row in rows)
-    return f"least squares: {estimates}; written to {directory}; sampling the posterior\n"
 
 
 def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:

@@ -10,18 +10,6 @@ from tirefit.results import UsageError
 _READ_BY_JAX = ("JAX_", "XLA_", "EQX_")
 """First letters of the environment variables of JAX, its compiler and Equinox."""
 
-_SETTINGS = {
-    "jax_enable_x64": True,
-    # For debugging JAX programs; here NaN and infinity mark missing values and open ends.
-    "jax_debug_nans": False,
-    "jax_debug_infs": False,
-    "jax_disable_jit": False,
-    "jax_check_tracer_leaks": False,
-    "jax_numpy_dtype_promotion": "standard",
-    "jax_transfer_guard": "allow",
-}
-"""Settings of JAX that commands need, whatever the environment says."""
-
 
 def start() -> str | None:
     """Start JAX and open the folder of stored programs; returns a warning for the user, or
@@ -41,8 +29,7 @@ def start() -> str | None:
             raise
         reason = f"JAX does not start: {' '.join(str(error).split())[:200]}"
         raise UsageError(reason, f"correct or unset {', '.join(given)}") from error
-    for name, value in _SETTINGS.items():
-        jax.config.update(name, value)
+    jax.config.update("jax_enable_x64", True)
     # On a full disk, programs are compiled again, which is only slower.
     reason = "Error (reading|writing) persistent compilation cache"
     warnings.filterwarnings("ignore", message=reason)

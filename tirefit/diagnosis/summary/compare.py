@@ -130,7 +130,6 @@ class Comparison(Record):
     """
 
     text_by: ClassVar[str] = "tirefit.report.compare:comparison_text"
-    html_by: ClassVar[str] = "tirefit.report.compare:comparison_fragment"
     plot_by: ClassVar[str] = "tirefit.report.compare:plot_comparison"
     page_by: ClassVar[str] = "tirefit.report.compare:comparison_page"
     internal: ClassVar[tuple[str, ...]] = ("sources",)
