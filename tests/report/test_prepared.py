@@ -39,6 +39,8 @@ def test_the_view_reports_kept_rows_and_draws_varying_channels(prepared):
     for (begin, width), (after, _) in zip(spans[:-1], spans[1:], strict=True):
         assert begin + width == pytest.approx(after)
     kept = {strip.kind for strip in strips if strip.is_kept}
+    strengths = {strip.is_kept: strip.style["alpha"] for strip in strips}
+    assert strengths[True] > strengths[False]
     assert kept == {"sweep up", "sweep down", "steady"}
 
 

@@ -197,26 +197,21 @@ def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:
 
 
 def _report_all(done: list[Outcome], pieces: list[Piece], fits: dict[str, Any]) -> None:
-    """Of several fits, print the summary and write the page."""
+    """Of several fits, print the summary and write the page, or remove an earlier one."""
     if len(pieces) > 1:
         from tirefit.report.many_files import summary_table
 
         records = [outcome.record for outcome in done]
         say(summary_table([record for record in records if record.rows]))
         failed = {record.file: record.problem for record in records if not record.rows}
-        _page_of_all(pieces[0].to.parent, fits, failed)
+        page = pieces[0].to.parent / PAGE_OF_ALL
+        if fits:
+            from tirefit.report.many_files import write_fits_page
 
-
-def _page_of_all(folder: Path, fits: dict[str, Any], failed: dict[str, str]) -> None:
-    """Write the page of all fits; remove that of an earlier command."""
-    page = folder / PAGE_OF_ALL
-    if fits:
-        from tirefit.report.many_files import write_fits_page
-
-        write_fits_page(fits, page, failed)
-        say(f"wrote {page}")
-    elif is_page(page):
-        page.unlink()
+            write_fits_page(fits, page, failed)
+            say(f"wrote {page}")
+        elif is_page(page):  # of an earlier command
+            page.unlink()
 
 
 # --- logs of a vehicle ---------------------------------------------------------------

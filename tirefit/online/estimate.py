@@ -89,7 +89,19 @@ def estimate(
             surprise,
             {key: float(x) for key, x in parameter_values(estimator).items()},
         )
-    return _estimates(data, columns, done)
+    source = data.source
+    about = {
+        "name": data.name,
+        "file": source.path,
+        "sha256": source.sha256,
+        "rows": len(data),
+        "used": data.n,
+        "runs": list(data.runs),
+        "convention": source.convention,
+        "assumptions": list(source.notes),
+    }
+    use = columns["fx"] / columns["fz"] if {"fx", "fz"} <= columns.keys() else None
+    return Estimates(columns["time"], use, done, about, __version__)
 
 
 def _rate(name: str, data: TireData, chosen: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
@@ -109,23 +121,3 @@ def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
         reason = "no row can be used: none has a load"
         raise DataError(reason, "check fz", data.file)
     return float(there[0])
-
-
-def _estimates(
-    data: TireData, columns: Mapping[str, np.ndarray], done: Mapping[str, MethodEstimates]
-) -> Estimates:
-    source = data.source
-    about = {
-        "name": data.name,
-        "file": source.path,
-        "sha256": source.sha256,
-        "rows": len(data),
-        "used": data.n,
-        "runs": list(data.runs),
-        "convention": source.convention,
-        "assumptions": list(source.notes),
-    }
-    use = None
-    if "fx" in columns and "fz" in columns:
-        use = columns["fx"] / columns["fz"]
-    return Estimates(columns["time"], use, done, about, __version__)

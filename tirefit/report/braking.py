@@ -126,7 +126,7 @@ _SERIES: dict[str, tuple[str, Series, Series | None]] = {
     "Friction in use; dashed: available": (
         "–", lambda log: log.contacts.fx / log.contacts.fz, lambda log: log.reading.truth.mu[:, 0],
     ),
-    r"Slip $\kappa$; dashed: of the peak": (
+    "Slip κ; dashed: of the peak": (
         "–", lambda log: log.contacts.slips.kappa, lambda log: log.reading.truth.peak[:, 0],
     ),
     "Stiffness estimated of the first wheel; dashed: true": (
@@ -213,7 +213,7 @@ def paths_figure(result: Braking) -> Picture:
         for color, (name, path) in zip(COLORS, paths.items(), strict=False):
             dots(axes, path.kappa, path.force, 2, color, 0.35)
             beyond = path.mean[0] > limit
-            label = f"{name}: mean" + f", at $\\kappa$ = {path.mean[0]:.2f}" * beyond
+            label = f"{name}: mean" + f", at κ = {path.mean[0]:.2f}" * beyond
             marker = {"markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 4}
             place = min(path.mean[0], limit), path.mean[1]
             axes.plot(*place, ">" if beyond else "o", color=color, label=label, **marker)
@@ -229,7 +229,7 @@ def paths_figure(result: Braking) -> Picture:
 
     slowest = min(map(_slowest_shown, result.stops.values()))
     note = f"line: the tire at its static load; dots: every sample above {slowest:.2g} m/s"
-    slip = "slip $\\kappa$ [–]"
+    slip = "slip κ [–]"
     title = "Slip and friction of the first wheel"
     below = axes_panel(shares, "Time at each slip; the last bar: larger ones", slip, "[%]")
     above = axes_panel(on_curve, title, slip, "$F_x/F_z$ [–]", note)

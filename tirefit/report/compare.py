@@ -90,10 +90,8 @@ def _named(result: Comparison) -> dict[str, list[str]]:
 
 
 def _on_effects(result: Comparison) -> Iterator[str]:
-    judging, named = (
-        [source for source in result.sources if source.kind in _JUDGING],
-        _named(result),
-    )
+    judging = [source for source in result.sources if source.kind in _JUDGING]
+    named = _named(result)
     if len(judging) > 1 and not named:
         yield "no diagnosis names an effect"
     for effect, where in named.items():
