@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from tests.killed import steps_of
-from tirefit.files import (
-    json_safe,
-    json_text,
-    remove_left,
-    replacing,
-    write_text_atomic,
-    write_texts,
-)
+from tirefit.files import json_safe, json_text, remove_left, replacing, write_texts
 from tirefit.results import Outcome
 
 
@@ -67,7 +60,7 @@ def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(OSError, match="disk full") as caught:
-        write_text_atomic(path, "new")
+        write_texts({path: "new"})
     assert caught.value.filename == str(path)  # not the temporary one
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
@@ -77,7 +70,7 @@ def test_a_write_keeps_the_permissions(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
     path.chmod(0o640)
-    write_text_atomic(path, "grün\n")
+    write_texts({path: "grün\n"})
     assert path.read_text(encoding="utf-8") == "grün\n"
     assert path.stat().st_mode & 0o777 == 0o640
 

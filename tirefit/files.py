@@ -136,13 +136,8 @@ def _mode(path: Path) -> int:
     return 0o666 & ~umask
 
 
-def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
-    """Write text as UTF-8; if that fails, ``path`` is not changed."""
-    write_texts({path: text})
-
-
 def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> None:
-    """Write several files that belong together, as :func:`replace_together`.
+    """Write files that belong together as UTF-8, by :func:`replace_together`.
 
     All content is on the disk before the first file is replaced.
 

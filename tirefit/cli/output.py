@@ -93,27 +93,6 @@ def _named_files() -> dict[str, list[object]]:
     return named
 
 
-_FORCES = ("fx", "fy", "mz", "mx", "my")
-
-
-def check_table(path: Path, text: str) -> None:
-    """Raises DataError if there is a table with other columns than the ``text`` to write,
-    forces aside: another model gives other forces."""
-    first = text.partition("\n")[0]
-    try:
-        with path.open(encoding="utf-8", errors="replace") as lines:
-            there = lines.readline(10 * len(first) + 100).rstrip("\r\n")
-    except OSError:  # none, or writing it raises the error
-        return
-    old, new = (
-        [name for name in line.split(",") if name.partition("_")[0] not in _FORCES]
-        for line in (there, first)
-    )
-    if there and old != new and "tirefit" not in there:
-        reason = "it would be replaced, but it has new columns: tirefit did not write it so"
-        raise DataError(reason, "choose another --out, or remove the file", str(path))
-
-
 _OURS = {".json": b'"schema": "tirefit.', ".toml": b"that tirefit fit estimated"}
 """Ending of a file -> what it contains if tirefit wrote it; the others name tirefit."""
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit.cli.options import OutFile, errors_to_exit, numbers, path_option, say, start_jax
-from tirefit.cli.output import check_table
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
@@ -102,10 +101,7 @@ def _write(made: "SimulatedLog", out: Path, truth: Path | None, seed: int) -> No
     from tirefit.data.write import csv_text
 
     tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})
-    texts = {path: csv_text(table) for path, table in tables.items()}
-    for path, text in texts.items():
-        check_table(path, text)
-    write_texts(texts)
+    write_texts({path: csv_text(table) for path, table in tables.items()})
     rows = len(made.columns["time"])
     columns = ", ".join(made.columns)
     say(f"wrote {out}: {rows} rows, {columns} (braking positive, SI), seed {seed}")

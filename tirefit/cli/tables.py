@@ -33,7 +33,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_inputs_kept, check_results, check_table
+from tirefit.cli.output import check_inputs_kept, check_results
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.files import json_safe
@@ -200,14 +200,13 @@ def _write(
     The first line of a table for `diagnose --sim` states the convention.
     """
     from tirefit.data.write import csv_text, prediction_table, simulated_table
-    from tirefit.files import write_text_atomic
+    from tirefit.files import write_texts
 
     convention = f"convention {table.source.convention}"
     columns = (simulated_table if beside else prediction_table)(table, forces)
     first = f"# tirefit {__version__}: {source} beside, {convention}\n"
     text = (first if beside else "") + csv_text(columns)
-    check_table(out, text)
-    write_text_atomic(out, text)
+    write_texts({out: text})
     for row in table.first_masked():
         complain(f"warning: excluded, no force: {row}")
     signs = f"({convention}), {table.source.convention_from}"

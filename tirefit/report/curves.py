@@ -52,7 +52,6 @@ class Group(NamedTuple):
 class Curve(NamedTuple):
     """A fitted curve (m,) with its 95 % band and the 95 % band of a measurement."""
 
-    label: str
     slip: np.ndarray
     force: np.ndarray
     low: np.ndarray
@@ -207,7 +206,6 @@ def _carried(
 def _curve(
     result: FitResult,
     channel: str,
-    label: str,
     ends: Sequence[float],
     axis: SlipAxis,
     at: Mapping[str, Any],
@@ -224,7 +222,7 @@ def _curve(
         force = fitted_force(result, channel, inputs, of_run)
         names = np.array(problem.layout.runs)[of_run]
         noise = noise_std(result.noise[channel], columns["fz"], force, names)
-    return Curve(label, shown, *force_band(result, channel, inputs, of_run, noise))
+    return Curve(shown, *force_band(result, channel, inputs, of_run, noise))
 
 
 def _ends(values: np.ndarray, axis: SlipAxis) -> tuple[float, float]:
@@ -263,8 +261,8 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     force, is_moved = _carried(result, channel, members, conditions)
     runs, ends = problem.used(problem.rows.run), _ends(values, axis)
     curves = [
-        _curve(result, channel, label, ends, axis, at, int(runs[rows][0]))
-        for (label, rows), at in zip(members, conditions, strict=True)
+        _curve(result, channel, ends, axis, at, int(runs[rows][0]))
+        for (_, rows), at in zip(members, conditions, strict=True)
     ]
     notes = []
     if "run" in keys and len(members) < len(problem.layout.runs):

@@ -13,7 +13,7 @@ from tirefit import __version__
 from tirefit.data.merged import merged
 from tirefit.data.records import FAILED, FileRecord, dates_of
 from tirefit.data.run_names import run_names
-from tirefit.files import write_text_atomic
+from tirefit.files import write_texts
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import record_of_fit
 from tirefit.fitting.uncertainty.derived import quantity_of
@@ -275,7 +275,7 @@ def write_fleet_page(records: Sequence[FileRecord], path: Path, command: str) ->
     """Write the page of all results of a command."""
     files = files_of(records)
     title = f"tirefit {command}: {len(files.names)} files"
-    write_text_atomic(path, files_page(files, title))
+    write_texts({path: files_page(files, title)})
 
 
 def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None) -> str:
@@ -319,4 +319,4 @@ def write_fits_page(
         >>> fits = {name: fit(samples / f"{name}.csv") for name in names}
         >>> write_fits_page(fits, folder / "fits.html")
     """
-    write_text_atomic(path, fits_page(fits, failed))
+    write_texts({path: fits_page(fits, failed)})
