@@ -155,7 +155,8 @@ def draw_series(axes: Any, result: Braking, title: str) -> None:
         fast = np.asarray(log.motion.v_x > 0.3 * log.motion.v_x[0])
         highest += [np.nanpercentile(shown[fast], 97) for shown in values]
     top = 1.2 * float(np.max(highest)) or 1.0
-    axes.set_ylim(-0.1 * top, top)
+    # The slope of the force is negative beyond its peak.
+    axes.set_ylim((-0.4 if title.startswith("Stiffness") else -0.1) * top, top)
 
 
 def stop_figure(result: Braking) -> Picture:
