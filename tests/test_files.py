@@ -2,12 +2,13 @@
 
 import json
 import os
+import shutil
 import time
 
 import numpy as np
 import pytest
 
-from tests.killed import steps_of
+from tests.killed import killed_at, steps_of
 from tirefit.files import json_safe, json_text, remove_left, replacing, write_texts
 from tirefit.results import Outcome
 
@@ -87,25 +88,60 @@ def test_files_that_belong_together_are_written_together(tmp_path):
     assert (one.read_text(), two.read_text()) == ("new", "newer")
 
 
-def test_a_killed_process_leaves_no_mixture_of_files(tmp_path):
-    """Where the last of several files is, all are of its result, and an earlier one is gone."""
+def written(path, text, days=0.0):
+    """Write a file of some days ago."""
+    path.write_text(text)
+    os.utime(path, (0, time.time() - 86_400 * days))
+
+
+@pytest.mark.parametrize("earlier", ["abcd", "acd", "abd", "d"])
+@pytest.mark.parametrize("days", [0, 2])
+def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, monkeypatch, earlier, days):
+    """Where the last of several files is, all are of its result. The next command finds the
+    earlier files, however old they are, or the new ones, wholly."""
+    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
     paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
-    gone = tmp_path / "d.csv"
+    before = {name: "old" for name in ("a.png", "b.csv", "c.json", "d.txt") if name[0] in earlier}
+    after = {**dict.fromkeys([path.name for path in paths], "new"), "d.txt": "old"}
 
     def restore():
-        for path in (*paths, gone):
-            path.write_text("old")
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        for name, text in before.items():
+            written(tmp_path / name, text, days)
+
+    def found():
+        return {path.name: path.read_text() for path in tmp_path.iterdir() if path.is_file()}
 
     states = []
-    for _ in steps_of(lambda: write_texts(dict.fromkeys(paths, "new"), [gone]), restore):
-        texts = {p.name: p.read_text() for p in tmp_path.iterdir() if p.name[0] != "."}
+    for _ in steps_of(lambda: write_texts(dict.fromkeys(paths, "new")), restore):
+        visible = {name: text for name, text in found().items() if name[0] != "."}
         if paths[-1].exists():
-            after = dict.fromkeys([path.name for path in paths], "new")
-            assert texts in (after | {"d.csv": "old", **dict.fromkeys(after, "old")}, after)
-        states.append(paths[-1].exists())
-        for path in tmp_path.iterdir():
-            path.unlink()
-    assert states[0] and states[-1] and states.count(False) == 4
+            assert visible in (before, after)
+        remove_left(tmp_path)
+        assert not list(tmp_path.glob(".*.earlier*"))
+        states.append({name: text for name, text in found().items() if name[0] != "."})
+        assert states[-1] in (before, after)
+    assert before in states and after in states and len(states) >= 6
+    restore()
+    write_texts(dict.fromkeys(paths, "new"))
+    assert found() == after and len([*tmp_path.iterdir()]) == 4
+
+
+def test_a_recovery_that_is_killed_can_be_repeated(tmp_path, monkeypatch):
+    """And it keeps a file that was written after the kill."""
+    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
+    paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
+    for path in paths:
+        written(path, "old", days=2)
+    # It has made a folder, moved three earlier files there and put one new file in place.
+    assert killed_at(5, lambda: write_texts(dict.fromkeys(paths, "new")))
+    assert not paths[2].exists() and not paths[1].exists()
+    written(paths[1], "mine", days=-0.01)
+    for _ in steps_of(lambda: remove_left(tmp_path), lambda: None):
+        assert paths[1].read_text() == "mine"
+    remaining = {p.name: p.read_text() for p in tmp_path.iterdir() if p.name[0] != "."}
+    assert remaining == {"a.png": "old", "b.csv": "mine", "c.json": "old"}
 
 
 def test_old_temporary_files_are_removed_and_no_others(tmp_path):
@@ -116,3 +152,59 @@ def test_old_temporary_files_are_removed_and_no_others(tmp_path):
     with replacing(tmp_path / "b") as temporary:
         remove_left(tmp_path)
         assert list(tmp_path.iterdir()) == [temporary]
+
+
+def test_a_replacement_of_a_living_process_is_not_undone(tmp_path, monkeypatch):
+    """Another command that begins meanwhile leaves it alone."""
+    paths = [tmp_path / name for name in ("a", "b")]
+    write_texts(dict.fromkeys(paths, "old"))
+    rename = os.replace
+
+    def watched(one, other):
+        remove_left(tmp_path)
+        rename(one, other)
+
+    monkeypatch.setattr("tirefit.files._ENDED", 3600.0)
+    monkeypatch.setattr(os, "replace", watched)
+    write_texts(dict.fromkeys(paths, "new"))
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+
+
+def test_an_interrupted_replacement_is_undone(tmp_path, monkeypatch):
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    write_texts(dict.fromkeys(paths[1:], "old"))
+    rename, left = os.replace, [3]
+
+    def interrupted(one, other):
+        left[0] -= 1
+        rename(one, other)
+        if left[0] == 0:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_texts(dict.fromkeys(paths, "new"))
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"b": "old", "c": "old"}
+
+
+def test_a_renaming_that_fails_undoes_the_others(tmp_path, monkeypatch):
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+    for path in paths[:2]:
+        path.write_text("old")
+    before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    rename, failed = os.replace, 0
+    for step in range(5):  # two are set aside, three put in place
+        left = [step]
+
+        def failing(one, other, left=left):
+            left[0] -= 1
+            if left[0] == -1:
+                raise OSError(5, "fault", str(other))
+            rename(one, other)
+
+        monkeypatch.setattr(os, "replace", failing)
+        with pytest.raises(OSError, match="fault"):
+            write_texts(dict.fromkeys(paths, "new"))
+        failed += 1
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+    assert failed == 5

@@ -14,7 +14,13 @@ from pathlib import Path
 from typing import Any
 
 PART = ".tirefit-part"
-"""End of the name of a file that is not complete yet; the name begins with a dot."""
+"""End of the name of a file that is not complete yet, or of a folder with earlier files; the
+name begins with a dot."""
+
+_EARLIER = f".earlier{PART}"
+
+_ENDED = 1.0
+"""Time [s] without a change after which a replacement, which takes milliseconds, was killed."""
 
 
 def listed(given: Any) -> list[Any]:
@@ -84,26 +90,59 @@ def _temporary(path: Path) -> Iterator[Path]:
 def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> None:
     """Replace files that belong together, so that a killed process leaves no mixture.
 
-    The last of ``made``, their document, is removed first and written last: whoever finds it,
-    finds the others of the same result.
+    Earlier files wait in a folder beside them until all new ones are in place. The last of
+    ``made``, their document, is moved there first and written last: whoever finds it, finds
+    the others of the same result. After a kill, :func:`remove_left` or the next replacement
+    restores the earlier files.
 
     Args:
         made: path -> the new file that is renamed to it.
         gone: earlier files that have no successor.
 
     Raises:
-        OSError: a file could not be renamed; where a folder has its name, nothing is changed.
+        OSError: a file could not be renamed; then all are as before.
     """
     for path in made:
         if path.is_dir():  # found before the first file is replaced
             raise IsADirectoryError(errno.EISDIR, "there is a folder", str(path))
-    earlier = [path for path in gone if os.path.lexists(path) and not path.is_dir()]
-    if len(made) + len(earlier) > 1:
-        [*made][-1].unlink(missing_ok=True)
-    for path in earlier:
-        path.unlink()
-    for path, new in made.items():
-        os.replace(new, path)
+    places = [*(path for path in gone if os.path.lexists(path) and not path.is_dir()), *made]
+    lasts = {path.parent: path for path in places} if len(places) > 1 else {}
+    try:
+        for last in lasts.values():
+            _end(last, undo=not os.path.lexists(last))  # of a process that was killed
+            _aside(last).mkdir()
+        for path in reversed(places if lasts else []):
+            kept = _aside(lasts[path.parent]) / path.name
+            # A folder states that there was no such file.
+            os.replace(path, kept) if os.path.lexists(path) else kept.mkdir()
+        for path, new in made.items():
+            os.replace(new, path)
+    except BaseException as error:  # Ctrl-C too
+        for last in lasts.values():
+            _end(last, undo=True)
+        if lasts and isinstance(error, OSError):  # the user does not know the names in the folder
+            raise _of(places[-1], error) from None
+        raise
+    for last in lasts.values():
+        _end(last, undo=False)
+
+
+def _aside(last: Path) -> Path:
+    """The folder in which earlier files wait until all new ones, ``last`` too, are in place."""
+    return last.with_name(f".{last.name}{_EARLIER}")
+
+
+def _end(last: Path, undo: bool) -> None:
+    """Remove the folder of earlier files, after they are moved back if ``undo``: ``last`` at
+    the end, and none over a file that was written since."""
+    aside = _aside(last)
+    if undo and aside.is_dir():
+        moved = aside.stat().st_mtime_ns
+        for kept in sorted(aside.iterdir(), key=lambda kept: kept.name == last.name):
+            path = last.with_name(kept.name)
+            if not os.path.lexists(path) or path.lstat().st_mtime_ns <= moved:
+                path.unlink(missing_ok=True) if kept.is_dir() else os.replace(kept, path)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 WRITING = ".tirefit-writing"
@@ -111,11 +150,19 @@ WRITING = ".tirefit-writing"
 
 
 def remove_left(folder: Path) -> None:
-    """Remove temporary files and folders that killed processes left in a folder: those that
-    were last written more than a day ago, which no living process needs."""
+    """Remove what killed processes left in a folder.
+
+    Earlier files whose replacement did not end are restored. Temporary files and folders that
+    were last written more than a day ago are removed: no living process needs them.
+    """
     for path in (*folder.glob(f".*{PART}"), *folder.glob(f"{WRITING}*")):
         with suppress(OSError):
-            if time.time() - path.lstat().st_mtime > 86_400.0:
+            age = time.time() - path.lstat().st_mtime
+            if path.name.endswith(_EARLIER):
+                last = path.with_name(path.name[1:].removesuffix(_EARLIER))
+                if age > _ENDED:
+                    _end(last, undo=not os.path.lexists(last))
+            elif age > 86_400.0:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 

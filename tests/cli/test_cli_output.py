@@ -2,13 +2,16 @@
 
 import os
 import pty
+import shutil
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 
 import pytest
 from test_cli_fit import FAST, content, write
 
+from tests.killed import steps_of
 from tirefit.cli import options
 from tirefit.cli.commands import app
 from tirefit.cli.output import check_results, claimed, is_page, staged
@@ -82,6 +85,72 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
         assert (tmp_path / "fit.json").read_text() == "old"
     kept = {"fit.json": b"new", "notes.txt": b"old", "chain.npz": b"old"}
     assert files_of(tmp_path) == kept
+
+
+def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path, monkeypatch):
+    """The next command finds the earlier result or the new one, with its figures only."""
+    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
+    old = ["fit.json", "fit.png", "corner.png", "posterior.nc"]
+    new = ["fit.json", "fit.png", "trace.png"]
+    known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]
+
+    def restore():
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        for name in old:
+            (tmp_path / name).write_text("old")
+
+    def work():
+        with staged(tmp_path, known, "") as folder:
+            for name in new:
+                (folder / name).write_text("new")
+
+    states = set()
+    for _ in steps_of(work, restore):
+        with claimed(tmp_path):
+            pass
+        there = {path.name: path.read_bytes() for path in tmp_path.glob("[!.]*")}
+        state = there["fit.json"]
+        assert there == dict.fromkeys(old if state == b"old" else new, state)
+        states.add(state)
+    assert states == {b"old", b"new"}
+
+
+def test_a_result_that_a_kill_left_in_parts_is_restored_before_it_is_judged(tmp_path):
+    """Killed while files were set aside: a figure has no document that shows whose it is."""
+    aside = tmp_path / ".fit.json.earlier.tirefit-part"
+    aside.mkdir()
+    (aside / "fit.json").write_text('{"schema": "tirefit.fit/1"}')
+    os.utime(aside, (0, 0))  # not of a living process
+    (tmp_path / "fit.png").write_bytes(b"figure")
+    check_results([tmp_path / "fit.png", tmp_path / "fit.json"])
+    assert set(files_of(tmp_path)) == {"fit.png", "fit.json"}
+
+
+def test_an_interrupt_while_files_are_moved_keeps_the_earlier_result(tmp_path, monkeypatch):
+    """At each step: the earlier files, or after the last the new ones."""
+    old, new = ["fit.json", "fit.png"], ["fit.json", "trace.png"]
+    replace, states = os.replace, []
+    for last in range(1, 6):
+        for path in tmp_path.iterdir():
+            path.unlink()
+        for name in old:
+            (tmp_path / name).write_text("old")
+        calls = []
+
+        def interrupted(*given, calls=calls, last=last):
+            calls.append(given)
+            if len(calls) == last:
+                raise KeyboardInterrupt
+            replace(*given)
+
+        with monkeypatch.context() as patch, suppress(KeyboardInterrupt):
+            patch.setattr(os, "replace", interrupted)
+            with staged(tmp_path, ["fit.png", "trace.png"], "") as folder:
+                for name in new:
+                    (folder / name).write_text("new")
+        states.append(files_of(tmp_path))
+    assert states == [dict.fromkeys(old, b"old")] * 4 + [dict.fromkeys(new, b"new")]
 
 
 def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):

@@ -43,6 +43,8 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
         if reason:
             problems.append(InputProblem(reason, remedy, str(directory)))
     UsageError.raise_for(problems)
+    for directory in folders:
+        remove_left(directory)  # a killed command may have left its result in parts
     check_inputs_kept(made, inputs)
     reason = "it would be replaced, but tirefit did not write it"
     remedy = "choose another folder with --out, or rename the file"
