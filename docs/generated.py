@@ -124,5 +124,4 @@ TEXTS = {
     "gallery": gallery.text,
     "models": lambda: _literal(models_table(MODELS)),
     "methods": lambda: _literal(methods_table(tirefit.METHODS)),
-    "sources": lambda: tirefit.__doc__.partition("Cited elsewhere:\n")[2],
 }

@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 
 from tests.killed import killed_at, steps_of
-from tirefit.files import (
-    json_safe,
-    json_text,
-    remove_left,
-    replacing,
-    write_text_atomic,
-    write_texts,
-)
+from tirefit.files import json_safe, json_text, remove_left, replacing, write_texts
 from tirefit.results import Outcome
 
 
@@ -68,7 +61,7 @@ def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(OSError, match="disk full") as caught:
-        write_text_atomic(path, "new")
+        write_texts({path: "new"})
     assert caught.value.filename == str(path)  # not the temporary one
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
@@ -78,7 +71,7 @@ def test_a_write_keeps_the_permissions(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
     path.chmod(0o640)
-    write_text_atomic(path, "grün\n")
+    write_texts({path: "grün\n"})
     assert path.read_text(encoding="utf-8") == "grün\n"
     assert path.stat().st_mode & 0o777 == 0o640
 
@@ -103,9 +96,10 @@ def written(path, text, days=0.0):
 
 @pytest.mark.parametrize("earlier", ["abcd", "acd", "abd", "d"])
 @pytest.mark.parametrize("days", [0, 2])
-def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, earlier, days):
+def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, monkeypatch, earlier, days):
     """Where the last of several files is, all are of its result. The next command finds the
     earlier files, however old they are, or the new ones, wholly."""
+    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
     paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
     before = {name: "old" for name in ("a.png", "b.csv", "c.json", "d.txt") if name[0] in earlier}
     after = {**dict.fromkeys([path.name for path in paths], "new"), "d.txt": "old"}
@@ -134,8 +128,9 @@ def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, earlier, days):
     assert found() == after and len([*tmp_path.iterdir()]) == 4
 
 
-def test_a_recovery_that_is_killed_can_be_repeated(tmp_path):
+def test_a_recovery_that_is_killed_can_be_repeated(tmp_path, monkeypatch):
     """And it keeps a file that was written after the kill."""
+    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
     paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
     for path in paths:
         written(path, "old", days=2)
@@ -157,6 +152,22 @@ def test_old_temporary_files_are_removed_and_no_others(tmp_path):
     with replacing(tmp_path / "b") as temporary:
         remove_left(tmp_path)
         assert list(tmp_path.iterdir()) == [temporary]
+
+
+def test_a_replacement_of_a_living_process_is_not_undone(tmp_path, monkeypatch):
+    """Another command that begins meanwhile leaves it alone."""
+    paths = [tmp_path / name for name in ("a", "b")]
+    write_texts(dict.fromkeys(paths, "old"))
+    rename = os.replace
+
+    def watched(one, other):
+        remove_left(tmp_path)
+        rename(one, other)
+
+    monkeypatch.setattr("tirefit.files._ENDED", 3600.0)
+    monkeypatch.setattr(os, "replace", watched)
+    write_texts(dict.fromkeys(paths, "new"))
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"a": "new", "b": "new"}
 
 
 def test_an_interrupted_replacement_is_undone(tmp_path, monkeypatch):

@@ -104,8 +104,9 @@ def prose(path):
 
 
 def references():
-    """(surnames, text) of every paper in the docstring of the package."""
-    for entry in re.split(r"\n- ", tirefit.__doc__)[1:]:
+    """(surnames, text) of every paper in the list of sources."""
+    text = (ROOT / "docs" / "reference" / "sources.md").read_text(encoding="utf-8")
+    for entry in re.split(r"\n- ", text.partition("Other papers")[2])[1:]:
         yield re.findall(r"[A-ZÄÖÜ][a-zäöü]{2,}", entry.split(":")[0]), entry
 
 
@@ -118,7 +119,7 @@ def papers(text):
 
 
 def without_reference(text):
-    """Citations without a paper of that surname and year in the docstring."""
+    """Citations without a paper of that surname and year in the list."""
     known = list(references())
     return [
         f"{before}{year})"

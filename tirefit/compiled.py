@@ -1,20 +1,14 @@
 """The folder in which JAX stores compiled programs for later processes, and their release.
 
 JAX finds an entry by the name of its file and runs the machine code in it. So the folder must
-belong to the user, who alone may write to it, and an entry that was changed, renamed or planted
-since it was listed is removed. A list holds the name, size and time of change of each entry.
+belong to the user, who alone may write to it.
 """
 
-import atexit
-import json
 import os
-import re
 from contextlib import suppress
 from pathlib import Path
 
 import jax
-
-from tirefit.files import replacing
 
 _HAS_EMITTERS = jax.__version_info__ < (0, 11, 1)  # later versions refuse the option
 BRIEF: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False} if _HAS_EMITTERS else {}
@@ -30,9 +24,6 @@ _MOST_MAPPINGS = 30_000
 """Number of memory mappings of a process above which its programs are released. A program
 takes about 30. Linux allows 65,530; XLA ends the process at the next one."""
 
-_ENTRY = re.compile(r".+-[0-9a-f]{64}-cache")
-_LIST = "entries.json"
-
 
 def why_unsafe(folder: Path) -> str | None:
     """Why another user could have written the programs in a folder; None if nobody could."""
@@ -44,36 +35,12 @@ def why_unsafe(folder: Path) -> str | None:
     return "other users can write to it" if status.st_mode & 0o022 else None
 
 
-def open_entries(folder: Path) -> None:
-    """Remove the entries of JAX that are not as listed; list all entries when Python ends."""
-    listed = {}
-    with suppress(OSError, ValueError, TypeError, RecursionError):
-        listed = dict(json.loads((folder / _LIST).read_text(encoding="utf-8")))
-    found = _entries(folder)
-    newest = set(sorted(found, key=lambda name: found[name][1], reverse=True)[:_MOST_ENTRIES])
-    for name in found:
-        if found[name] != listed.get(name) or name not in newest:
-            with suppress(OSError):  # another process may have removed it
-                (folder / name).unlink()
-    atexit.register(list_entries, folder)
-
-
-def list_entries(folder: Path) -> None:
-    """Write the list of the entries in a folder."""
-    with suppress(OSError), replacing(folder / _LIST) as temporary:
-        temporary.write_text(json.dumps(_entries(folder)), encoding="utf-8")
-
-
-def _entries(folder: Path) -> dict[str, list[int]]:
-    """Size [B] and time of the last change [ns] of each entry, by name."""
-    found = {}
-    with suppress(OSError), os.scandir(folder) as files:
-        for file in files:
-            with suppress(OSError):  # another process may have removed it
-                if _ENTRY.fullmatch(file.name):
-                    status = file.stat(follow_symlinks=False)
-                    found[file.name] = [status.st_size, status.st_mtime_ns]
-    return found
+def remove_oldest(folder: Path) -> None:
+    """Keep the newest of the programs that JAX stored in a folder."""
+    with suppress(OSError):  # another process may have removed one
+        entries = sorted(folder.glob("*-cache"), key=lambda path: path.stat().st_mtime_ns)
+        for path in entries[:-_MOST_ENTRIES]:
+            path.unlink()
 
 
 def release_programs(most: int = _MOST_MAPPINGS) -> bool:

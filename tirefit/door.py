@@ -74,8 +74,8 @@ def replaced_inputs(
     """
     known: dict[tuple[int, int] | None, str] = {}
     for option, given in read.items():
-        for one in given:
-            if isinstance(one, str | Path) and (there := _identity(one)):
+        for file in given:
+            if isinstance(file, str | Path) and (there := _identity(file)):
                 known.setdefault(there, option)
     problems = []
     for path in made:
@@ -90,19 +90,19 @@ def replaced_inputs(
 def _identity(path: str | Path) -> tuple[int, int] | None:
     """Device and inode of a file, the same for all of its names; None if it does not exist."""
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except (OSError, ValueError):  # ValueError: a NUL in the path
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def control_character(text: str) -> tuple[int, str] | None:
     """Row and name of the first control character that is invalid in text, or None."""
-    found = re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029]", text)
-    if found is None:
+    match = re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029]", text)
+    if match is None:
         return None
-    row = len(re.findall(r"\r\n?|\n", text[: found.start()])) + 1
-    return row, f"U+{ord(found.group()):04X}"
+    row = len(re.findall(r"\r\n?|\n", text[: match.start()])) + 1
+    return row, f"U+{ord(match.group()):04X}"
 
 
 def outrageous(

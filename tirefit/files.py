@@ -11,14 +11,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import ModuleType
 from typing import Any
-
-fcntl: ModuleType | None
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks: two processes may write at once
-    fcntl = None
 
 PART = ".tirefit-part"
 """End of the name of a file that is not complete yet, or of a folder with earlier files; the
@@ -26,9 +19,8 @@ name begins with a dot."""
 
 _EARLIER = f".earlier{PART}"
 
-_ABANDONED = 86_400.0
-"""Age [s] of a temporary file above which its process was killed: no command takes a day to
-write one."""
+_ENDED = 1.0
+"""Time [s] without a change after which a replacement, which takes milliseconds, was killed."""
 
 
 def listed(given: Any) -> list[Any]:
@@ -98,9 +90,10 @@ def _temporary(path: Path) -> Iterator[Path]:
 def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> None:
     """Replace files that belong together, so that a killed process leaves no mixture.
 
-    All earlier files are renamed before the first new one takes its place, the last of
-    ``made`` first: whoever finds the last file, finds the others of the same result.
-    After a kill, :func:`remove_left` or the next replacement restores the earlier files.
+    Earlier files wait in a folder beside them until all new ones are in place. The last of
+    ``made``, their document, is moved there first and written last: whoever finds it, finds
+    the others of the same result. After a kill, :func:`remove_left` or the next replacement
+    restores the earlier files.
 
     Args:
         made: path -> the new file that is renamed to it.
@@ -112,29 +105,26 @@ def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> No
     for path in made:
         if path.is_dir():  # found before the first file is replaced
             raise IsADirectoryError(errno.EISDIR, "there is a folder", str(path))
-    places = list(dict.fromkeys([*(path for path in gone if not path.is_dir()), *made]))
-    lasts = {path.parent: path for path in places}.values()  # of each folder
-    asides = {last.parent: _aside(last) for last in lasts}
+    places = [*(path for path in gone if os.path.lexists(path) and not path.is_dir()), *made]
+    lasts = {path.parent: path for path in places} if len(places) > 1 else {}
     try:
-        for last in lasts:
-            _recover(last)  # of a process that was killed
-            asides[last.parent].mkdir()
-        for number, path in reversed([*enumerate(places)]):
-            kept = asides[path.parent] / f"{number}.{path.name}"
-            if os.path.lexists(path):
-                os.replace(path, kept)
-            else:
-                kept.mkdir()  # states that there was no such file
+        for last in lasts.values():
+            _end(last, undo=not os.path.lexists(last))  # of a process that was killed
+            _aside(last).mkdir()
+        for path in reversed(places if lasts else []):
+            kept = _aside(lasts[path.parent]) / path.name
+            # A folder states that there was no such file.
+            os.replace(path, kept) if os.path.lexists(path) else kept.mkdir()
         for path, new in made.items():
             os.replace(new, path)
     except BaseException as error:  # Ctrl-C too
-        for aside in asides.values():
-            _put_back(aside)
-        if isinstance(error, OSError):  # the user does not know the names within ``aside``
+        for last in lasts.values():
+            _end(last, undo=True)
+        if lasts and isinstance(error, OSError):  # the user does not know the names in the folder
             raise _of(places[-1], error) from None
         raise
-    for aside in asides.values():
-        shutil.rmtree(aside, ignore_errors=True)
+    for last in lasts.values():
+        _end(last, undo=False)
 
 
 def _aside(last: Path) -> Path:
@@ -142,44 +132,38 @@ def _aside(last: Path) -> Path:
     return last.with_name(f".{last.name}{_EARLIER}")
 
 
-def _recover(last: Path) -> None:
-    """Undo a replacement that was killed before ``last`` was in place; end a later one."""
-    if os.path.lexists(last):
-        shutil.rmtree(_aside(last), ignore_errors=True)
-    else:
-        _put_back(_aside(last))
+def _end(last: Path, undo: bool) -> None:
+    """Remove the folder of earlier files, after they are moved back if ``undo``: ``last`` at
+    the end, and none over a file that was written since."""
+    aside = _aside(last)
+    if undo and aside.is_dir():
+        moved = aside.stat().st_mtime_ns
+        for kept in sorted(aside.iterdir(), key=lambda kept: kept.name == last.name):
+            path = last.with_name(kept.name)
+            if not os.path.lexists(path) or path.lstat().st_mtime_ns <= moved:
+                path.unlink(missing_ok=True) if kept.is_dir() else os.replace(kept, path)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
-def _put_back(aside: Path) -> None:
-    """Rename the files in ``aside`` back, the last one last; but a file that was written
-    since they were moved there stays."""
-    if not aside.is_dir():
-        return
-    moved = aside.stat().st_mtime_ns
-    for kept in sorted(aside.iterdir(), key=lambda path: int(path.name.partition(".")[0])):
-        path = aside.with_name(kept.name.partition(".")[2])
-        later = os.path.lexists(path) and path.lstat().st_mtime_ns > moved
-        if not kept.is_dir():
-            kept.unlink() if later else os.replace(kept, path)
-            continue
-        if not later:
-            path.unlink(missing_ok=True)
-        kept.rmdir()
-    aside.rmdir()
+WRITING = ".tirefit-writing"
+"""Beginning of the name of the folder to which a result is written until complete."""
 
 
 def remove_left(folder: Path) -> None:
     """Remove what killed processes left in a folder.
 
-    Earlier files whose replacement did not end are restored. Temporary files that were last
-    written more than a day ago are removed: no living process needs them.
+    Earlier files whose replacement did not end are restored. Temporary files and folders that
+    were last written more than a day ago are removed: no living process needs them.
     """
-    for path in folder.glob(f".*{PART}"):
+    for path in (*folder.glob(f".*{PART}"), *folder.glob(f"{WRITING}*")):
         with suppress(OSError):
+            age = time.time() - path.lstat().st_mtime
             if path.name.endswith(_EARLIER):
-                _recover(path.with_name(path.name[1:].removesuffix(_EARLIER)))
-            elif time.time() - path.lstat().st_mtime > _ABANDONED:
-                path.unlink()
+                last = path.with_name(path.name[1:].removesuffix(_EARLIER))
+                if age > _ENDED:
+                    _end(last, undo=not os.path.lexists(last))
+            elif age > 86_400.0:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def _of(path: Path, error: OSError) -> OSError:
@@ -199,13 +183,8 @@ def _mode(path: Path) -> int:
     return 0o666 & ~umask
 
 
-def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
-    """Write text as UTF-8; if that fails, ``path`` is not changed."""
-    write_texts({path: text})
-
-
 def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> None:
-    """Write several files that belong together, as :func:`write_text_atomic`.
+    """Write files that belong together as UTF-8, by :func:`replace_together`.
 
     All content is on the disk before the first file is replaced.
 
@@ -218,25 +197,9 @@ def write_texts(texts: Mapping[Any, str | bytes], gone: Iterable[Path] = ()) -> 
     """
     made: dict[Path, Path] = {}
     with ExitStack() as waiting:
-        for path, text in reversed([(Path(path), text) for path, text in texts.items()]):
+        for path, text in [(Path(path), text) for path, text in texts.items()]:
             temporary = waiting.enter_context(_temporary(path))
             temporary.write_bytes(text if isinstance(text, bytes) else text.encode())
             os.chmod(temporary, _mode(path))
             made[path] = temporary
-        gone = [path for path in gone if os.path.lexists(path)]
-        if len(made) + len(gone) > 1:
-            replace_together(dict(reversed(made.items())), gone)
-        for path, temporary in made.items() if len(made) + len(gone) == 1 else ():
-            os.replace(temporary, path)
-
-
-def took_lock(handle: int) -> bool:
-    """Lock an open folder until its handle is closed; returns whether no other process holds
-    it, also where the file system has no locks."""
-    if fcntl is not None:
-        with suppress(OSError):
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return False
-    return True
+        replace_together(made, gone)

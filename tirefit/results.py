@@ -77,7 +77,7 @@ class Outcome(enum.StrEnum):
     @classmethod
     def gravest(cls, outcomes: Collection["Outcome"]) -> "Outcome":
         """The gravest of the outcomes; ``OK`` where there is none."""
-        return next((one for one in cls if one in outcomes), cls.OK)
+        return next((outcome for outcome in cls if outcome in outcomes), cls.OK)
 
 
 _UNFINISHED = {
@@ -160,14 +160,14 @@ _OPTION = re.compile(
 def in_python(text: str) -> str:
     """Replace command-line options in a text by the equivalent Python arguments."""
 
-    def argument(found: re.Match[str]) -> str:
-        if found["pair"]:
-            value = found["given"] or "..."
+    def argument(match: re.Match[str]) -> str:
+        if match["pair"]:
+            value = match["given"] or "..."
             quoted = value if _is_number(value) else f"'{value}'"
-            return f"{_PAIRS[found['pair']]}={{'{found['key']}': {quoted}}}"
-        if found["flag"]:
-            return f"{found['flag'].replace('-', '_')}=True"
-        name, value = found["name"].replace("-", "_"), found["value"]
+            return f"{_PAIRS[match['pair']]}={{'{match['key']}': {quoted}}}"
+        if match["flag"]:
+            return f"{match['flag'].replace('-', '_')}=True"
+        name, value = match["name"].replace("-", "_"), match["value"]
         bare = name == "rolling_radius" or _is_number(value)
         return f"{name}={value}" if bare else f"{name}='{value}'"
 

@@ -51,7 +51,7 @@ class Convention(NamedTuple):
     def turned(self, other: "Convention") -> frozenset[str]:
         """Fields whose sign differs in the other convention."""
         named = zip(self._fields[1:], self[1:], other[1:], strict=True)
-        return frozenset(name for name, one, two in named if one != two)
+        return frozenset(name for name, sign, other_sign in named if sign != other_sign)
 
 
 CONVENTIONS = {

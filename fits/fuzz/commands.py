@@ -39,7 +39,6 @@ LINES = {
     "derive": ("log.csv", "derive INPUT --vehicle vehicle.toml --out p.csv"),
     "derive by": ("vehicle.toml", "derive log.csv --vehicle INPUT --out p.csv"),
     "estimate": ("data.csv", "estimate INPUT --method rls,slip-slope --out o"),
-    "follow": ("data.csv", "estimate - --follow --method rls"),
     "convert": ("tire.tir", "convert INPUT --out o"),
     "brake": ("tire.tir", f"brake --tire INPUT {_QUICK}"),
     "brake of a fit": ("fit.json", f"brake --tire INPUT {_QUICK}"),
@@ -93,8 +92,7 @@ def _run(line: str, path: Path) -> None:
 
     path = path.absolute()
     with _folder() as folder:
-        text = path.read_bytes() if "--follow" in line else None
-        result = CliRunner().invoke(app, _arguments(line, path), input=text)
+        result = CliRunner().invoke(app, _arguments(line, path))
         left = [p.name for p in folder.rglob("*") if re.match(r"\..", p.name)]
         made = list(folder.rglob("fit.json"))
     if not isinstance(result.exception, SystemExit | None):

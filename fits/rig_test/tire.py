@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.tir.tir import new_tir
-from tirefit.files import write_text_atomic
+from tirefit.files import write_texts
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire, mf_tire
 
@@ -127,4 +127,4 @@ def write_true_tire(path: Path) -> None:
         f"M_z of the test: slip stiffnesses {MOMENT_STIFFNESS:g} times as large",
     ]
     ranges = {"fz": (200.0, 1500.0), "kappa": (-0.22, 0.22), "alpha": (-0.22, 0.22)}
-    write_text_atomic(path, new_tir("6.1", TRUE, ranges, {}, comment).text)
+    write_texts({path: new_tir("6.1", TRUE, ranges, {}, comment).text})

@@ -15,9 +15,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from typer.testing import CliRunner
 
 from tirefit.cli import fleet
-from tirefit.cli.cluster import cluster
 from tirefit.cli.commands import app
-from tirefit.compiled import list_entries
 
 
 @contextmanager
@@ -35,10 +33,7 @@ def commands_cache():
         patch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         jax.config.update("jax_compilation_cache_dir", None)
         reset_cache()  # JAX would use the directory that it opened first
-        # What the other worker has not listed yet is not removed.
-        patch.setattr("tirefit.compiled.open_entries", lambda folder: None)
         yield
-        list_entries(commands / "tirefit")
     for name, value in before.items():
         jax.config.update(name, value)
     reset_cache()
@@ -57,7 +52,7 @@ def own_cache():
 def two():
     """A client of a cluster of two workers. Even idle, they use a twentieth of the
     processor time, so one file holds all tests of them."""
-    with cluster(2) as client:
+    with fleet.cluster(2) as client:
         yield client
 
 
@@ -126,7 +121,7 @@ def unrendered(rendered_only):
 def no_figures(monkeypatch):
     """Fits write a ``fit.png`` without a picture: figures take half of the time of a command."""
 
-    def figures(result, folder, svg=False):
+    def figures(result, folder):
         (folder / "fit.png").write_text("no picture")
         return [folder / "fit.png"]
 

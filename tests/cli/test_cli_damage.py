@@ -8,7 +8,6 @@ import ctypes
 import json
 import os
 import resource
-import shlex
 import shutil
 import subprocess
 import sys
@@ -280,14 +279,6 @@ def test_a_full_standard_output_is_reported(inputs, unbuffered):
     assert helped.stderr == "error: output: No space left on device\n"
     assert "standard output: cannot be written: No space left" in looked.stderr
     assert "Traceback" not in looked.stderr
-
-
-def test_a_closed_standard_input_is_an_error():
-    program = [sys.executable, "-m", "tirefit", "estimate", "-", "--follow"]
-    closed = subprocess.run(
-        f"{shlex.join(program)} <&-", shell=True, capture_output=True, text=True
-    )
-    assert closed.returncode == 2 and "standard input is closed" in closed.stderr
 
 
 def test_terminal_control_characters_are_not_printed(capsys):

@@ -67,7 +67,7 @@ def test_fit_of_one_file_writes_its_posterior(whole):
     found = folder / "rig"  # named after the file
     names = {path.name for path in found.iterdir()}
     assert {"fit.json", "posterior.nc", "fit.png", "corner.png"} <= names
-    assert not any(name.endswith(".svg") or name.startswith(".") for name in names)
+    assert not any(name.startswith(".") for name in names)
     record = content(found)
     assert record["posterior"]["outcome"] == "converged"
     assert record["parameters"]["mu"]["ci95"][0] < 1.0 < record["parameters"]["mu"]["ci95"][1]
@@ -79,15 +79,11 @@ def test_fit_of_one_file_writes_its_posterior(whole):
     assert len(result.stdout.splitlines()) <= 45 and "covariance" not in result.stdout
 
 
-def test_out_names_the_directory_and_svg_doubles_the_figures(run, unrendered, rig, tmp_path):
-    run("fit", rig, "--config", "fit.toml", "--no-posterior", "--out", "a/b", "--svg")
-    found = tmp_path / "a" / "b"
-    names = {path.name for path in found.iterdir()}
+def test_out_names_the_directory(run, no_figures, rig, tmp_path):
+    run("fit", rig, "--config", "fit.toml", "--no-posterior", "--out", "a/b")
     assert not (tmp_path / "rig").exists()
-    assert "posterior.nc" not in names
-    pngs = {name[:-4] for name in names if name.endswith(".png")}
-    assert pngs == {name[:-4] for name in names if name.endswith(".svg")} != set()
-    assert content(found)["posterior"] is None
+    assert {path.name for path in (tmp_path / "a" / "b").iterdir()} == {"fit.json", "fit.png"}
+    assert content(tmp_path / "a" / "b")["posterior"] is None
 
 
 def test_several_files_get_a_directory_each(run, no_figures, rig, tmp_path):

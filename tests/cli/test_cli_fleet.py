@@ -17,7 +17,7 @@ from pieces import doubled, fatal, held, received
 from test_cli_fit import FAST, write
 
 from tirefit.cli import fleet
-from tirefit.cli.cluster import cluster, shared
+from tirefit.cli.fleet import cluster, shared
 from tirefit.results import UsageError
 
 NAMES = tuple("abc")
@@ -55,7 +55,7 @@ def test_an_early_end_cancels_pending_pieces(two, tmp_path):
 
 
 def test_a_missing_scheduler_is_a_usage_error(monkeypatch):
-    monkeypatch.setattr("tirefit.cli.cluster._CONNECT", 0.2)
+    monkeypatch.setattr("tirefit.cli.fleet._CONNECT", 0.2)
     with pytest.raises(UsageError, match="no scheduler answers at 127.0.0.1:1"):
         with cluster(1, "127.0.0.1:1"):
             pass

@@ -169,12 +169,6 @@ OF_OTHERS = {
     "a simulated stop": (["brake", "--out", "o"], "o/stops.csv"),
     "a page with sliders": (["explore", "brush", "--out", "o/p.html"], "o/p.html"),
     "derived rows": (["derive", LOG, *CAR, "--out", "o/p.csv"], "o/p.csv"),
-    "predicted forces": (["predict", "brush", "circles.csv", "--out", "o/p.csv"], "o/p.csv"),
-    "a simulated log": (["simulate", "drive", "--duration", "2", "--out", "o/p.csv"], "o/p.csv"),
-    "true values": (
-        ["simulate", "drive", "--duration", "2", "--out", "o/q.csv", "--truth", "o/p.csv"],
-        "o/p.csv",
-    ),
 }
 
 
@@ -190,12 +184,6 @@ def test_a_figure_or_table_of_another_origin_is_not_replaced(run, tmp_path, name
     ended = run(*arguments, exit_code=3)
     assert f"{kept}: it would be replaced, but" in ended.stderr
     assert contents(tmp_path) == before
-
-
-def test_an_own_table_is_replaced(run, tmp_path):
-    shutil.copytree(SAMPLES, tmp_path, dirs_exist_ok=True)
-    for mu in ("0.8", "0.9"):
-        run("predict", "brush", "circles.csv", "--set", f"mu={mu}", "--out", "p.csv")
 
 
 def test_the_demo_does_not_replace_changed_samples(run, tmp_path):

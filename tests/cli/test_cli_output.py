@@ -1,21 +1,18 @@
 """Complete results or none, one process per directory, Ctrl-C, and progress bars."""
 
-import io
 import os
 import pty
-import re
 import shutil
 import subprocess
 import sys
 import threading
-import time
 from contextlib import suppress
 
 import pytest
 from test_cli_fit import FAST, content, write
 
 from tests.killed import steps_of
-from tirefit.cli import options, silence
+from tirefit.cli import options
 from tirefit.cli.commands import app
 from tirefit.cli.output import check_results, claimed, is_page, staged
 from tirefit.files import replacing
@@ -44,33 +41,7 @@ def test_a_foreign_page_is_not_overwritten(tmp_path):
     assert is_page(page)
 
 
-def test_a_second_process_in_the_same_folder_is_refused(run, no_figures, rig, tmp_path):
-    with claimed(tmp_path / "o"):
-        result = run(*ARGUMENTS, exit_code=2)
-        assert "o: another tirefit is writing" in result.stderr
-        assert "--out" in result.stderr
-        assert list((tmp_path / "o").iterdir()) == []
-    run(*ARGUMENTS)
-    assert (tmp_path / "o" / "fit.json").exists()
-
-
-def test_a_lock_ends_with_its_process(tmp_path):
-    program = (
-        "import os, sys\n"
-        "from pathlib import Path\n"
-        "from tirefit.cli.output import claimed\n"
-        "with claimed(Path(sys.argv[1])):\n"
-        "    os.kill(os.getpid(), 9)\n"
-    )
-    folder = tmp_path / "o"
-    done = subprocess.run([sys.executable, "-c", program, str(folder)])
-    assert done.returncode == -9 and folder.is_dir()
-    with claimed(folder):
-        pass
-    assert folder.is_dir()  # it was there before
-
-
-def test_an_unused_lock_leaves_no_file(tmp_path):
+def test_an_unused_folder_is_removed(tmp_path):
     with pytest.raises(ZeroDivisionError), claimed(tmp_path / "a" / "b"):
         assert (tmp_path / "a" / "b").is_dir()
         raise ZeroDivisionError
@@ -84,7 +55,7 @@ def test_a_failed_write_keeps_the_earlier_result(
     run(*ARGUMENTS)
     before = files_of(tmp_path / "o")
 
-    def stopped(result, directory, svg):
+    def stopped(result, directory):
         (directory / "fit.png").write_bytes(b"half")
         raise error
 
@@ -104,7 +75,8 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     (tmp_path / ".tirefit-writing" / "trace.png").write_text("torn")
     torn = tmp_path / ".notes.txt.abc.tirefit-part"
     torn.write_text("torn")
-    os.utime(torn, (0, 0))  # not of a living process
+    for left in (torn, tmp_path / ".tirefit-writing"):
+        os.utime(left, (0, 0))  # not of a living process
     with claimed(tmp_path):
         assert not torn.exists()
     known = ["fit.json", "corner.png", "trace.png"]
@@ -115,8 +87,9 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     assert files_of(tmp_path) == kept
 
 
-def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
+def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path, monkeypatch):
     """The next command finds the earlier result or the new one, with its figures only."""
+    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
     old = ["fit.json", "fit.png", "corner.png", "posterior.nc"]
     new = ["fit.json", "fit.png", "trace.png"]
     known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]
@@ -136,7 +109,7 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
     for _ in steps_of(work, restore):
         with claimed(tmp_path):
             pass
-        there = {name: text for name, text in files_of(tmp_path).items() if name[0] != "."}
+        there = {path.name: path.read_bytes() for path in tmp_path.glob("[!.]*")}
         state = there["fit.json"]
         assert there == dict.fromkeys(old if state == b"old" else new, state)
         states.add(state)
@@ -147,19 +120,11 @@ def test_a_result_that_a_kill_left_in_parts_is_restored_before_it_is_judged(tmp_
     """Killed while files were set aside: a figure has no document that shows whose it is."""
     aside = tmp_path / ".fit.json.earlier.tirefit-part"
     aside.mkdir()
-    (aside / "1.fit.json").write_text('{"schema": "tirefit.fit/1"}')
+    (aside / "fit.json").write_text('{"schema": "tirefit.fit/1"}')
+    os.utime(aside, (0, 0))  # not of a living process
     (tmp_path / "fit.png").write_bytes(b"figure")
     check_results([tmp_path / "fit.png", tmp_path / "fit.json"])
     assert set(files_of(tmp_path)) == {"fit.png", "fit.json"}
-
-
-def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
-    """A worker claims the folder in which the command writes the table of all results."""
-    with replacing(tmp_path / "results.parquet") as temporary:
-        with claimed(tmp_path):
-            assert temporary.exists()
-        temporary.write_text("new")
-    assert files_of(tmp_path) == {"results.parquet": b"new"}
 
 
 def test_an_interrupt_while_files_are_moved_keeps_the_earlier_result(tmp_path, monkeypatch):
@@ -186,6 +151,15 @@ def test_an_interrupt_while_files_are_moved_keeps_the_earlier_result(tmp_path, m
                     (folder / name).write_text("new")
         states.append(files_of(tmp_path))
     assert states == [dict.fromkeys(old, b"old")] * 4 + [dict.fromkeys(new, b"new")]
+
+
+def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
+    """A worker claims the folder in which the command writes the table of all results."""
+    with replacing(tmp_path / "results.parquet") as temporary:
+        with claimed(tmp_path):
+            assert temporary.exists()
+        temporary.write_text("new")
+    assert files_of(tmp_path) == {"results.parquet": b"new"}
 
 
 def test_all_unwritable_directories_are_named(tmp_path, monkeypatch):
@@ -270,7 +244,7 @@ def test_sigterm_acts_as_ctrl_c(rig):
 
 
 def test_ctrl_c_stays_ignored_in_the_background():
-    done = ended("typer", "version", ignored=True)
+    done = ended("typer", "--version", ignored=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -333,31 +307,3 @@ def test_progress_without_a_terminal_is_printed_as_lines(monkeypatch, capsys):
         "posterior: 12 %, step 5",
         "posterior: 38 %, step 15",
     ]
-
-
-def test_a_long_silence_is_ended_by_a_line(monkeypatch):
-    heard, until = io.StringIO(), time.monotonic() + 60
-    monkeypatch.setattr(sys, "stderr", heard)
-    with silence.reported(most=0.01):
-        while heard.getvalue().count("\n") < 2 and time.monotonic() < until:
-            pass
-    assert re.match(r"(still at work, for \d+ s\n){2}", heard.getvalue())
-
-
-def test_no_line_is_printed_while_a_command_waits_for_its_input(monkeypatch):
-    heard, before = io.StringIO(), set(threading.enumerate())
-    monkeypatch.setattr(sys, "stderr", heard)
-    with silence.reported(most=3600):
-        (watcher,) = set(threading.enumerate()) - before
-        silence.expected()
-        watcher.join(60)
-        assert not watcher.is_alive() and heard.getvalue() == ""
-
-
-def test_a_command_that_prints_is_not_silent(monkeypatch):
-    heard = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", heard)
-    for talks in (lambda: options.complain("heard"), lambda: options.say("heard")):
-        before = silence._LATEST[0] = 0.0
-        talks()
-        assert silence._LATEST[0] > before

@@ -7,7 +7,6 @@ from test_read_layouts import truth, ttc
 from test_read_signs import canonical, in_signs
 
 from tirefit.data.read import read, read_frame
-from tirefit.data.readers.stream import RowReader
 from tirefit.data.table import join
 from tirefit.results import DataError
 from tirefit.slip import CONVENTIONS
@@ -121,28 +120,6 @@ def test_files_with_different_conventions_can_be_joined(tmp_path):
     data = join(tables)
     same(data, {n: np.tile(canonical()[n], 4) for n in ("sigma_x", "fy", "mz")})
     assert any("several conventions: braking, iso-w" in n for n in data.source.notes)
-
-
-@pytest.mark.parametrize("first", ["", "# convention iso-w\n"])
-def test_streamed_rows_use_their_declared_signs(tmp_path, first):
-    path = tmp_path / "rows.csv"
-    path.write_text(f"{first}sigma_x,fx,fz\n-0.1,-1000,4000\n-0.2,x,4000\n")
-    with open(path) as lines:
-        rows = RowReader(lines)
-        row, _ = rows
-    sign = -1 if first else 1
-    assert (row["sigma_x"], row["fx"]) == (sign * -0.1, sign * -1000)
-    said = " ".join(rows.assumptions)
-    assert ("stated in line 1" if first else "'braking' assumed") in said
-    assert rows.bad is not None and rows.bad[0] == 3 + bool(first)
-    problem = "--convention sae contradicts" if first else "no error"
-    with open(path) as lines:
-        try:
-            RowReader(lines, convention="sae")
-        except DataError as error:
-            assert problem in str(error).replace("convention='sae'", "--convention sae")
-        else:
-            assert not first
 
 
 def test_simulated_and_measured_force_must_have_the_same_sign(tmp_path):

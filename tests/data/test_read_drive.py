@@ -1,12 +1,9 @@
 """Vehicle logs: columns, units and signs; no slip, force or load is required."""
 
-import io
-
 import numpy as np
 import pytest
 
 from tirefit.data.read import read_frame, require
-from tirefit.data.readers.stream import RowReader
 from tirefit.results import DataError
 
 LOG = {
@@ -41,18 +38,6 @@ def test_a_vehicle_log_is_converted_to_si_and_iso_axes():
         require(data, ["yaw_rate", "steering"], "method 'position'")
     with pytest.raises(DataError, match="no slip"):
         read_frame(frame())
-
-
-def test_streamed_rows_have_the_same_columns(tmp_path):
-    text = ",".join(LOG) + "\n0,90,10,0.1,80,0.5,0,1\n"
-    (tmp_path / "rows.csv").write_text(text)
-    with open(tmp_path / "rows.csv") as rows:
-        reader = RowReader(rows)
-        row = next(iter(reader))
-    assert row["yaw_rate"] == pytest.approx(np.pi / 2) and row["torque_rr"] == 500
-    assert {"offset", "omega_fl", "heading"} <= set(reader.columns)
-    reader = RowReader(io.StringIO("run,kappa,fz\n1,0.1,4000\n"), constants={"v": 20.0})
-    assert set(reader.columns) == set(next(iter(reader))) == {"v", "sigma_x", "fz"}
 
 
 def test_x_and_y_are_positions_only_with_a_heading():

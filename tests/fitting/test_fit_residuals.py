@@ -17,7 +17,7 @@ from tirefit.fitting.uncertainty.marginals import (
     marginal_density,
     near_level,
 )
-from tirefit.fitting.verdict.residuals import means_by, means_over, ordered_correlation
+from tirefit.fitting.verdict.residuals import means_by, means_over
 from tirefit.models import TireInputs
 
 
@@ -67,16 +67,6 @@ def test_means_by_groups_are_right():
     means = means_by(codes, codes, values, 1.0)
     np.testing.assert_allclose(means.mean[[0, 2]], [2, 7])
     np.testing.assert_allclose(means.half[2], 1.96 * np.std([5, 7, 9], ddof=1) / 3**0.5)
-
-
-def test_rows_are_ordered_by_time_within_the_runs():
-    run, time = np.repeat([0, 1], 40), np.tile(np.arange(40), 2)
-    residual = np.sin(0.3 * np.arange(80)) + run
-    mixed = np.random.default_rng(3).permutation(80)
-    expected = autocorrelation([residual[:40], residual[40:]])[:11]
-    shown = ordered_correlation(residual[mixed], run[mixed], time[mixed])
-    np.testing.assert_allclose(shown, expected)
-    np.testing.assert_allclose(ordered_correlation(residual, run, None), expected)
 
 
 def test_density_of_gaussian_draws_is_gaussian():

@@ -5,11 +5,12 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tirefit.models import MODELS
 from tirefit.online.controllers import controller_of
 from tirefit.params import with_values
-from tirefit.report.braking import braking_text, path_of, paths_figure, stop_figure
+from tirefit.report.braking import braking_text, draw_series, path_of, paths_figure, stop_figure
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve
 from tirefit.sim.brake_vehicle import four_wheels
 from tirefit.sim.manoeuvre import braked
@@ -69,9 +70,32 @@ def test_a_path_lies_on_the_curve(result):
     np.testing.assert_allclose(path.force[early], expected, atol=0.03)
 
 
+def test_the_panels_of_a_stop_show_the_log(result):
+    """Of the slip: a line for each wheel and the peak, dashed; up to that of the fast car."""
+    axes = Figure().subplots()
+    draw_series(axes, result, "Slip κ; dashed: of the peak")
+    lines = iter(axes.lines)
+    highest = 0.0
+    for stop in result.stops.values():
+        log = stop.log
+        fast = log.motion.v_x > 0.3 * log.motion.v_x[0]
+        for wheel in range(4):
+            line = next(lines)
+            np.testing.assert_array_equal(line.get_xdata(), log.reading.time)
+            np.testing.assert_array_equal(line.get_ydata(), log.contacts.slips.kappa[:, wheel])
+            assert line.get_linestyle() == "-"
+        peak = next(lines)
+        np.testing.assert_array_equal(peak.get_ydata(), log.reading.truth.peak[:, 0])
+        assert peak.get_linestyle() == "--"
+        highest = max(highest, np.percentile(log.contacts.slips.kappa[fast], 97))
+    assert next(lines, None) is None
+    assert highest < axes.get_ylim()[1] < 2 * highest
+
+
 @pytest.mark.long
 def test_figures_are_drawn_for_one_and_for_all_stops(result):
     pictures = [draw(result) for draw in (stop_figure, paths_figure)]
     for picture in pictures:
         picture.draw_without_rendering()
-    assert len(pictures[0].axes) == 18
+    # No controller of these estimates the stiffness.
+    assert len(pictures[0].axes) == 4 and len(pictures[1].axes) == 2

@@ -19,7 +19,7 @@ from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
 from tirefit.fitting.solve.far_rows import FarRow
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
-from tirefit.report.curves import overlay_of
+from tirefit.report.curves import fit_curve
 from tirefit.report.fit_report import fit_page
 from tirefit.report.many_files import fits_page
 from tirefit.report.numbers import format_estimate, format_interval
@@ -79,7 +79,7 @@ def test_the_page_is_self_contained(text):
     page = Page(text)
     assert not {"script", "link", "iframe", "object"} & set(page.seen)
     assert "://" not in text and "url(" not in text and "@import" not in text
-    assert len(page.links) == page.seen.count("img") >= 6 and all(page.alternatives)
+    assert len(page.links) == page.seen.count("img") == 5 and all(page.alternatives)
     pictures = [
         base64.b64decode(link.removeprefix("data:image/png;base64,")) for link in page.links
     ]
@@ -156,41 +156,22 @@ def several():
     }
 
 
-def test_overlaid_curves_agree_with_the_models(several, plain):
-    overlay = overlay_of(several, "fx")
-    assert [one.label for one in overlay.curves] == list(several)
-    assert overlay.y_label == "longitudinal force $F_x$ [N]"
-    assert overlay.note == "at $F_z$ = 4000 N"
-    for one, group, result in zip(overlay.curves, overlay.groups, several.values(), strict=True):
-        values = {k: result.least_squares[k].value for k in result.labels}
-        inputs = TireInputs(sigma_x=one.slip, fz=4000.0, v=20.0)
-        expected = forces(with_values(MODELS["brush"], values), inputs).fx
-        np.testing.assert_allclose(one.force, expected, rtol=1e-9)
-        assert np.all(one.low <= one.force) and np.all(one.force <= one.high)
-        # It ends where its rows do.
-        assert one.slip[-1] == pytest.approx(result.table["sigma_x"].max())
-        assert len(group.slip) == result.statistics.n
-    heavy = replace(plain, reference={"fz": 5000.0, "v": 20.0})
-    over_load = overlay_of({"a": plain, "b": heavy}, "fx")
-    assert over_load.y_label == "$F_x / F_z$ [-]"
-    np.testing.assert_allclose(
-        over_load.curves[0].force, overlay_of({"a": plain}, "fx").curves[0].force / 4000
-    )
-
-
 def test_points_at_other_inputs_keep_their_residual(plain):
     problem, rows = plain.problem, plain.problem.rows
     load, aside = np.array(rows.inputs.fz), np.zeros_like(rows.inputs.fz)
     load[:30], aside[30:40] = 5000.0, 0.1
     inputs = rows.inputs._replace(fz=jnp.asarray(load), alpha=jnp.asarray(aside))
     moved = replace(plain, problem=problem.with_rows(inputs=inputs))
-    curve = overlay_of({"a": moved}, "fx")
-    (group,), (one,) = curve.groups, curve.curves
+    curve = fit_curve(moved, "fx")
     tire = with_values(MODELS["brush"], {k: v.value for k, v in plain.least_squares.items()})
     fitted = problem.used(forces(tire, inputs).fx)
-    off = group.force - np.interp(group.slip, one.slip, one.force)
+    off = [
+        group.force - np.interp(group.slip, fitted_curve.slip, fitted_curve.force)
+        for group, fitted_curve in zip(curve.groups, curve.curves, strict=True)
+    ]
     expected = problem.used(rows.observed["fx"]) - fitted
-    np.testing.assert_allclose(off, expected, atol=2.0)  # of interpolating the curve [N]
+    # 2 N of interpolating the curve.
+    np.testing.assert_allclose(np.sort(np.concatenate(off)), np.sort(expected), atol=2.0)
 
 
 def test_the_page_of_several_has_a_row_for_each(several):

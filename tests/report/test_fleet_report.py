@@ -66,7 +66,7 @@ def test_drift_and_the_outlying_file_are_found(dated):
     assert (fleet.dates is not None) == dated
     mu, stiffness, rmse = fleet.quantities
     assert mu.across.drifts and abs(mu.across.change + 0.1) < 4 * mu.across.change_std
-    assert np.flatnonzero(points_of(fleet, mu).far).tolist() == [WILD]
+    assert np.flatnonzero(points_of(fleet, mu).outlying).tolist() == [WILD]
     assert np.isfinite(stiffness.value).sum() == 199 and stiffness.known.sum() == 179
     assert not rmse.across.drifts
 

@@ -1,6 +1,5 @@
 """The report room: arrays checked independently, texts, files, fragments."""
 
-import json
 import re
 from dataclasses import replace
 
@@ -22,11 +21,11 @@ from tirefit.report import canvas
 from tirefit.report.curves import fit_curve
 from tirefit.report.fit_figures import figure_of, save_figures
 from tirefit.report.fit_report import fit_fragment, fit_report, verdict_line
-from tirefit.report.model_tables import models_dict, models_table
+from tirefit.report.model_tables import models_table
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 from tirefit.report.page import data_fragment
 from tirefit.report.posterior import profiles_of
-from tirefit.report.residuals import correlation_of, scatters_of
+from tirefit.report.residuals import scatters_of
 from tirefit.results import InputProblem, Outcome, UsageError
 
 TRUTH = {"cpa2": 5e4, "mu": 1.0, "m": 0.85}
@@ -179,12 +178,7 @@ def test_the_band_of_chains_contains_95_percent_of_the_draws(sampled):
 def test_residuals_are_standardised_and_have_their_inputs(plain):
     scatters = scatters_of(plain, "fx")
     labels = [panel.label for panel in scatters]
-    assert [label.split(" [")[0] for label in labels] == [
-        r"slip $\sigma_x$",
-        "load $F_z$",
-        "time",
-        "run",
-    ]
+    assert [label.split(" [")[0] for label in labels] == [r"slip $\sigma_x$", "load $F_z$", "time"]
     values = {k: plain.least_squares[k].value for k in plain.labels}
     rows = plain.table
     inputs = TireInputs(sigma_x=rows.usable("sigma_x"), fz=rows.usable("fz"), v=rows.usable("v"))
@@ -197,8 +191,6 @@ def test_residuals_are_standardised_and_have_their_inputs(plain):
     np.testing.assert_allclose(
         load.mean, [expected[rows.usable("fz") == one].mean() for one in LOADS]
     )
-    assert scatters[-1].ticks == ("first", "second")
-    assert correlation_of(plain, "fx")[0] == pytest.approx(1.0)
 
 
 def test_residuals_of_a_fit_limited_in_slip_have_the_time():
@@ -300,9 +292,6 @@ def test_model_tables_name_every_model_and_parameter():
     text = models_table(MODELS)
     assert all(re.search(rf"(^|\s){re.escape(name)}(\s|$)", text) for name in MODELS)
     assert max(map(len, text.splitlines())) <= 88
-    content = json.loads(json.dumps(models_dict(MODELS)))
-    assert content["brush"]["parameters"]["mu"]["unit"] == "-"
-    assert set(content) == set(MODELS)
 
 
 # Figures
@@ -343,10 +332,10 @@ def test_figures_are_legible_on_a_phone(sampled, name):
 
 
 def test_every_figure_is_complete(sampled, tmp_path):
-    written = save_figures(sampled, tmp_path / "new", svg=True)
+    written = save_figures(sampled, tmp_path / "new")
     names = {path.name for path in written}
     figures = ("fit", "residuals", "profile", "corner", "trace")
-    assert names == {f"{name}.{end}" for name in figures for end in ("png", "svg")}
+    assert names == {f"{name}.png" for name in figures}
     assert {path.name for path in (tmp_path / "new").iterdir()} == names
     # The posterior of another fit would be mistaken for one of this fit.
     names = {path.name for path in save_figures(replace(sampled, chains=None), tmp_path / "new")}
@@ -395,8 +384,7 @@ def test_a_dollar_in_a_run_name_is_not_mathematics(plain):
     layout = replace(plain.problem.layout, runs=runs)
     problem = replace(plain.problem, layout=layout)
     result = replace(plain, table=table, problem=problem)
-    assert scatters_of(result, "fx")[-1].ticks == (r"\$1 a", r"b\$")
-    result.plot("residuals").draw_without_rendering()
+    result.plot("fit").draw_without_rendering()
 
 
 def test_the_title_names_model_file_and_verdict(plain):

@@ -15,12 +15,6 @@ from typing import NoReturn
 
 __all__ = ["main"]
 
-_OVER = 0.01  # seconds after which a callback of the garbage collector has ended
-_YOUNG = 100_000
-"""New objects after which Python looks for garbage. Imports make 370,000 that stay; at
-Python's own 700, looking through them took 0.3 of the 2.6 s of a fit with figures. At
-500,000 a loop over files held 595 MiB, at this number and at 700 it held 357 MiB."""
-
 
 def main() -> None:
     """Run the ``tirefit`` command; Ctrl-C or SIGTERM ends it with exit code 130."""
@@ -34,7 +28,8 @@ def main() -> None:
         # Python ignores exceptions within a callback of the garbage collector, which JAX
         # has, so raise an interrupt that comes then again after its end.
         if issubclass(what.exc_type, KeyboardInterrupt) and came:
-            threading.Timer(_OVER, _thread.interrupt_main, [came[-1]]).start()
+            # Seconds after which a callback of the garbage collector has ended.
+            threading.Timer(0.01, _thread.interrupt_main, [came[-1]]).start()
         else:
             sys.__unraisablehook__(what)
 
@@ -43,9 +38,15 @@ def main() -> None:
     # 3.6 s of processor time with two threads, 0.5 s with one).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would look for them
-    os.environ.setdefault("EQX_ON_ERROR", "off")  # see tirefit.cli.start.SET_HERE
+    # Diffrax adds checks to a program that call Python, and JAX stores no such program: a
+    # simulated drive took 5.2 instead of 3.2 s of processor time. Without these checks, the
+    # simulations read from the result whether the integration succeeded.
+    os.environ.setdefault("EQX_ON_ERROR", "off")
     os.environ["MPLBACKEND"] = "agg"  # figures are only written to files
-    gc.set_threshold(_YOUNG)
+    # New objects after which Python looks for garbage. Imports make 370,000 that stay; at Python's
+    # own 700, looking through them took 0.3 of the 2.6 s of a fit with figures. At 500,000 a loop
+    # over files held 595 MiB, at this number and at 700 it held 357 MiB.
+    gc.set_threshold(100_000)
     atexit.register(gc.freeze)  # at the end, a search for garbage would take 0.4 s
     # A job that a shell starts in the background ignores Ctrl-C: do not change that.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -54,11 +55,9 @@ def main() -> None:
     sys.unraisablehook = unheard
     try:
         # Imported here, so that Ctrl-C is answered during the imports as well.
-        from tirefit.cli import silence
         from tirefit.cli.commands import app
 
-        with silence.reported():
-            app()
+        app()
     except OSError as error:
         # The command could not print; it handles its own errors otherwise.
         if came:

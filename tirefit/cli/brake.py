@@ -3,14 +3,16 @@
 from enum import StrEnum
 from typing import Annotated
 
-import typer
-
 from tirefit.cli.options import (
     Folder,
+    Number,
     SetOption,
     SignsOption,
+    Text,
+    Texts,
     complain,
     numbers,
+    option,
     progress_bar,
     start_jax,
 )
@@ -22,49 +24,33 @@ FILES = ("summary.json", "series.csv", "stops.csv", *_FIGURES)
 
 Vehicle = StrEnum("Vehicle", "car quarter")
 
+_ROAD = "friction: mu=0.4; mu=0.3:0.8@20 (changes after 20 m); left=0.3,right=0.8 (split)"
+_PLANT = "parameter of hydraulics, sensors, road: demand [Pa], delay [s], ..."
+
 
 def brake(
     out: Folder,
     controller: Annotated[
-        str, typer.Option(metavar="NAME[,NAME...]", help="controllers: xbs-servo, abs, slip, none")
+        str, option("NAME[,NAME...]", "controllers: xbs-servo, abs, slip, none")
     ] = "xbs-servo,abs",
-    road: Annotated[
-        str,
-        typer.Option(
-            metavar="ROAD",
-            help="friction: mu=0.4; mu=0.3:0.8@20 (changes after 20 m); left=0.3,right=0.8 (split)",
-        ),
-    ] = "mu=0.3",
-    speed: Annotated[float, typer.Option(help="initial speed [m/s]")] = 15.0,
+    road: Annotated[str, option("ROAD", _ROAD)] = "mu=0.3",
+    speed: Annotated[float, option("", "initial speed [m/s]")] = 15.0,
     steer: Annotated[
-        float, typer.Option(help="steering angle of the front wheels, left positive [rad]")
+        float, option("", "steering angle of the front wheels, left positive [rad]")
     ] = 0.0,
-    tire: Annotated[
-        str | None, typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="tire (default: brush-m)")
-    ] = None,
+    tire: Annotated[Text, option("MODEL|FIT.json|FILE.tir", "tire (default: brush-m)")] = None,
     signs: SignsOption = None,
     parameter: SetOption = None,
-    tune: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[CONTROLLER.]NAME=VALUE", help="setting of a controller"),
-    ] = None,
-    plant: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="parameter of hydraulics, sensors, road: demand [Pa], delay [s], ...",
-        ),
-    ] = None,
-    vehicle: Annotated[
-        Vehicle, typer.Option(help="whole car, or one wheel with its mass")
-    ] = Vehicle.car,
+    tune: Annotated[Texts, option("[CONTROLLER.]NAME=VALUE", "setting of a controller")] = None,
+    plant: Annotated[Texts, option("NAME=VALUE", _PLANT)] = None,
+    vehicle: Annotated[Vehicle, option("", "whole car, or one wheel with its mass")] = Vehicle.car,
     time_limit: Annotated[
-        float | None, typer.Option(help="end of the simulation [s] (default: by speed and road)")
+        Number, option("", "end of the simulation [s] (default: by speed and road)")
     ] = None,
     stops: Annotated[
-        int, typer.Option(min=1, max=100_000, help="number of stops, each with its own seed")
+        int, option("", "number of stops, each with its own seed", min=1, max=100_000)
     ] = 1,
-    seed: Annotated[int, typer.Option(min=0, max=2**31, help="seed of noise and road")] = 0,
+    seed: Annotated[int, option("", "seed of noise and road", min=0, max=2**31)] = 0,
 ) -> None:
     """Simulate braking with a controller: stopping distance, friction used, figures."""
     problems: list[InputProblem] = []

@@ -27,12 +27,11 @@ COMMANDS = {
     " parameters of models.",
     "derive": "Compute slip angle and lateral force of an axle from vehicle logs.",
     "predict": "Compute the forces of a fit or a model for each row of a data file.",
-    "version": "Print the version.",
     "simulate": "Simulate logs and rig sweeps whose true tire is known.",
 }
 """Name -> first paragraph of its help, for the list of the commands."""
 
-_MODULES = dict.fromkeys(("version", "models", "methods", "inspect", "derive", "predict"), "tables")
+_MODULES = dict.fromkeys(("models", "methods", "inspect", "derive", "predict"), "tables")
 """Name -> module, where it is not of the same name."""
 
 _STYLE: dict[str, Any] = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
@@ -53,13 +52,14 @@ class LazyCommand(TyperCommand):
         """The command itself, or the group of commands."""
         assert self.name is not None
         module = import_module(f"tirefit.cli.{_MODULES.get(self.name, self.name)}")
-        found = getattr(module, self.name)
-        if not isinstance(found, typer.Typer):
+        command = getattr(module, self.name)
+        if not isinstance(command, typer.Typer):
             from tirefit.cli.options import errors_to_exit  # imported with the command
 
-            function, found = errors_to_exit()(found), typer.Typer(add_completion=False, **_STYLE)
-            found.command(self.name, cls=getattr(module, "Command", None))(function)
-        return typer.main.get_command(found)
+            function = errors_to_exit()(command)
+            command = typer.Typer(add_completion=False, **_STYLE)
+            command.command(self.name)(function)
+        return typer.main.get_command(command)
 
     def get_short_help_str(self, limit: int = 0) -> str:
         return self.help or ""  # whole, not cut at a line

@@ -37,5 +37,5 @@ def compare(
 
     with claimed(out):
         result = compared(files)
-        figures = {FIGURE: ""} if result.drawable else {}
+        figures = {FIGURE: ""} if result.forces else {}
         write_result(result, out, FILES, figures, PAGE if html else "")

@@ -14,11 +14,15 @@ from tirefit.cli.magic_formula import (
     is_whole,
 )
 from tirefit.cli.options import (
+    File,
+    Folder,
+    Number,
     SeedOrNone,
     SignsOption,
+    Text,
     complain,
     model_names,
-    path_option,
+    option,
     say,
     start_jax,
 )
@@ -29,43 +33,32 @@ if TYPE_CHECKING:
     from tirefit.fitting.result import FitResult
 
 
-_SLIPS = 61  # slips of the grid, both ends included
-
 _SLIP_MAX = 0.3
 _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
 
 Force = StrEnum("Force", "fx fy")
 
+_MODEL = """\
+model to fit: a brush model (default: brush), or another version of the Magic Formula: mf52, mf61, \
+mf62"""
+
 
 def convert(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2")
+        File, typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2")
     ] = None,
     *,
-    out: Annotated[Path, path_option("FOLDER", "folder of the results")],
+    out: Folder,
     magic_formula: Annotated[
-        str | None,
-        typer.Option(metavar="B,C,D,E", help="coefficients of one curve, instead of a .tir file"),
+        Text, option("B,C,D,E", "coefficients of one curve, instead of a .tir file")
     ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="model to fit: a brush model (default: brush), or another version of"
-            " the Magic Formula: mf52, mf61, mf62",
-            autocompletion=model_names,
-        ),
-    ] = None,
-    force: Annotated[Force | None, typer.Option(help="force to convert (default: fx)")] = None,
+    model: Annotated[Text, option("", _MODEL, autocompletion=model_names)] = None,
+    force: Annotated[Force | None, option("", "force to convert (default: fx)")] = None,
     slip_max: Annotated[
-        float | None, typer.Option(help=f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})")
+        Number, option("", f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})")
     ] = None,
-    slip_min: Annotated[
-        float | None, typer.Option(help="smallest slip (default: minus the largest)")
-    ] = None,
-    loads: Annotated[
-        str | None,
-        typer.Option(metavar="N,N,...", help="loads [N] (default: 0.5, 1 and 1.5 FNOMIN)"),
-    ] = None,
+    slip_min: Annotated[Number, option("", "smallest slip (default: minus the largest)")] = None,
+    loads: Annotated[Text, option("N,N,...", "loads [N] (default: 0.5, 1 and 1.5 FNOMIN)")] = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
     seed: SeedOrNone = None,
@@ -82,8 +75,8 @@ def convert(
         is_whole(model, (), ("magic_formula", "force", "slip_min", "seed"))
         assert file is not None  # as --magic-formula is not given
         of_file = {"signs": signs, "combination": combination}
-        found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
-        raise typer.Exit(found)
+        code = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
+        raise typer.Exit(code)
     if combination:
         remedy = "leave it out: a brush is fitted to one force in pure slip"
         raise UsageError(f"--combination with --model {model or 'brush'}", remedy)
@@ -129,7 +122,7 @@ def _checked(
         problems.append(InputProblem(reason, "-1 < --slip-min < --slip-max < 1"))
     UsageError.raise_for(problems)
     check_results(fit_files(out))
-    return coefficients, np.linspace(low, high, _SLIPS), chosen
+    return coefficients, np.linspace(low, high, 61), chosen  # slips of the grid, both ends included
 
 
 def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]:

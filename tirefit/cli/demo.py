@@ -21,22 +21,22 @@ def demo(
     """Fit and diagnose measured samples that ship with tirefit."""
     samples = out / "samples"
     with as_file(files("tirefit") / "samples") as shipped:
-        check_results([samples / one.name for one in shipped.iterdir()])
+        check_results([samples / sample.name for sample in shipped.iterdir()])
         _check_unchanged(shipped, samples)
         shutil.copytree(shipped, samples, dirs_exist_ok=True)
     say(
-        "A car of scale 1:10 drove circles on one day and freely on another.\n"
+        "A car of scale 1:10 drove circles on sample day and freely on another.\n"
         "First a brush model is fitted to the circles.\n"
     )
     circles, driving = samples / "circles.csv", samples / "free_driving.csv"
     _run(context, "fit", circles, "--no-posterior", "--out", out / "fit")
     say("\nThen this tire is compared with the free driving: what does it lack?\n")
-    model, found = out / "fit" / "fit.json", out / "gap"
-    _run(context, "diagnose", driving, "--model", model, "--figures", "--out", found)
+    model, gap = out / "fit" / "fit.json", out / "gap"
+    _run(context, "diagnose", driving, "--model", model, "--figures", "--out", gap)
     say(
         f"\nResults\n  {samples}: the samples\n"
         f"  {out / 'fit' / 'fit.png'}: the measured points and the curve\n"
-        f"  {found / 'free_driving.html'}: a page of the diagnosis\n"
+        f"  {gap / 'free_driving.html'}: a page of the diagnosis\n"
         "\nTry next\n"
         f"  tirefit inspect {shlex.quote(str(driving))}\n"
         "      how the file was read, and what it can determine; then with your own\n"
@@ -49,7 +49,7 @@ def demo(
 def _check_unchanged(shipped: Path, samples: Path) -> None:
     """Raises DataError for files of the user that have the name of a sample."""
     _, other, unread = filecmp.cmpfiles(
-        shipped, samples, [one.name for one in shipped.iterdir()], shallow=False
+        shipped, samples, [sample.name for sample in shipped.iterdir()], shallow=False
     )
     changed = [samples / name for name in [*other, *unread] if (samples / name).exists()]
     reason = "it would be replaced, but differs from the sample that ships with tirefit"

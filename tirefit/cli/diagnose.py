@@ -1,20 +1,19 @@
 """``tirefit diagnose``: find the effects that a model lacks, and the gap without them."""
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from functools import partial
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
-from tirefit.cli.diagnose_vehicle import TireOption, diagnose_car
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
+    File,
     Files,
     Folder,
     Forces,
@@ -23,10 +22,14 @@ from tirefit.cli.options import (
     Seed,
     SideOption,
     SignsOption,
+    Text,
+    Texts,
     complain,
     completed,
     forces_named,
     numbers,
+    option,
+    progress_bar,
     read_config,
     read_options,
     refuse,
@@ -43,10 +46,12 @@ from tirefit.cli.output import (
     done_before,
     is_page,
     names_of,
+    told_where,
     write_result,
 )
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
+from tirefit.display import Record
 from tirefit.names import MODEL_NAMES, effect_names
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
@@ -54,26 +59,20 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
     from tirefit.data.table import TireData
     from tirefit.diagnosis.rows.rig import Rig
-    from tirefit.fitting.problem.config import FitConfig
 
 
-class Command(TyperCommand):
-    """``--holdout A B C``: all file names up to the next option."""
+_MODEL = """\
+model to fit first (default: brush), or a file: a simulator's tire, used unchanged; with --sim: \
+the model that represents the simulator (default: brush, or mf61 if the brush does not follow it)"""
+_SIM = "FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"
+_SIM_LOG = """\
+--vehicle: states that your simulator predicted for the inputs of FILE (one for each FILE): what \
+it has wrong of the car"""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        spread, after = [], False
-        for word, following in zip_longest(args, args[1:], fillvalue="-"):
-            if word.startswith("-"):
-                after = word == "--holdout"
-                if after and following.startswith("-"):
-                    raise typer.BadParameter("no file follows", ctx, param_hint=word)
-                if not after:
-                    spread.append(word)
-            elif after:
-                spread += ["--holdout", word]
-            else:
-                spread.append(word)
-        return super().parse_args(ctx, spread)
+
+TireOption = Annotated[
+    Text, option("FIT.json|FILE.tir|MODEL", "--vehicle: tire of this axle (default: brush)")
+]
 
 
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
@@ -88,61 +87,43 @@ def diagnose(
     options: DataOptions,
     out: Folder,
     model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MODEL|FIT.json|FILE.tir",
-            help="model to fit first (default: brush), or a file: a simulator's tire,"
-            " used unchanged; with --sim: the model that represents the simulator"
-            " (default: brush, or mf61 if the brush does not follow it)",
+        Text,
+        option(
+            "MODEL|FIT.json|FILE.tir",
+            _MODEL,
             autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
     ] = None,
     parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="use MODEL unchanged, with this value"),
+        Texts, option("NAME=VALUE", "use MODEL unchanged, with this value", "--set")
     ] = None,
-    sim: Annotated[
-        bool,
-        typer.Option("--sim", help="FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"),
-    ] = False,
+    sim: Annotated[bool, option("", _SIM, "--sim")] = False,
     side: SideOption = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
     force: Forces = None,
-    rig: Annotated[
-        Path | None, typer.Option(metavar="RIG.TOML", help="known noise and properties of the rig")
-    ] = None,
+    rig: Annotated[File, option("RIG.TOML", "known noise and properties of the rig")] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE...", help="files that are only used to check the result"),
+        option("FILE", "file that is only used to check the result (repeat for more)"),
     ] = None,
     without: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="ID",
-            help="do not search for this effect",
+        Texts,
+        option(
+            "ID",
+            "do not search for this effect",
             autocompletion=lambda incomplete: completed(*effect_names())(incomplete),
         ),
     ] = None,
     vehicle: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="VEHICLE.TOML",
-            help="FILE are logs of this car: find the effects that its model lacks",
-        ),
+        File,
+        option("VEHICLE.TOML", "FILE are logs of this car: find the effects that its model lacks"),
     ] = None,
     front: TireOption = None,
     rear: TireOption = None,
-    sim_log: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="SIM.CSV",
-            help="--vehicle: states that your simulator predicted for the inputs of FILE (one for"
-            " each FILE): what it has wrong of the car",
-        ),
-    ] = None,
+    sim_log: Annotated[list[Path] | None, option("SIM.CSV", _SIM_LOG)] = None,
     figures: Annotated[
-        bool, typer.Option("--figures", "--html", help="write NAME.png and NAME.html")
+        bool, option("", "write NAME.png and NAME.html", "--figures", "--html")
     ] = False,
     full: Full = False,
     resume: Resume = False,
@@ -156,21 +137,22 @@ def diagnose(
         refuse_besides([*_OF_VEHICLE, "sim_log"])
         if sim_log:
             refuse(_NOT_COMPARED, "with --sim-log", "leave it out: the car itself is not diagnosed")
-        return diagnose_car(
+        return _diagnose_car(
             files, vehicle, (front, rear), out, sim_log or [], holdout=holdout or (),
             without=without or (), figures=figures, full=full, seed=seed,
         )  # fmt: skip
     refuse_of_vehicle("front", "rear", "sim_log")
     names = names_of(files, "rename one: their results would overwrite each other")
     parts = [part for name in names for part in _written(name, figures)]
-    made = [out / one for part in parts for one in part]
+    made = [out / file for part in parts for file in part]
     check_results([*made, *sharing.files(out, made)], files)
     config = read_config(options.config)
     how, plain = read_options(options, config), _PLAIN if model is None else model
     if config is not None:
         force = force or ([*config.force] if config.force else None)
-        asked = {"model": plain, "seed": seed, "force": force}
-        _warn_of_unused(config, how, asked)
+        if unused := sorted(config.model_fields_set - {"data", "force", "source"}):
+            text = f"{', '.join(unused)}: used only by `tirefit fit`, not by diagnose"
+            complain(f"warning: {config.source}: {text}")
     start_jax()
     # A simulator known by its forces is represented by the best stand-in.
     base = model if sim else plain
@@ -180,10 +162,10 @@ def diagnose(
     settings |= _simulator(base, parameter, sim, how, of_tir)
     with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
         kept = [_read(path, how) for path in holdout or []]
-        task = _Task(out, settings, kept, how, figures, resume, seed, full)
+        written = {"figures": figures, "resume": resume, "full": full}
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        work = partial(_one, task)
-        codes = [one.code for one in run_pieces("diagnose", pieces, work, sharing, out)]
+        work = partial(_one, out, settings, kept, how, written, seed)
+        codes = [outcome.code for outcome in run_pieces("diagnose", pieces, work, sharing, out)]
         if len(pieces) > 1:
             done = codes.count(ExitCode.OK)
             say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
@@ -195,33 +177,6 @@ _OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".s
 _NOT_COMPARED = "holdout", "full", "seed"
 """Those that ``--sim-log`` does not use."""
 _PLAIN = "brush"  # the default base model
-
-_INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
-"""Key or section of fit.toml -> the option or file of diagnose that replaces it."""
-
-
-def _warn_of_unused(config: Any, how: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Warn once of keys that only a fit uses, except those with the values ``asked`` by
-    options. ``how`` has the keys of ``[data]`` that reading uses."""
-    used = {f"data.{key}" for key in how}
-    used |= {key for key, value in asked.items() if getattr(config, key) == value}
-    unused = [key for key in _keys(config) if key not in used]
-    if not unused:
-        return
-    sections = dict.fromkeys(key.split(".")[0] for key in unused)
-    instead = [f"{k} by {_INSTEAD[k]}" for k in sections if k in _INSTEAD]
-    rest = f"; give {', '.join(instead)}" if instead else ""
-    text = f"{', '.join(unused)}: used only by `tirefit fit`, not by diagnose{rest}"
-    complain(f"warning: {config.source}: {text}")
-
-
-def _keys(config: "FitConfig") -> list[str]:
-    """Keys that a configuration sets: ``force``, ``noise.fx``, ``parameters.mu``."""
-    keys = []
-    for name, value in config.model_dump(exclude_unset=True).items():
-        section = isinstance(value, dict)
-        keys += [f"{name}.{key}" for key in sorted(value)] if section else [name]
-    return keys
 
 
 def _read(path: Path, how: dict[str, Any], rig: "Rig | None" = None) -> "TireData":
@@ -286,52 +241,103 @@ def _simulator(
     return {"model": _PLAIN, "sim": given}
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Settings that all files share."""
+def _one(
+    out: Path,
+    settings: dict[str, Any],
+    kept: list["TireData"],
+    how: dict[str, Any],
+    written: dict[str, bool],
+    seed: int,
+    piece: Piece,
+) -> tuple[ExitCode, "FileRecord"]:
+    """Diagnose one file, unless its result exists.
 
-    out: Path  # folder of the results
-    settings: dict[str, Any]  # arguments of ``tirefit.diagnose``
-    kept: list[Any]  # tables held out
-    how: dict[str, Any]  # arguments of ``tirefit.read``
-    figures: bool
-    resume: bool
-    seed: int
-    full: bool
-
-
-def _one(task: _Task, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
-    """Diagnose one file, unless its result exists."""
+    Args:
+        settings: arguments of ``tirefit.diagnose``; how: of ``tirefit.read``.
+        kept: tables held out.
+        written: the options ``figures``, ``resume`` and ``full``.
+    """
     from tirefit.diagnosis.diagnose import diagnose as study
     from tirefit.diagnosis.summary.result import record_of_document
 
     file, name = piece
-    out, figures = task.out, task.figures
-    table = _read(file, task.how, task.settings["rig"])
-    written, drawn = _written(name, True)
-    expected = written + drawn if figures else written
-    document, asked = out / f"{name}.json", _asked(task, table)
-    files = [out / one for one in expected]
-    if task.resume and (record := done_before(files, document, asked, record_of_document)):
+    figures = written["figures"]
+    table = _read(file, how, settings["rig"])
+    always, drawn = _written(name, True)
+    document, asked = out / f"{name}.json", _asked(settings, kept, how, seed, table)
+    files = [out / part for part in (always + drawn if figures else always)]
+    if written["resume"] and (record := done_before(files, document, asked, record_of_document)):
         say(f"{file}: done before, kept: {document}")
         return ExitCode.OK, record
-    result = study(table, holdout=task.kept, seed=task.seed, **task.settings)
-    result = replace(result, asked=asked)
+    result = replace(study(table, holdout=kept, seed=seed, **settings), asked=asked)
     pictures, page = ({drawn[0]: ""}, drawn[1]) if figures else ({}, "")
     # A figure without an earlier page beside it is the user's own.
-    known = written + drawn if figures or is_page(out / drawn[1]) else written
-    write_result(result, out, known, pictures, page, name, full=task.full)
+    known = always + drawn if figures or is_page(out / drawn[1]) else always
+    write_result(result, out, known, pictures, page, name, full=written["full"])
     return exit_code(result.outcomes), record_of_document(document)
 
 
-def _asked(task: _Task, table: "TireData") -> str:
+def _asked(
+    settings: dict[str, Any],
+    kept: list["TireData"],
+    how: dict[str, Any],
+    seed: int,
+    table: "TireData",
+) -> str:
     """Digest of everything that the diagnosis of this table depends on."""
-    rig, given = task.settings["rig"], task.settings.get("sim")
+    rig, given = settings["rig"], settings.get("sim")
     if given not in (None, True):
         given = [given.kind, given.source, given.sha256]
     return digest(
-        task.settings | {"rig": [asdict(rig), rig.beside(table)], "sim": given},
-        [one.source.sha256 for one in (table, *task.kept)],
-        task.how,
-        task.seed,
+        settings | {"rig": [asdict(rig), rig.beside(table)], "sim": given},
+        [data.source.sha256 for data in (table, *kept)],
+        how,
+        seed,
     )
+
+
+# --- logs of a vehicle ---------------------------------------------------------------
+
+_CAR_FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
+_COMPARED_FILES = ("comparison.json", "comparison.png", "comparison.html")
+
+
+def _diagnose_car(
+    logs: list[Path],
+    vehicle: Path,
+    tires: tuple[str | None, str | None],
+    out: Path,
+    sim_logs: list[Path],
+    *,
+    holdout: Sequence[Path],
+    without: Sequence[str],
+    figures: bool,
+    full: bool,
+    seed: int,
+) -> None:
+    """Diagnose the car, or compare it with its simulator; print the report, write the files.
+
+    Args:
+        tires: of the front and of the rear axle; None: brush.
+        sim_logs: what the simulator predicted for each log; empty: diagnose the car itself.
+    """
+    names = _COMPARED_FILES if sim_logs else _CAR_FILES
+    front, rear = (tire or "brush" for tire in tires)
+    check_results([out / name for name in names], [*logs, *sim_logs])
+    # The first line of progress at once, as JAX takes seconds to load and to compile.
+    with claimed(out):
+        with told_where(out, "diagnosis"), progress_bar("diagnose", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.diagnose import diagnose_vehicle
+            from tirefit.vehicle.simulated import compare_with_simulator
+
+            how: dict[str, Any] = {"without": without, "progress": progress}
+            if sim_logs:
+                result: Record = compare_with_simulator(logs, sim_logs, vehicle, front, rear, **how)
+            else:
+                how |= {"holdout": holdout, "seed": seed}
+                result = diagnose_vehicle(logs, vehicle, front, rear, **how)
+        drawn, page = ({names[1]: ""}, names[2]) if figures else ({}, "")
+        text = result.summary() if sim_logs else result.summary(full=full)
+        write_result(result, out, names, drawn, page, text=text)

@@ -46,11 +46,11 @@ def explore(
     start_jax()
     from tirefit.targets.explore import explore
 
-    found = explore(tires, data, **how)
-    for text in found.warnings:
+    explored = explore(tires, data, **how)
+    for text in explored.warnings:
         complain(f"warning: {text}")
-    found.save(out)
-    say(found.summary())
+    explored.save(out)
+    say(explored.summary())
     say(f"wrote {out}: open it in a browser")
     _link(out.parent / PAGE, tires, out.name)
 
@@ -59,8 +59,8 @@ def _link(page: Path, tires: list[str], to: str) -> None:
     """Link the page of a fit to a page with sliders of this fit in its folder."""
     from tirefit.report.fit_report import EXPLORE
 
-    own = {page.parent.resolve(), page.with_suffix(".json").resolve()}
-    if is_page(page) and not own.isdisjoint(Path(tire).resolve() for tire in tires):
+    paths_of_fit = {page.parent.resolve(), page.with_suffix(".json").resolve()}
+    if is_page(page) and not paths_of_fit.isdisjoint(Path(tire).resolve() for tire in tires):
         text = page.read_text(encoding="utf-8")
         link = f'<a href="{quote(to)}">{EXPLORE.partition(":")[0]}</a>'
         if EXPLORE in text:

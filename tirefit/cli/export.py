@@ -102,12 +102,12 @@ def _ranges(
     items: list[str] | None, problems: list[InputProblem]
 ) -> dict[str, tuple[float, float]]:
     """Ranges of --over; faults are added to ``problems``."""
-    found: dict[str, tuple[float, float]] = {}
+    ranges: dict[str, tuple[float, float]] = {}
     for name, text in pairs("--over", items).items():
         low, _, high = text.partition(":")
         try:
-            found[name] = float(low), float(high)
+            ranges[name] = float(low), float(high)
         except ValueError:
             remedy = "give kappa, alpha or fz as NAME=LOW:HIGH"
             problems.append(InputProblem(f"--over {name}={text} is not a range", remedy))
-    return found
+    return ranges

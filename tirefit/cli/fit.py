@@ -9,21 +9,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
-from tirefit.cli.fit_vehicle import fit_vehicle
 from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
     DataOptions,
+    File,
     Files,
     Forces,
     Full,
     Html,
+    Number,
     Resume,
     SeedOrNone,
+    Text,
+    Texts,
     complain,
     completed,
     forces_named,
+    option,
     path_option,
+    progress_bar,
     read_config,
     read_options,
     refuse_besides,
@@ -32,10 +37,10 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_results, is_page, names_of
+from tirefit.cli.output import check_results, claimed, is_page, names_of, told_where, write_result
 from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode
+from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -46,6 +51,20 @@ Solver = StrEnum(
 Sampler = StrEnum("Sampler", "emcee importance")
 
 PAGE_OF_ALL = "fits.html"
+
+_MODEL = """\
+model of `tirefit models` (default: brush); mf52, mf61, mf62: a whole Magic Formula to all files; \
+with --vehicle: front=NAME,rear=NAME"""
+_PART = "mf52, mf61, mf62: fit this part only (default: all that the files determine)"
+_LIKE = """\
+mf52, mf61, mf62: take forces and coefficients that the files do not determine from this similar \
+tire"""
+_LEAVE_OUT = """\
+mf52, mf61, mf62: rows left out in turn to check the bands (default: the bins of three loads)"""
+_VEHICLE = "the files are logs of this car: fit the tires of both axles to its trajectories"
+_UNKNOWN = """\
+--vehicle: also fit this (repeat for more): yaw_inertia, cg_ahead, steering_ratio, \
+steering_offset, steering_delay, sideslip_zero (default: steering_offset and steering_delay)"""
 
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
@@ -65,74 +84,33 @@ def fit(
     files: Files,
     options: DataOptions,
     model: Annotated[
-        str | None,
-        typer.Option(
-            help="model of `tirefit models` (default: brush); mf52, mf61, mf62: a whole"
-            " Magic Formula to all files; with --vehicle: front=NAME,rear=NAME",
-            autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
-        ),
+        Text, option("", _MODEL, autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES))
     ] = None,
     posterior: Annotated[
-        bool, typer.Option("--posterior/--no-posterior", help="sample the posterior")
+        bool, option("", "sample the posterior", "--posterior/--no-posterior")
     ] = True,
     solver: Annotated[
-        Solver | None, typer.Option(help="least-squares solver; jaxopt is no longer maintained")
+        Solver | None, option("", "least-squares solver; jaxopt is no longer maintained")
     ] = None,
-    sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
+    sampler: Annotated[Sampler | None, option("", "posterior sampler")] = None,
     seed: SeedOrNone = None,
-    out: Annotated[Path | None, path_option("FOLDER", "folder of the results")] = None,
+    out: Annotated[File, path_option("FOLDER", "folder of the results")] = None,
     force: Forces = None,
-    part: Annotated[
-        str | None,
-        typer.Option(
-            metavar="fx|fy|mz|mx|my|combined|all",
-            help="mf52, mf61, mf62: fit this part only (default: all that the files determine)",
-        ),
-    ] = None,
-    like: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OTHER.tir",
-            help="mf52, mf61, mf62: take forces and coefficients that the files do not"
-            " determine from this similar tire",
-        ),
-    ] = None,
-    leave_out: Annotated[
-        str | None,
-        typer.Option(
-            metavar="three|load|none",
-            help="mf52, mf61, mf62: rows left out in turn to check the bands (default:"
-            " the bins of three loads)",
-        ),
-    ] = None,
-    vehicle: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="VEHICLE.toml",
-            help="the files are logs of this car: fit the tires of both axles to its trajectories",
-        ),
-    ] = None,
-    unknown: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="--vehicle: also fit this (repeat for more): yaw_inertia, cg_ahead,"
-            " steering_ratio, steering_offset, steering_delay, sideslip_zero (default:"
-            " steering_offset and steering_delay)",
-        ),
-    ] = None,
+    part: Annotated[Text, option("fx|fy|mz|mx|my|combined|all", _PART)] = None,
+    like: Annotated[File, option("OTHER.tir", _LIKE)] = None,
+    leave_out: Annotated[Text, option("three|load|none", _LEAVE_OUT)] = None,
+    vehicle: Annotated[File, option("VEHICLE.toml", _VEHICLE)] = None,
+    unknown: Annotated[Texts, option("NAME", _UNKNOWN)] = None,
     window: Annotated[
-        float | None,
-        typer.Option(min=0.05, help="--vehicle: length of a window [s] (default: 0.5)"),
+        Number, option("", "--vehicle: length of a window [s] (default: 0.5)", min=0.05)
     ] = None,
     joint: Annotated[
-        bool, typer.Option("--joint", help="fit all files together, each file as a run")
+        bool, option("", "fit all files together, each file as a run", "--joint")
     ] = False,
     strict: Annotated[
-        bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
+        bool, option("", "exit 5 if a parameter is not identified", "--strict")
     ] = False,
     resume: Resume = False,
-    svg: Annotated[bool, typer.Option("--svg", help="write every figure as SVG too")] = False,
     html: Html = False,
     full: Full = False,
     jobs: Jobs = None,
@@ -145,7 +123,7 @@ def fit(
     if vehicle is not None:
         refuse_besides(_OF_VEHICLE)
         car = {"unknowns": unknown, "window": window}
-        raise typer.Exit(fit_vehicle(files, vehicle, model, out, **car))
+        raise typer.Exit(_fit_vehicle(files, vehicle, model, out, **car))
     refuse_of_vehicle("unknown", "window")
     base = read_config(options.config) or FitConfig()
     how = read_options(options, base)
@@ -159,7 +137,7 @@ def fit(
     if sampler is not None:
         chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
         settings = settings.model_copy(update={"posterior": chosen})
-    also = Also(svg, html, full)
+    also = Also(html, full)
     if is_whole(settings.model, _OF_WHOLE, _NOT_OF_WHOLE):
         whole = {"part": part, "like": like, "leave_out": leave_out}
         whole = {name: value for name, value in whole.items() if value is not None}
@@ -219,23 +197,57 @@ def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:
 
 
 def _report_all(done: list[Outcome], pieces: list[Piece], fits: dict[str, Any]) -> None:
-    """Of several fits, print the summary and write the page."""
+    """Of several fits, print the summary and write the page, or remove an earlier one."""
     if len(pieces) > 1:
         from tirefit.report.many_files import summary_table
 
         records = [outcome.record for outcome in done]
         say(summary_table([record for record in records if record.rows]))
         failed = {record.file: record.problem for record in records if not record.rows}
-        _page_of_all(pieces[0].to.parent, fits, failed)
+        page = pieces[0].to.parent / PAGE_OF_ALL
+        if fits:
+            from tirefit.report.many_files import write_fits_page
+
+            write_fits_page(fits, page, failed)
+            say(f"wrote {page}")
+        elif is_page(page):  # of an earlier command
+            page.unlink()
 
 
-def _page_of_all(folder: Path, fits: dict[str, Any], failed: dict[str, str]) -> None:
-    """Write the page of all fits; remove that of an earlier command."""
-    page = folder / PAGE_OF_ALL
-    if fits:
-        from tirefit.report.many_files import write_fits_page
+# --- logs of a vehicle ---------------------------------------------------------------
 
-        write_fits_page(fits, page, failed)
-        say(f"wrote {page}")
-    elif is_page(page):
-        page.unlink()
+_TRAJECTORY = "trajectory.png"
+_OF_TRAJECTORY = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", _TRAJECTORY)
+
+
+def _models_of(text: str | None) -> dict[str, Any]:
+    """The models in ``front=brush,rear=brush``, or in a single name for both axles."""
+    if text is None or "=" not in text:
+        return dict.fromkeys(("front", "rear"), text or "brush")
+    by_axle = dict(part.strip().partition("=")[::2] for part in text.split(","))
+    if set(by_axle) != {"front", "rear"}:
+        reason = f"--model {text} with --vehicle"
+        raise UsageError(InputProblem(reason, "write front=brush,rear=brush"))
+    return by_axle
+
+
+def _fit_vehicle(
+    logs: list[Path], vehicle: Path, model: str | None, out: Path | None, **how: Any
+) -> ExitCode:
+    """Fit the car, print the report and write the files.
+
+    Args:
+        how: keywords of :func:`~tirefit.vehicle.trajectory.fit_trajectory`; None for its defaults.
+    """
+    models, out = _models_of(model), out or Path(f"{vehicle.stem}.fit")
+    check_results([out / name for name in _OF_TRAJECTORY], logs)
+    how = {k: v for k, v in how.items() if v is not None}
+    with claimed(out):
+        with told_where(out, "fit"), progress_bar("fit", soon=0.0) as progress:
+            progress(0.01, "loading")
+            start_jax()
+            from tirefit.vehicle.trajectory import fit_trajectory
+
+            result = fit_trajectory(logs, vehicle, progress=progress, **(models | how))
+        write_result(result, out, _OF_TRAJECTORY, {_TRAJECTORY: ""})
+    return exit_code(result.outcomes)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,7 +30,6 @@ def fit_files(directory: Path) -> list[Path]:
 class Also(NamedTuple):
     """Options on what is written and printed in addition to result and figures."""
 
-    svg: bool = False
     html: bool = False
     full: bool = False  # the report with all details
 
@@ -82,7 +82,6 @@ def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
 
     expected = ["fit.json", "fit.png"]
     expected += ["posterior.nc"] if task.posterior else []
-    expected += ["fit.svg"] if task.also.svg else []
     expected += [PAGE] if task.also.html else []
     files = [directory / name for name in expected]
     record = done_before(files, files[0], asked, record_of)
@@ -106,7 +105,7 @@ def fit_into(
         result = fit_data(data, config=settings)
         if posterior:
             _save(result, directory, also)  # before sampling
-            say(_first_words(result, directory))
+            say(f"least squares: written to {directory}; sampling the posterior\n")
             result = _sampled(result, settings)
         written = _save(replace(result, asked=asked), directory, also)
     # The assumptions of several files are printed once, merged, at the end.
@@ -116,24 +115,13 @@ def fit_into(
     return result
 
 
-def _first_words(result: "FitResult", directory: Path) -> str:
-    """A line on the least-squares estimates, printed before the posterior is sampled."""
-    from tirefit.report.fit_tables import parameter_rows
-
-    rows = parameter_rows(result)[1:]
-    found = ", ".join(" ".join(row[:3]).removesuffix(" -") for row in rows)
-    return f"least squares: {found}; written to {directory}; sampling the posterior\n"
-
-
 def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:
     """Write the result, its figures and its page; returns the names of the files."""
     from tirefit.report.fit_figures import save_figures
 
-    def draw(folder: Path) -> None:
-        save_figures(result, folder, svg=also.svg)
-
     known = [path.name for path in fit_files(directory)]
-    return write_result(result, directory, known, draw, PAGE if also.html else "", text="")
+    draw, page = partial(save_figures, result), PAGE if also.html else ""
+    return write_result(result, directory, known, draw, page, text="")
 
 
 def _sampled(result: "FitResult", settings: Any) -> "FitResult":

@@ -33,11 +33,11 @@ CombinationOption = Annotated[
 ]
 
 
-def is_whole(model: str | None, own: Collection[str], unused: Collection[str]) -> bool:
+def is_whole(model: str | None, of_whole: Collection[str], unused: Collection[str]) -> bool:
     """Whether the model is a whole Magic Formula.
 
     Args:
-        own: options that only a whole Magic Formula has.
+        of_whole: options that only a whole Magic Formula has.
         unused: options that it does not have.
 
     Raises:
@@ -49,7 +49,7 @@ def is_whole(model: str | None, own: Collection[str], unused: Collection[str]) -
         refuse(unused, f"with --model {model}", remedy)
     else:
         remedy = "leave it out: other models have no such stages"
-        refuse(own, f"without --model {', '.join(MAGIC_FORMULA_NAMES)}", remedy)
+        refuse(of_whole, f"without --model {', '.join(MAGIC_FORMULA_NAMES)}", remedy)
     return whole
 
 
@@ -111,8 +111,8 @@ def convert_whole(
         result = converted(tir, model, slip_max, loads, **of_file)
         _write(result, out, advice="try other --loads or a smaller --slip-max")
     signs = of_file["signs"]
-    own = f" in signs {signs}" if signs else ""
-    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{own}")
+    in_signs = f" in signs {signs}" if signs else ""
+    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{in_signs}")
     for force, (rmse, count) in result.fitted.items():
         unit = CANONICAL[force][0]
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
@@ -138,7 +138,7 @@ def _write(
 
     def draw(folder: Path) -> None:
         if also is not None:
-            save_magic_formula(result, folder, also.svg)
+            save_magic_formula(result, folder)
 
     # Figures and draws of an earlier fit would be mistaken for those of this one.
     known = [*dict.fromkeys(path.name for path in _files(out))]

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli import silence
 from tirefit.data.readers.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -39,9 +38,14 @@ def named_path(text: str) -> Path:
     return Path(text)
 
 
+def option(metavar: str, help: str, *flags: str, **how: Any) -> Any:
+    """An option; its name is that of the parameter unless ``flags`` give it."""
+    return typer.Option(*flags, metavar=metavar or None, help=help, **how)
+
+
 def path_option(metavar: str, help: str) -> Any:
     """An option that takes the path of a file or folder."""
-    return typer.Option(metavar=metavar, parser=named_path, help=help)
+    return option(metavar, help, parser=named_path)
 
 
 def completed(*names: str) -> Callable[[str], list[str]]:
@@ -55,6 +59,10 @@ def completed(*names: str) -> Callable[[str], list[str]]:
 
 model_names = completed(*MODEL_NAMES)
 
+Text = str | None
+Texts = list[str] | None
+Number = float | None
+File = Path | None
 Files = Annotated[
     list[Path],
     typer.Argument(
@@ -70,72 +78,46 @@ _SEED = typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
 Seed = Annotated[int, _SEED]
 SeedOrNone = Annotated[int | None, _SEED]
 Full = Annotated[bool, typer.Option("--full", help="print the report with all details")]
-SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
+SetOption = Annotated[Texts, option("NAME=VALUE", "parameter of the model", "--set")]
 Html = Annotated[bool, typer.Option("--html", help="write the report as one HTML page, too")]
-Forces = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--force", help="fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
-    ),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="skip finished files")]
+_FORCES = "fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
+Forces = Annotated[Texts, option("", _FORCES, "--force")]
+Resume = Annotated[bool, option("", "skip finished files", "--resume")]
 
 Side = StrEnum("Side", "left right")
 
 SideOption = Annotated[
-    Side | None, typer.Option(help="FILE.tir: side of the vehicle (default: TYRESIDE of the file)")
+    Side | None, option("", "FILE.tir: side of the vehicle (default: TYRESIDE of the file)")
 ]
-SignsOption = Annotated[
-    str | None,
-    typer.Option(
-        help="sign convention of FILE.tir, and of fx_sim, ... in diagnose; values as"
-        " for --convention (default: iso-w)",
-        autocompletion=completed(*CONVENTIONS),
-    ),
-]
+_SIGNS = "sign convention of FILE.tir, and of fx_sim, ... in diagnose; values as for --convention"
+_SIGNS += " (default: iso-w)"
+SignsOption = Annotated[Text, option("", _SIGNS, autocompletion=completed(*CONVENTIONS))]
+
+
+_CONVENTION = """\
+signs of the file: braking (slip and force positive when braking), iso-w (driving positive, z up), \
+sae (driving positive, z down), adapted-sae (driving positive, F_y > 0 for alpha > 0); default: as \
+the file states, else braking"""
+_SLIP = "definition of the slip column: sigma_x, kappa, s, slip_ratio"
 
 
 @dataclass(frozen=True, kw_only=True)
 class DataOptions:
     """Options that describe the data files; every field is an option."""
 
-    config: Annotated[Path | None, path_option("FIT.TOML", "settings file")] = None
-    column: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=HEADER", help="header of a quantity, e.g. fx=Force"),
-    ] = None
-    unit: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=UNIT", help="unit of a quantity, e.g. fx=kN")
-    ] = None
-    constant: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="a quantity without a column, in SI units"),
-    ] = None
-    convention: Annotated[
-        str | None,
-        typer.Option(
-            help="signs of the file: braking (slip and force positive when braking),"
-            " iso-w (driving positive, z up), sae (driving positive, z down),"
-            " adapted-sae (driving positive, F_y > 0 for alpha > 0); default: as the"
-            " file states, else braking",
-            autocompletion=completed(*CONVENTIONS),
-        ),
-    ] = None
-    slip: Annotated[
-        str | None,
-        typer.Option(
-            help="definition of the slip column: sigma_x, kappa, s, slip_ratio",
-            autocompletion=completed(*SLIP_DEFINITIONS),
-        ),
-    ] = None
-    rolling_radius: Annotated[float | None, typer.Option(help="effective rolling radius [m]")] = (
+    config: Annotated[File, path_option("FIT.TOML", "settings file")] = None
+    column: Annotated[Texts, option("NAME=HEADER", "header of a quantity, e.g. fx=Force")] = None
+    unit: Annotated[Texts, option("NAME=UNIT", "unit of a quantity, e.g. fx=kN")] = None
+    constant: Annotated[Texts, option("NAME=VALUE", "a quantity without a column, in SI units")] = (
         None
     )
+    convention: Annotated[Text, option("", _CONVENTION, autocompletion=completed(*CONVENTIONS))] = (
+        None
+    )
+    slip: Annotated[Text, option("", _SLIP, autocompletion=completed(*SLIP_DEFINITIONS))] = None
+    rolling_radius: Annotated[Number, option("", "effective rolling radius [m]")] = None
     mask_bad_rows: Annotated[
-        bool, typer.Option("--mask-bad-rows", help="exclude and list invalid rows, and continue")
+        bool, option("", "exclude and list invalid rows, and continue", "--mask-bad-rows")
     ] = False
 
 
@@ -152,18 +134,18 @@ def takes_data_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(**given, options=options)
 
     signature = inspect.signature(command)
-    ours = [
+    of_data = [
         inspect.Parameter(
             field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
         )
         for field in fields(DataOptions)
     ]
-    own = [
+    parameters = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for parameter in signature.parameters.values()
         if parameter.name != "options"
     ]
-    whole = signature.replace(parameters=[*own, *ours])
+    whole = signature.replace(parameters=[*parameters, *of_data])
     # inspect.signature uses this attribute first.
     with_options.__signature__ = whole  # type: ignore[attr-defined]
     return with_options
@@ -281,15 +263,15 @@ def read_options(given: DataOptions, config: "FitConfig | None") -> dict[str, An
     below = {} if config is None else config.data.model_dump()
     single = {}
     for name in ("convention", "slip", "rolling_radius"):
-        own, stated = getattr(given, name), below.get(name)
-        single[name] = stated if own is None else own
-        if None not in (own, stated) and own != stated:
+        chosen, stated = getattr(given, name), below.get(name)
+        single[name] = stated if chosen is None else chosen
+        if None not in (chosen, stated) and chosen != stated:
             unused = f"[data] {name} = {stated!r} is not used"
-            option = f"--{name.replace('_', '-')} {own}"
+            option = f"--{name.replace('_', '-')} {chosen}"
             where = "" if config is None else config.source
             complain(f"warning: {where}: {unused}: {option} is given")
     return {
-        **{name: below.get(name, {}) | own for name, own in named.items()},
+        **{name: below.get(name, {}) | pairs for name, pairs in named.items()},
         **single,
         "mask_bad_rows": given.mask_bad_rows or below.get("mask_bad_rows", False),
     }
@@ -313,7 +295,6 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
-    silence.broken()
     try:
         typer.echo(_printable(text))
     except BrokenPipeError:
@@ -324,7 +305,6 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
-    silence.broken()
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
@@ -409,7 +389,6 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
         task = bar.add_task(title, total=1.0, note="")
 
         def show(share: float, note: str) -> None:
-            silence.broken()
             bar.update(task, completed=share, note=note)
 
         yield show

@@ -1,10 +1,11 @@
-"""Write folders of results: by one process at a time, each result completely or not."""
+"""Write folders of results, each completely or not."""
 
 import hashlib
 import json
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 from tirefit import __version__
 from tirefit.cli.options import CONTEXT, complain, say
 from tirefit.door import replaced_inputs
-from tirefit.files import PART, fcntl, remove_left, replace_together, took_lock
+from tirefit.files import WRITING, remove_left, replace_together
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 
@@ -43,9 +44,7 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
             problems.append(InputProblem(reason, remedy, str(directory)))
     UsageError.raise_for(problems)
     for directory in folders:
-        if any(directory.glob(f".*{PART}")):
-            with claimed(directory):  # a killed command may have left its result in parts
-                pass
+        remove_left(directory)  # a killed command may have left its result in parts
     check_inputs_kept(made, inputs)
     reason = "it would be replaced, but tirefit did not write it"
     remedy = "choose another folder with --out, or rename the file"
@@ -83,77 +82,39 @@ def _named_files() -> dict[str, list[object]]:
     context = CONTEXT.get()
     if context is None:  # in a worker: the command has checked before
         return {}
-    found: dict[str, list[object]] = {}
-    for one in context.command.params:
-        given = context.params.get(one.name)
-        if one.name in _WRITTEN or given is None:
+    named: dict[str, list[object]] = {}
+    for param in context.command.params:
+        given = context.params.get(param.name)
+        if param.name in _WRITTEN or given is None:
             continue
         values = given if isinstance(given, list | tuple) else [given]
         # Text may be NAME=FILE,NAME=FILE, as in front=a.json,rear=b.json.
         parts = [p for v in values if isinstance(v, str) for p in re.split("[=,]", v)]
-        name = one.opts[0] if one.param_type_name == "option" else str(one.name).upper()
-        found[name] = [*values, *parts]
-    return found
+        name = param.opts[0] if param.param_type_name == "option" else str(param.name).upper()
+        named[name] = [*values, *parts]
+    return named
 
 
-_FORCES = ("fx", "fy", "mz", "mx", "my")
-
-
-def check_table(path: Path, text: str) -> None:
-    """Raises DataError if there is a table with other columns than the ``text`` to write,
-    forces aside: another model gives other forces."""
-    first = text.partition("\n")[0]
-    try:
-        with path.open(encoding="utf-8", errors="replace") as lines:
-            there = lines.readline(10 * len(first) + 100).rstrip("\r\n")
-    except OSError:  # none, or writing it raises the error
-        return
-    one, other = (
-        [name for name in line.split(",") if name.partition("_")[0] not in _FORCES]
-        for line in (there, first)
-    )
-    if there and one != other and "tirefit" not in there:
-        reason = "it would be replaced, but it has other columns: tirefit did not write it so"
-        raise DataError(reason, "choose another --out, or remove the file", str(path))
+_OURS = {".json": b'"schema": "tirefit.', ".toml": b"that tirefit fit estimated"}
+"""Ending of a file -> what it contains if tirefit wrote it; the others name tirefit."""
 
 
 def _is_of_others(path: Path, made: Collection[Path]) -> bool:
     """Whether tirefit did not write this file.
 
-    A file that does not name tirefit, as a figure, is ours if a document of its result is:
-    a JSON file or page among ``made`` in its folder, of the same name if there is one.
+    A table, which does not name tirefit, is ours if a document of ours (a JSON file or page
+    among ``made``) is beside it.
     """
     try:
         content = path.read_bytes()
     except OSError:
         return False
-    if not content.strip():
+    if not content.strip() or _OURS.get(path.suffix, b"tirefit") in content:
         return False
-    if path.suffix in (".json", ".toml"):
-        return not _is_our_text(path.suffix, content.decode(errors="replace"))
-    if b"tirefit" in content or path.suffix.lower() in (".html", ".mcap"):
-        return b"tirefit" not in content
+    if path.suffix in (".json", ".toml", ".html", ".mcap"):
+        return True
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
-    own = [
-        document
-        for document in documents
-        if path.name.startswith(f"{document.name.partition('.')[0]}.")
-    ]
-    documents = own or documents
     return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)
-
-
-def _is_our_text(ending: str, text: str) -> bool:
-    """Whether tirefit wrote a JSON or TOML file. A damaged JSON file counts as written by
-    tirefit if it names a schema of tirefit."""
-    if ending == ".toml":
-        return "that tirefit fit estimated" in text.partition("\n")[0]
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        return '"schema": "tirefit.' in text
-    schema = content.get("schema") if isinstance(content, dict) else None
-    return str(schema).startswith("tirefit.")
 
 
 def _is(path: Path) -> bool:
@@ -175,67 +136,56 @@ def told_where(out: Path, work: str) -> Iterator[None]:
 
 @contextmanager
 def claimed(directory: Path) -> Iterator[None]:
-    """Context manager: create the directory and lock it for other processes.
-
-    A created directory is removed at the end if it is empty.
-
-    Raises:
-        UsageError: another process has claimed it.
-    """
+    """Context manager: create the directory; it is removed at the end if it is then empty."""
     made = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)
-    # A lock on the directory itself ends with the process in any case, and leaves no file.
-    handle = None if fcntl is None else os.open(directory, os.O_RDONLY)
+    remove_left(directory)
     try:
-        if handle is not None and not took_lock(handle):
-            reason = "another tirefit is writing its results into this folder"
-            remedy = "wait until it has ended, or choose another folder with --out"
-            raise UsageError(reason, remedy, str(directory))
-        remove_left(directory)
-        for left in directory.glob(f"{_WRITING}*"):
-            shutil.rmtree(left, ignore_errors=True)
         yield
     finally:
         for path in made:
             with suppress(OSError):  # not empty
                 path.rmdir()
-        if handle is not None:
-            os.close(handle)
-
-
-_WRITING = ".tirefit-writing"
-"""Beginning of the name of the folder to which a result is written until complete."""
 
 
 @contextmanager
-def staged(
-    directory: Path, known: Collection[str], report: object, apart: str = ""
-) -> Iterator[Path]:
+def staged(directory: Path, known: Collection[str], report: object) -> Iterator[Path]:
     """Context manager: a folder for a result, whose files move to ``directory`` at the end.
 
     If the block fails or is interrupted, ``directory`` is not changed.
 
     Args:
-        directory: claimed by this process, or by the one that shares its work.
+        directory: an existing folder.
         known: files of an earlier result; those that are not written again are removed,
             as they would be mistaken for files of this one.
         report: the result in words. Where it cannot be written, it is said at least.
-        apart: end of the name of the folder, if processes write at the same time.
 
     Raises:
         OSError: naming the file that was not written; a note tells what exists.
     """
-    folder = directory / f"{_WRITING}{apart}"
-    shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
+    folder = directory
     try:
-        folder.mkdir()
+        folder = Path(tempfile.mkdtemp(prefix=WRITING, dir=directory))
         yield folder
-        _move(folder, directory, known)
+        # The document is moved last, so that the other files belong to it.
+        made = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
+        gone = [directory / name for name in known if not (folder / name).exists()]
+        replace_together({directory / path.name: path for path in made}, gone)
     except OSError as error:
         say(str(report))
-        raise _of(directory, folder, error) from None
+        path = Path(error.filename or directory)
+        # The user does not know the temporary name.
+        if path.name.startswith(WRITING):
+            path = directory
+        elif path.is_relative_to(folder):
+            path = directory / path.relative_to(folder)
+        named = OSError(error.errno, error.strerror or str(error), str(path))
+        there = f"{directory} is as it was before"
+        named.add_note(there if directory.is_dir() else f"the folder {directory} is gone")
+        raise named from None
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder != directory:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_result(
@@ -248,7 +198,7 @@ def write_result(
     text: str | None = None,
     **how: bool,
 ) -> list[str]:
-    """Write a result with its figures into a claimed folder; print it, and the files.
+    """Write a result with its figures into an existing folder; print it, and the files.
 
     Args:
         known: every file that the command may write, in the order of the printed list.
@@ -264,9 +214,7 @@ def write_result(
     """
     from tirefit.report.canvas import save_picture
 
-    # A page of the user is neither replaced nor removed.
-    known = [one for one in known if one == page or not one.endswith(".html") or is_page(out / one)]
-    with staged(out, known, result, f".{name}" if name else "") as folder:
+    with staged(out, known, result) as folder:
         result.save(folder, *([name] if name else []))
         if callable(figures):
             figures(folder)
@@ -275,7 +223,7 @@ def write_result(
                 save_picture(result.plot(what) if what else result.plot(), folder / file)
         if page:
             result.save(folder / page)
-        written = [one for one in known if (folder / one).exists()]
+        written = [file_name for file_name in known if (folder / file_name).exists()]
     if text != "":
         say(text or result.summary(**how))
         say_written(out, written)
@@ -288,13 +236,11 @@ def say_written(out: Path, written: Iterable[str]) -> None:
 
 
 def swept(directory: Path) -> None:
-    """Remove half-written results of a killed process, and the directory if it is then
-    empty; but not if another process works in it."""
-    if directory.is_dir():
-        with suppress(UsageError), claimed(directory):
-            pass
-        with suppress(OSError):  # not empty
-            directory.rmdir()
+    """Remove half-written results of a killed process, and the directory if it is then empty."""
+    for left in directory.glob(f"{WRITING}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    with suppress(OSError):  # not empty, or not there
+        directory.rmdir()
 
 
 def digest(*asked: Any) -> str:
@@ -337,24 +283,3 @@ def is_page(path: Path) -> bool:
         return bool(_SCHEMA.search(path.read_bytes()))
     except OSError:
         return False
-
-
-def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
-    """Move the files of the folder to the directory, and remove known ones it lacks."""
-    # The document is moved last, so that the other files belong to it.
-    made = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
-    gone = [directory / name for name in known if not (folder / name).exists()]
-    replace_together({directory / path.name: path for path in made}, gone)
-
-
-def _of(directory: Path, folder: Path, error: OSError) -> OSError:
-    """The error with the name of the directory or its file instead of a temporary one."""
-    path = Path(error.filename or folder)
-    if path.is_relative_to(folder):
-        path = directory / path.relative_to(folder)
-    named = OSError(error.errno, error.strerror or str(error), str(path))
-    there = directory.is_dir()
-    named.add_note(
-        f"{directory} is as it was before" if there else f"the folder {directory} is gone"
-    )
-    return named

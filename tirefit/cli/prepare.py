@@ -13,7 +13,10 @@ from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     Folder,
+    Number,
+    Texts,
     completed,
+    option,
     read_config,
     read_options,
     takes_data_options,
@@ -29,6 +32,7 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.fitting.problem.config import FitConfig
 
 _KEPT = ("sweep", "steady", "warm-up")
+_KEEP = f"kind of segment to write (repeat for more): {', '.join(_KEPT)}; default: sweep and steady"
 
 
 @takes_data_options
@@ -40,26 +44,14 @@ def prepare(
     out: Folder,
     options: DataOptions,
     bandwidth: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="-3 dB bandwidth of the filter (default: by the sweeps)"),
+        Number, option("HZ", "-3 dB bandwidth of the filter (default: by the sweeps)")
     ] = None,
-    unfiltered: Annotated[bool, typer.Option("--no-filter", help="do not filter")] = False,
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="sample rate of a file without time")
-    ] = None,
+    unfiltered: Annotated[bool, option("", "do not filter", "--no-filter")] = False,
+    rate: Annotated[Number, option("HZ", "sample rate of a file without time")] = None,
     warm_up: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="duration of the warm-up [s] (default: found in the data)"),
+        Number, option("S", "duration of the warm-up [s] (default: found in the data)")
     ] = None,
-    keep: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KIND",
-            help=f"kind of segment to write (repeat for more): {', '.join(_KEPT)};"
-            " default: sweep and steady",
-            autocompletion=completed(*_KEPT),
-        ),
-    ] = None,
+    keep: Annotated[Texts, option("KIND", _KEEP, autocompletion=completed(*_KEPT))] = None,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:

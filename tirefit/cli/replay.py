@@ -5,13 +5,26 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import Folder, Html, Seed, path_option, progress_bar, say, start_jax
+from tirefit.cli.options import (
+    File,
+    Folder,
+    Html,
+    Number,
+    Seed,
+    option,
+    path_option,
+    progress_bar,
+    say,
+    start_jax,
+)
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.readers.remote import file_at
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 
 _TIRE = "FIT.json|FILE.tir|MODEL"
+_EFFECTS = "also predict with the effects that tirefit diagnose --vehicle named"
+_MCAP = "also write measured and predicted motion for Foxglove, PlotJuggler"
 FIGURES, PAGE = {"replay.png": "path", "series.png": "series"}, "replay.html"
 FILES = ("replay.json", *FIGURES, PAGE)
 
@@ -21,37 +34,19 @@ def replay(
         list[Path] | None, typer.Argument(metavar="LOG...", parser=file_at, help="vehicle logs")
     ] = None,
     *,
-    vehicle: Annotated[
-        Path, typer.Option(metavar="VEHICLE.toml", help="vehicle.toml of the car and its log")
-    ],
-    front: Annotated[str, typer.Option(metavar=_TIRE, help="tire of the front axle")],
-    rear: Annotated[str, typer.Option(metavar=_TIRE, help="tire of the rear axle")],
+    vehicle: Annotated[Path, option("VEHICLE.toml", "vehicle.toml of the car and its log")],
+    front: Annotated[str, option(_TIRE, "tire of the front axle")],
+    rear: Annotated[str, option(_TIRE, "tire of the rear axle")],
     out: Folder,
     horizon: Annotated[
         list[float] | None,
-        typer.Option(
-            metavar="S", help="prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)"
-        ),
+        option("S", "prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)"),
     ] = None,
-    effects: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="VEHICLE_DIAGNOSIS.json",
-            help="also predict with the effects that tirefit diagnose --vehicle named",
-        ),
-    ] = None,
+    effects: Annotated[File, option("VEHICLE_DIAGNOSIS.json", _EFFECTS)] = None,
     steering_delay: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="delay of the road wheels after the log [s]; default steering.delay"
-        ),
+        Number, option("S", "delay of the road wheels after the log [s]; default steering.delay")
     ] = None,
-    mcap: Annotated[
-        Path | None,
-        path_option(
-            "FILE.mcap", "also write measured and predicted motion for Foxglove, PlotJuggler"
-        ),
-    ] = None,
+    mcap: Annotated[File, path_option("FILE.mcap", _MCAP)] = None,
     seed: Seed = 0,
     html: Html = False,
 ) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit.cli.options import OutFile, errors_to_exit, numbers, path_option, say, start_jax
-from tirefit.cli.output import check_table
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
@@ -29,19 +28,19 @@ simulate = typer.Typer(
 Truth = Annotated[Path | None, path_option("FILE.csv", "CSV file of the true values")]
 
 
-def _option(one: Field[Any]) -> inspect.Parameter:
+def _option(setting: Field[Any]) -> inspect.Parameter:
     """The option of a setting; the user gives a pair or a mapping as text."""
-    kind, default, metavar = one.type, one.default, None
-    flags = [f"--{one.name}"] if isinstance(default, bool) else []
-    if one.name == "drop":
+    kind, default, metavar = setting.type, setting.default, None
+    flags = [f"--{setting.name}"] if isinstance(default, bool) else []
+    if setting.name == "drop":
         kind, metavar = str | None, "TIME=FRICTION"
     elif default is MISSING:
         kind, default, flags, metavar = list[str] | None, None, ["--set"], "NAME=VALUE"
     elif isinstance(default, tuple):
         kind, default = list[float], list(default)
-    option = typer.Option(*flags, metavar=metavar, help=one.metadata["meaning"])
+    option = typer.Option(*flags, metavar=metavar, help=setting.metadata["meaning"])
     return inspect.Parameter(
-        one.name,
+        setting.name,
         inspect.Parameter.KEYWORD_ONLY,
         default=default,
         annotation=Annotated[kind, option],
@@ -64,9 +63,9 @@ def _command(kind: str) -> Callable[..., Any]:
 
         _write(simulated(kind, **given), out, truth, given["seed"])
 
-    own = list(inspect.signature(run).parameters.values())[:2]
-    ours = [*own, *map(_option, fields(KINDS[kind]))]
-    run.__signature__ = inspect.Signature(ours)  # type: ignore[attr-defined]
+    fixed = list(inspect.signature(run).parameters.values())[:2]
+    parameters = [*fixed, *map(_option, fields(KINDS[kind]))]
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__doc__ = KINDS[kind].__doc__
     return run
 
@@ -102,10 +101,7 @@ def _write(made: "SimulatedLog", out: Path, truth: Path | None, seed: int) -> No
     from tirefit.data.write import csv_text
 
     tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})
-    texts = {path: csv_text(table) for path, table in tables.items()}
-    for path, text in texts.items():
-        check_table(path, text)
-    write_texts(texts)
+    write_texts({path: csv_text(table) for path, table in tables.items()})
     rows = len(made.columns["time"])
     columns = ", ".join(made.columns)
     say(f"wrote {out}: {rows} rows, {columns} (braking positive, SI), seed {seed}")

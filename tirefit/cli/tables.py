@@ -1,4 +1,4 @@
-"""Small commands: version, and tables of models, methods, files and forces."""
+"""Small commands: tables of models, methods, files and forces."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,14 +16,15 @@ from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
-    JsonOption,
     OutFile,
     SetOption,
     SideOption,
     SignsOption,
+    Texts,
     complain,
     model_names,
     numbers,
+    option,
     pairs,
     path_option,
     read_config,
@@ -32,7 +33,7 @@ from tirefit.cli.options import (
     start_jax,
     takes_data_options,
 )
-from tirefit.cli.output import check_inputs_kept, check_results, check_table
+from tirefit.cli.output import check_inputs_kept, check_results
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.files import json_safe
@@ -48,47 +49,41 @@ if TYPE_CHECKING:
 
 Axle = StrEnum("Axle", "rear front")
 
+_MODEL = """\
+model whose parameters are checked (repeat for more; default: some brush models and the Magic \
+Formula)"""
+_VEHICLE = "mass, geometry, inertia and columns of the log (see VEHICLE.md)"
+_UNIT = "unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s) reverses the sign"
+_STARRED = "FILE.tir: use tan(alpha) and sin(gamma) instead of the angles"
+_BESIDE = """\
+write the columns of DATA.csv and these forces as fx_sim, ..., for `tirefit diagnose --sim`"""
 
-def version() -> None:
-    """Print the version."""
-    say(__version__)
 
-
-def models(json: JsonOption = False) -> None:
+def models() -> None:
     """List the models: parameters, units, bounds, meaning, source equation."""
     from tirefit.models import MODELS
-    from tirefit.report.model_tables import models_dict, models_table
+    from tirefit.report.model_tables import models_table
 
-    say(dumps(models_dict(MODELS), indent=1) if json else models_table(MODELS))
+    say(models_table(MODELS))
 
 
-def methods(json: JsonOption = False) -> None:
+def methods() -> None:
     """List the online methods: inputs, estimates, valid range of used friction, source."""
     from tirefit.online.methods import METHODS
-    from tirefit.report.model_tables import methods_dict, methods_table
+    from tirefit.report.model_tables import methods_table
 
-    say(dumps(methods_dict(METHODS), indent=1) if json else methods_table(METHODS))
+    say(methods_table(METHODS))
 
 
 @takes_data_options
 def inspect(
     files: Files,
     options: DataOptions,
-    model: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="model whose parameters are checked (repeat for more; default: some"
-            " brush models and the Magic Formula)",
-            autocompletion=model_names,
-        ),
-    ] = None,
+    model: Annotated[Texts, option("", _MODEL, autocompletion=model_names)] = None,
     gate: Annotated[
-        bool,
-        typer.Option(
-            "--gate/--no-gate", help="compute how well the file determines the parameters of models"
-        ),
+        bool, option("", "compute how well the file determines the parameters", "--gate/--no-gate")
     ] = True,
-    json: JsonOption = False,
+    json: Annotated[bool, option("", "print JSON", "--json")] = False,
 ) -> None:
     """Show how a file was read, which fits it supports, and how well it determines the
     parameters of models."""
@@ -111,7 +106,7 @@ def inspect(
     how, files = read_options(options, read_config(options.config)), expanded(files)
     pieces = [Piece(file, "") for file in files]
     done = run_pieces("inspect", pieces, show, Sharing(), Path())
-    raise typer.Exit(worst_of([one.code for one in done]))
+    raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 def _identified(data: "TireData", models: list[str] | None) -> "Identifiability":
@@ -124,26 +119,12 @@ def _identified(data: "TireData", models: list[str] | None) -> "Identifiability"
 
 def derive(
     files: Files,
-    vehicle: Annotated[
-        Path,
-        path_option(
-            "VEHICLE.TOML", "mass, geometry, inertia and columns of the log (see VEHICLE.md)"
-        ),
-    ],
+    vehicle: Annotated[Path, path_option("VEHICLE.TOML", _VEHICLE)],
     out: OutFile,
-    axle: Annotated[Axle, typer.Option(help="axle to derive")] = Axle.rear,
-    unit: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=UNIT",
-            help="unit of a quantity of the log, e.g. v_x=km/h; a minus (-rad/s) reverses the sign",
-        ),
-    ] = None,
+    axle: Annotated[Axle, option("", "axle to derive")] = Axle.rear,
+    unit: Annotated[Texts, option("NAME=UNIT", _UNIT)] = None,
     believe: Annotated[
-        bool,
-        typer.Option(
-            "--believe", help="warn, instead of stopping, if channels contradict each other"
-        ),
+        bool, option("", "only warn if channels contradict each other", "--believe")
     ] = False,
 ) -> None:
     """Compute slip angle and lateral force of an axle from vehicle logs."""
@@ -163,23 +144,11 @@ def predict(
     out: OutFile,
     options: DataOptions,
     parameter: SetOption = None,
-    starred_angles: Annotated[
-        bool,
-        typer.Option(
-            "--starred-angles", help="FILE.tir: use tan(alpha) and sin(gamma) instead of the angles"
-        ),
-    ] = False,
+    starred_angles: Annotated[bool, option("", _STARRED, "--starred-angles")] = False,
     side: SideOption = None,
     signs: SignsOption = None,
     combination: CombinationOption = None,
-    beside: Annotated[
-        bool,
-        typer.Option(
-            "--beside",
-            help="write the columns of DATA.csv and these forces as fx_sim, ..., for"
-            " `tirefit diagnose --sim`",
-        ),
-    ] = False,
+    beside: Annotated[bool, option("", _BESIDE, "--beside")] = False,
 ) -> None:
     """Compute the forces of a fit or a model for each row of a data file."""
     how = read_options(options, read_config(options.config))
@@ -187,8 +156,8 @@ def predict(
     of_file["starred"] = starred_angles
     kind = tire_kind(source)
     if kind != "tir" and any(of_file.values()):
-        own = "--starred-angles, --side, --signs and --combination"
-        reason = f"{own} apply to .tir files only"
+        tir_only = "--starred-angles, --side, --signs and --combination"
+        reason = f"{tir_only} apply to .tir files only"
         raise UsageError(reason, f"leave them out with {source}")
     values = _checked_request(kind == "fit", out, parameter)
     from tirefit.data.tir.tir import read_tir
@@ -231,14 +200,13 @@ def _write(
     The first line of a table for `diagnose --sim` states the convention.
     """
     from tirefit.data.write import csv_text, prediction_table, simulated_table
-    from tirefit.files import write_text_atomic
+    from tirefit.files import write_texts
 
     convention = f"convention {table.source.convention}"
     columns = (simulated_table if beside else prediction_table)(table, forces)
     first = f"# tirefit {__version__}: {source} beside, {convention}\n"
     text = (first if beside else "") + csv_text(columns)
-    check_table(out, text)
-    write_text_atomic(out, text)
+    write_texts({out: text})
     for row in table.first_masked():
         complain(f"warning: excluded, no force: {row}")
     signs = f"({convention}), {table.source.convention_from}"

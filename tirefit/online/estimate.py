@@ -1,6 +1,5 @@
-"""Online estimates over a whole log, and on a stream of rows."""
+"""Online estimates over a whole log; :class:`tirefit.online.run.Stream` takes single rows."""
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -8,14 +7,13 @@ import numpy as np
 from tirefit import __version__
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
-from tirefit.data.table import CANONICAL, TireData
-from tirefit.online.base import FLAGS, Estimate, Flag
+from tirefit.data.table import TireData
 from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.result import Estimates, MethodEstimates
-from tirefit.online.run import Stream, run
+from tirefit.online.run import run
 from tirefit.params import by_owner, check_names, parameter_values, specs
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 
 def log_columns(data: TireData) -> dict[str, np.ndarray]:
@@ -46,8 +44,6 @@ def estimate(
     data: DataLike,
     methods: str | Sequence[str] = "rls",
     settings: Mapping[str, float] | None = None,
-    *,
-    seed: int = 0,
 ) -> Estimates:
     """Estimate friction and stiffness row by row, as while driving.
 
@@ -56,7 +52,6 @@ def estimate(
             path, a frame, a mapping of column -> array; methods restart at a new run.
         methods: names of ``tirefit methods``, as a list or separated by commas.
         settings: values of the methods' settings by ``METHOD.NAME`` or ``NAME``.
-        seed: of random numbers; rls, mit, ekf and cubic use none.
 
     Returns:
         By method the estimates of every row with standard deviations and flags.
@@ -94,7 +89,19 @@ def estimate(
             surprise,
             {key: float(x) for key, x in parameter_values(estimator).items()},
         )
-    return _estimates(data, columns, done, seed)
+    source = data.source
+    about = {
+        "name": data.name,
+        "file": source.path,
+        "sha256": source.sha256,
+        "rows": len(data),
+        "used": data.n,
+        "runs": list(data.runs),
+        "convention": source.convention,
+        "assumptions": list(source.notes),
+    }
+    use = columns["fx"] / columns["fz"] if {"fx", "fz"} <= columns.keys() else None
+    return Estimates(columns["time"], use, done, about, __version__)
 
 
 def _rate(name: str, data: TireData, chosen: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
@@ -114,97 +121,3 @@ def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
         reason = "no row can be used: none has a load"
         raise DataError(reason, "check fz", data.file)
     return float(there[0])
-
-
-def _estimates(
-    data: TireData,
-    columns: Mapping[str, np.ndarray],
-    done: Mapping[str, MethodEstimates],
-    seed: int,
-) -> Estimates:
-    source = data.source
-    about = {
-        "name": data.name,
-        "file": source.path,
-        "sha256": source.sha256,
-        "rows": len(data),
-        "used": data.n,
-        "runs": list(data.runs),
-        "convention": source.convention,
-        "assumptions": list(source.notes),
-    }
-    use = None
-    if "fx" in columns and "fz" in columns:
-        use = columns["fx"] / columns["fz"]
-    return Estimates(columns["time"], use, done, about, seed, __version__)
-
-
-class Streams:
-    """Several methods on a stream; ``header`` is that of ``estimates.csv``.
-
-    The expected stiffness follows from the first load, so the methods start with it.
-
-    Args:
-        names: methods.
-        settings: of each method, by its name.
-        columns: canonical columns that every row has.
-
-    Raises:
-        DataError: a column that a method needs is missing.
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        settings: Mapping[str, Mapping[str, float]],
-        columns: Sequence[str],
-    ):
-        problems = [
-            InputProblem(
-                f"method {name!r} needs {column} ({CANONICAL[column][1]}), which the"
-                " rows do not have",
-                f"name its column with --column {column}=HEADER",
-            )
-            for name in names
-            for column in ("time", *METHODS[name].method.inputs)
-            if column not in columns
-        ]
-        DataError.raise_for(problems)
-        self._settings = {name: settings.get(name, {}) for name in names}
-        self._streams: dict[str, Stream] = {}
-
-    @property
-    def header(self) -> list[str]:
-        head = ["time"]
-        for name in self._settings:
-            for parameter in METHODS[name].method.parameters:
-                head += [f"{name}_{parameter}", f"{name}_{parameter}_std"]
-            head.append(f"{name}_flag")
-        return head
-
-    def push(self, row: Mapping[str, float]) -> list[str]:
-        """The cells of the next row."""
-        if not self._streams and row.get("fz", 1.0) > 0:
-            load = row.get("fz", 1.0)
-            self._streams = {
-                name: Stream(estimator_of(name, load, settings))
-                for name, settings in self._settings.items()
-            }
-        cells = [_cell(row["time"])]
-        for name in self._settings:
-            if self._streams:
-                cells += _cells(self._streams[name].push(row))
-            else:
-                nothing = [""] * (2 * len(METHODS[name].method.parameters))
-                cells += [*nothing, Flag.MISSING.value]
-        return cells
-
-
-def _cells(estimate: Estimate) -> list[str]:
-    pairs = zip(np.asarray(estimate.value), np.asarray(estimate.std), strict=True)
-    numbers = [_cell(float(number)) for pair in pairs for number in pair]
-    return [*numbers, FLAGS[int(estimate.flag)].value]
-
-
-def _cell(number: float) -> str:
-    return "" if math.isnan(number) else repr(float(number))

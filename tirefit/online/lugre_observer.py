@@ -55,10 +55,6 @@ from tirefit.params import par
 _SUBSTEPS = 4
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _JUMP = 0.03  # jump of the torque over R F_z after which the motion is initialised again
-_SUMMED = 10.0  # number of surprises that are reported as one
-_SPUN = 0.015
-"""Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
-wheel of S section 5."""
 _LEAST, _MOST = 0.05, 4.0  # limits of theta
 _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Slips at which the peak of the steady force is searched: in steps of 9 %."""
@@ -68,10 +64,10 @@ def peak_share(tire: LuGre, theta: float, v: Scalar) -> Number:
     """Largest steady force over the load [-] of S(18) with theta g, at a speed [m/s].
 
     Args:
-        tire: with theta one; theta: factor of g.
+        tire: with theta ones; theta: factor of g.
     """
-    one = jnp.ones(len(_SLIPS))
-    at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
+    ones = jnp.ones(len(_SLIPS))
+    at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=ones, v=v * ones)
     return jnp.max(jnp.asarray(tire.scaled(theta)(at).fx))
 
 
@@ -159,7 +155,9 @@ class LuGreObserver(AbstractEstimator):
         jump = jnp.abs(u[3] - state.x[6]) > _JUMP * self.radius * jnp.abs(u[2])
         jump |= self._locked(u)
         smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + state.waited, 1e3))
-        anew = (state.waited > _LONGEST) | (smooth < _SPUN)
+        # Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
+        # wheel of S section 5.
+        anew = (state.waited > _LONGEST) | (smooth < 0.015)
         dt = jnp.clip(state.waited, 1e-6, _LONGEST)
 
         def flat(x: Float[Array, "7"], u: Float[Array, "4"]) -> Float[Array, "8"]:
@@ -188,7 +186,7 @@ class LuGreObserver(AbstractEstimator):
         # correlated (by a quarter with slip noise of S section 5.1): a sum of n has variance
         # 1.5 n. The standardised sum of ten is reported.
         count, total = state.summed + 1, state.sum + jnp.clip(surprise, -4.0, 4.0)
-        full = count >= _SUMMED
+        full = count >= 10.0  # number of surprises that are reported as one
         reported = jnp.where(full & ~anew, total / jnp.sqrt(1.5 * count), jnp.nan)
         total, count = jnp.where(full, 0.0, total), jnp.where(full, 0.0, count)
         moved = held._replace(x=x, covariance=spread[:7, :7], sum=total, summed=count)
@@ -245,8 +243,8 @@ class LuGreObserver(AbstractEstimator):
 
     def _peak(self, theta: Scalar, v: Scalar) -> Float[Array, "2"]:
         """mu at a speed [m/s], and its slope by theta."""
-        at, one = (jnp.asarray(theta, float),), (jnp.ones(()),)
-        return jnp.stack(jax.jvp(lambda t: peak_share(self.tire, t, v), at, one))
+        at, tangent = (jnp.asarray(theta, float),), (jnp.ones(()),)
+        return jnp.stack(jax.jvp(lambda t: peak_share(self.tire, t, v), at, tangent))
 
     def _locked(self, u: Float[Array, "4"]) -> Bool[Array, ""]:
         return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]

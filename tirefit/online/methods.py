@@ -26,8 +26,6 @@ METHODS: dict[str, type[AbstractEstimator]] = {
 STIFFNESS_OF_LOAD = 250 / 27
 """Default of the expected c_p a^2 over the load [-]: the truck tire of S section 5 (C_x =
 5e5 N at 27 kN); car tires have 8 to 15."""
-_SPREAD_OF_STIFFNESS = 0.7
-"""Relative std of that default: the axles of the f1tenth car have 0.14 to 0.54 of it."""
 
 
 def estimator_of(
@@ -49,5 +47,6 @@ def estimator_of(
     if "cpa2" in known and "cpa2" not in values:
         values["cpa2"] = STIFFNESS_OF_LOAD * float(load)
         if "cpa2_std" in known:
-            values.setdefault("cpa2_std", _SPREAD_OF_STIFFNESS)
+            # Relative std of that default: the axles of the f1tenth car have 0.14 to 0.54 of it.
+            values.setdefault("cpa2_std", 0.7)
     return with_values(template, {key: float(value) for key, value in values.items()})

@@ -45,7 +45,7 @@ def bicycle(
 
     Args:
         c_f, c_r: positive cornering stiffness of the axles [N/rad]: 2 |C_f| of S(22),
-            where C is negative and that of one tire.
+            where C is negative and that of ones tire.
         l_f, l_r: a and b of S(22) [m]; u: speed [m/s].
 
     Returns:
@@ -53,17 +53,17 @@ def bicycle(
     """
     both, turned = c_f + c_r, l_f * c_f - l_r * c_r
     damped = l_f**2 * c_f + l_r**2 * c_r
-    zero, one = jnp.zeros_like(u), jnp.ones_like(u)
+    zero, ones = jnp.zeros_like(u), jnp.ones_like(u)
     a = jnp.stack(
         [
-            jnp.stack([zero, one, zero, zero]),
+            jnp.stack([zero, ones, zero, zero]),
             jnp.stack([zero, -both / u, both, -turned / u]) / mass,
-            jnp.stack([zero, zero, zero, one]),
+            jnp.stack([zero, zero, zero, ones]),
             jnp.stack([zero, -turned / u, turned, -damped / u]) / yaw_inertia,
         ]
     )
     steered = jnp.stack([zero, c_f / mass, zero, l_f * c_f / yaw_inertia])
-    return a, steered, jnp.stack([zero, -u, -one, zero])
+    return a, steered, jnp.stack([zero, -u, -ones, zero])
 
 
 def lane_crossing(

@@ -38,14 +38,11 @@ from tirefit.params import par
 
 _SIGNALS = ("offset", "aside", "road_heading", "yaw_rate", "steering")
 """The signals that are filtered first; aside: heading - that of the road."""
-_SETTLED = 8.0  # filter times 1/a after a start until the filter has forgotten it to 0.3 %
 _LONGEST = 1.0  # filter times between samples after which the filter starts again
 _SAMPLES_OF_NOISE = 20.0  # weight, in samples, of the stated noise relative to the observed errors
 _FARTHEST = 0.5  # largest step per sample, where the slope is valid
-_LEAST_INVERSE = 0.1  # smallest expected mu over mu: mu is limited to ten times that
 _EXPECTED = (0.0, 1.0)
 _KEPT = 0.02  # weight of the past after a change
-_STIFFEST = 2.0  # largest stiffness over the expected one by which sliding is detected
 
 
 class Filtered(NamedTuple):
@@ -165,7 +162,8 @@ class Position(AbstractVehicleMethod):
         regression = _moved(state.regression, terms, dt, a, anew)
         age = jnp.where(anew, 0.0, state.age + dt)
         filtered = Regressors(*regression.value(a))
-        settled = a * age > _SETTLED
+        # Filter times 1/a after a start until the filter has forgotten it to 0.3 %.
+        settled = a * age > 8.0
         moved, flag, surprise = self._adapted(state.law, filtered)
         law = choose(settled & (flag == 0), moved, state.law)
         surprise = jnp.where(settled & (flag == 0), surprise, jnp.nan)
@@ -221,8 +219,10 @@ class Position(AbstractVehicleMethod):
             expected = (jnp.array(_EXPECTED) - moved.x) / prior**2
             change = jnp.linalg.solve(information, slopes.T @ left / noise_now**2 + expected)
             x = moved.x + jnp.clip(change, -_FARTHEST, _FARTHEST)
-            moved = moved._replace(x=x.at[1].set(jnp.maximum(x[1], _LEAST_INVERSE)))
-        steepest = jnp.minimum(jnp.exp(law.x[0]), _STIFFEST)
+            # Smallest expected mu over mu: mu is limited to ten times that.
+            moved = moved._replace(x=x.at[1].set(jnp.maximum(x[1], 0.1)))
+        # Largest stiffness over the expected one by which sliding is detected.
+        steepest = jnp.minimum(jnp.exp(law.x[0]), 2.0)
         flag = flag_of(
             (y < SLIDING * steepest * u[0] - 3 * noise, Flag.OUT_OF_RANGE),
             (u[0] < self.least_use, Flag.LITTLE_EXCITATION),

@@ -25,7 +25,6 @@ from tirefit.params import par
 SLIDING = 0.37
 """Force over that without sliding, with nine tenths of the patch sliding; the polynomial
 S(49) is not valid below."""
-_LEAST_THETA = 1e-3
 
 
 class Regressors(NamedTuple):
@@ -62,7 +61,7 @@ def regressors(sample: Sample, cpa2: float, mu: float, d: float, third: float = 
 
 def limited(theta: Float[Array, "2"]) -> Float[Array, "2"]:
     """theta (2,) with theta_0, by which S(50) divides, at least a thousandth of the expected."""
-    return theta.at[0].max(_LEAST_THETA)
+    return theta.at[0].max(1e-3)
 
 
 def corrected(

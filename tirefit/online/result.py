@@ -14,8 +14,6 @@ from tirefit.online.methods import METHODS
 from tirefit.results import Outcome
 
 SCHEMA = "tirefit.estimate/1"
-_FAR = 3.0  # a detected change is reported if the estimate moved by this many standard deviations
-_SETTLE = 20  # rows before an alarm in which a change may already have moved the estimate
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,6 @@ class Estimates(Record):
     use: np.ndarray | None
     methods: Mapping[str, MethodEstimates]
     data: Mapping[str, Any]
-    seed: int
     version: str
 
     @property
@@ -122,7 +119,7 @@ class Estimates(Record):
                 "settings": dict(method.settings),
             }  # fmt: skip
         content = {
-            "schema": SCHEMA, "version": self.version, "seed": self.seed,
+            "schema": SCHEMA, "version": self.version,
             "convention": "braking, SI", "units": units, "data": dict(self.data),
             "methods": methods,
         }  # fmt: skip
@@ -140,10 +137,12 @@ def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
     ends = [*(alarms[1:] - 1), len(time) - 1][: len(alarms)]
     there = []
     for alarm, end in zip(alarms, ends, strict=True):
-        early = max(int(alarm) - _SETTLE, 0)
+        # Rows before an alarm in which a change may already have moved the estimate.
+        early = max(int(alarm) - 20, 0)
         for k, parameter in enumerate(method.parameters):
             before, after = method.value[early, k], method.value[end, k]
             spread = np.hypot(method.own_std[early, k], method.own_std[end, k])
-            if abs(after - before) > _FAR * spread:
+            # A detected change is reported if the estimate moved by this many standard deviations.
+            if abs(after - before) > 3.0 * spread:
                 there.append(Change(float(time[alarm]), parameter, float(before), float(after)))
     return there

@@ -18,13 +18,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 from tirefit.online.base import Estimate, Method, Sample, choose, floats, widest
 from tirefit.online.regression import AbstractRegression, corrected, limited
 from tirefit.params import par
-
-_SAMPLES_OF_NOISE = 20.0
-"""Weight, in samples, of the stated noise relative to the observed errors."""
 
 
 class RlsState(NamedTuple):
@@ -63,7 +60,8 @@ class Rls(AbstractRegression):
 
     def init(self) -> RlsState:
         theta = floats(self.start0, self.start1)
-        errors = _SAMPLES_OF_NOISE * floats(self.force_noise**2, 1.0)
+        # Weight, in samples, of the stated noise relative to the observed errors.
+        errors = 20.0 * floats(self.force_noise**2, 1.0)
         return RlsState(theta, theta, jnp.zeros(2), self._first(), *errors)
 
     def step(self, state: RlsState, sample: Sample) -> tuple[RlsState, Estimate]:
@@ -94,9 +92,7 @@ class Rls(AbstractRegression):
         surprise = jnp.where(unused, jnp.nan, surprise)
         return after, self._estimate(after, idle, slides, surprise)
 
-    def hold(
-        self, state: RlsState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[RlsState, Estimate]:
+    def hold(self, state: RlsState, dt: Number, steps: Number) -> tuple[RlsState, Estimate]:
         # A branch, as nearly every row comes without lost samples.
         p = jax.lax.cond(
             steps > 0,
@@ -196,9 +192,7 @@ class Mit(AbstractRegression):
         surprise = jnp.where(idle | slides, jnp.nan, error / jnp.sqrt(spread))
         return after, self._estimate(after, idle, slides, surprise)
 
-    def hold(
-        self, state: MitState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[MitState, Estimate]:
+    def hold(self, state: MitState, dt: Number, steps: Number) -> tuple[MitState, Estimate]:
         """The state is not changed, as the rule has no model of change over time."""
         return state, self._estimate(state, False, False, jnp.nan)
 

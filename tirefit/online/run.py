@@ -32,9 +32,7 @@ STANDSTILL = 0.5
 """Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
 LOCKED_SLIP = 5.0
 """Physical slip above which a wheel counts as locked: a sixth of its free speed."""
-_IMPLAUSIBLE = 5.0  # force over load above which there is a wrong unit or a spike
 _GAP = 3.0  # usual intervals after which samples count as missing
-_USUAL = 0.1  # weight of a new interval in the mean interval
 _JUMP = 0.02
 """Slips that differ by more are not averaged: the mean of their forces differs from the
 curve by F'' 0.02^2 / 8, 1 % of the load for the tire of S section 5."""
@@ -116,7 +114,8 @@ def guarded_step(
     counted = jnp.where(usable, dt, 0.0)
     scatter, estimate = reported(estimator, state.scatter, estimate, counted, alarm | broken)
     # The mean interval between samples, without lost samples.
-    learned = jnp.where(known, state.interval + _USUAL * (dt - state.interval), dt)
+    # Weight of a new interval in the mean interval.
+    learned = jnp.where(known, state.interval + 0.1 * (dt - state.interval), dt)
     after = kept._replace(
         scatter=scatter,
         time=jnp.where(jnp.isnan(now), state.time, now),
@@ -187,7 +186,8 @@ def _unusable(
     if "fz" in sample:
         reasons.append((sample["fz"] <= 0, Flag.NO_LOAD))
         for force in sorted({"fx", "fy"} & set(estimator.method.inputs)):
-            beyond = jnp.abs(sample[force]) > _IMPLAUSIBLE * sample["fz"]
+            # Force over load above which there is a wrong unit or a spike.
+            beyond = jnp.abs(sample[force]) > 5.0 * sample["fz"]
             reasons.append((beyond & (sample["fz"] > 0), Flag.IMPLAUSIBLE))
     standing = jnp.abs(sample["v"]) < STANDSTILL if "v" in sample else False
     locked = sample["sigma_x"] > LOCKED_SLIP if "sigma_x" in sample else False

@@ -20,7 +20,6 @@ from jaxtyping import Array, Bool, Float
 
 from tirefit.online.base import RESOLVED, AbstractEstimator, Estimate, Flag, code
 
-_SECONDS = 20.0  # memory of the scatter [s]
 MODEL = 0.05
 """Error of a tire model in mu that no log shows by itself, relative: batch fits of one run each
 differ by 3 to 6 % on the f1tenth and DART cars."""
@@ -43,7 +42,7 @@ class Scatter(NamedTuple):
         """The scatter with an estimate that holds for ``dt`` [s], and its own std."""
         new = dt / (1 + (std / (RESOLVED * mu)) ** 2)
         new = jnp.where(jnp.isfinite(new) & jnp.isfinite(mu), new, 0.0)
-        keep = jnp.exp(-dt / _SECONDS)
+        keep = jnp.exp(-dt / 20.0)  # memory of the scatter [s]
         weight, level = keep * self.weight + new, keep * self.level + new
         off = jnp.where(new > 0, mu - self.mean, 0.0)
         step = new / jnp.where(level > 0, level, 1.0) * off
@@ -68,14 +67,14 @@ def reported(
         dt: time [s] for which the estimate holds; 0 if the sample cannot be used.
         changed: whether a new mean starts with the row.
     """
-    names, own = estimator.method.parameters, jnp.asarray(estimate.std)
+    names, method_std = estimator.method.parameters, jnp.asarray(estimate.std)
     if "mu" not in names:
-        return scatter, estimate._replace(own_std=own)
+        return scatter, estimate._replace(own_std=method_std)
     k = names.index("mu")
     mu, flag = estimate.value[k], estimate.flag
     level = jnp.where(changed, 0.0, scatter.level)
-    scatter = scatter._replace(level=level).after(mu, own[k], dt)
-    wide = jnp.sqrt(own[k] ** 2 + scatter.variance + (MODEL * mu) ** 2)
+    scatter = scatter._replace(level=level).after(mu, method_std[k], dt)
+    wide = jnp.sqrt(method_std[k] ** 2 + scatter.variance + (MODEL * mu) ** 2)
     if estimator.judged:
-        flag = jnp.where(own[k] < RESOLVED * mu, flag, jnp.maximum(flag, code(Flag.LOW_USE)))
-    return scatter, estimate._replace(std=own.at[k].set(wide), own_std=own, flag=flag)
+        flag = jnp.where(method_std[k] < RESOLVED * mu, flag, jnp.maximum(flag, code(Flag.LOW_USE)))
+    return scatter, estimate._replace(std=method_std.at[k].set(wide), own_std=method_std, flag=flag)

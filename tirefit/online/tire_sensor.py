@@ -122,8 +122,8 @@ class TireSensor(AbstractSingleSample):
         stiffness = 2 * self.cpa2 / (3 * sample["fz"])
         value = self._outputs(x, stiffness)
         slope = jax.jacfwd(self._outputs)(x, stiffness)
-        own = self.own_error * jnp.stack([value[0] / value[2], x[0] / stiffness, 1.0])
-        std = jnp.sqrt(((slope * stds[None, :]) ** 2).sum(1) + own**2)
+        network_std = self.own_error * jnp.stack([value[0] / value[2], x[0] / stiffness, 1.0])
+        std = jnp.sqrt(((slope * stds[None, :]) ** 2).sum(1) + network_std**2)
         value = value * jnp.stack([1.0, side, 1.0])
         # Far out of the range there is no estimate; near the edge it is flagged.
         return Single(value, std), inside, flag_of((~inside, Flag.OUT_OF_RANGE))

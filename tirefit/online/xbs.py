@@ -40,10 +40,6 @@ from tirefit.params import par
 _NODES, _FREQUENCIES = 256, 4096
 _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""
-_SETTLING = 0.8
-"""Periods of the lower edge until the response of the band-pass to a step is below 4 %."""
-_RECENT = 0.1  # time [s] of the recent mean square, compared with that of the memory
-_QUICKLY = 0.9  # forgetting factor while the wheel is so much calmer than before
 _INTERVAL_OFF = 0.2
 """Relative difference of an interval from that of the rate above which it is a gap."""
 
@@ -288,11 +284,13 @@ class Xbs(AbstractEstimator):
         low, filtered = second.step(s.low, passed)
         increment = filtered - s.filtered
         settled = s.age >= self._settling()
-        one = jnp.ones(())
-        added = Sums(s.increment**2, s.increment * increment, one, one)
-        power = s.power + (increment**2 - s.power) / (_RECENT * self.rate)
+        unit = jnp.ones(())
+        added = Sums(s.increment**2, s.increment * increment, unit, unit)
+        # Time [s] of the recent mean square, compared with that of the memory.
+        power = s.power + (increment**2 - s.power) / (0.1 * self.rate)
         faded = power * s.sums.weight < self.quiet * s.sums.square
-        forget = jnp.where(faded, jnp.minimum(_QUICKLY, self.forgetting), self.forgetting)
+        # Forgetting factor while the wheel is so much calmer than before.
+        forget = jnp.where(faded, jnp.minimum(0.9, self.forgetting), self.forgetting)
         sums = jax.tree.map(jnp.add, s.sums.forgotten(forget), added)
         use = settled & (sample.get("use", 1.0) > 0)
         after = XbsState(
@@ -313,7 +311,8 @@ class Xbs(AbstractEstimator):
         return held, self._estimate(held)
 
     def _settling(self) -> float:
-        return _SETTLING * self.rate / self.low
+        # Periods of the lower edge until the response of the band-pass to a step is below 4 %.
+        return 0.8 * self.rate / self.low
 
     def _force(self, sample: Sample) -> tuple[Number, Number]:
         """Braking force and load [N] of the sample, if known."""

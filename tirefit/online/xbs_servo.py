@@ -44,8 +44,6 @@ from tirefit.results import UsageError
 Wheels = Float[Array, " w"]
 _STEADY = 0.05  # time [s] over which the deceleration of the vehicle is averaged
 _SLOWEST = 2.0  # speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v
-_FOLLOWED = 3e5  # error of the pressure [Pa] up to which the servo acts as in O(8)
-_LEAST_SLIP = 0.01
 _LEAST_FLOW = 1e5
 
 
@@ -179,7 +177,6 @@ class XbsServo(AbstractController):
     fall: float = 80e6  # fastest fall through its outlet [Pa/s]
     lag: float = 0.02  # time constant [s] of an open valve
     delay: float = eqx.field(static=True, default=0.01)  # time [s] until a command takes effect
-    dead_band: float = 0.0  # error of the pressure [Pa] below which no valve moves
     reach: float = 1e6  # largest distance [Pa] of the target from the pressure
     response: float = par(
         1.0, (0.05, 1.0), "-", "share of that error removed in an interval", "", "q"
@@ -225,7 +222,8 @@ class XbsServo(AbstractController):
         slowing = s.slowing + weight * (m.deceleration - s.slowing)
         vehicle = jnp.maximum(s.vehicle - self.period * slowing, 0.0)
         ready = m.pressure + jnp.sum(s.coming, axis=0)
-        follows = jnp.abs(s.target - ready) < _FOLLOWED
+        # Error of the pressure [Pa] up to which the servo acts as in O(8).
+        follows = jnp.abs(s.target - ready) < 3e5
         xbs, slope, slope_std, flag = self._slope(s, m.wheel_speed, follows)
         wanted = self._wanted(m, vehicle)
         error = (slope - wanted) / wanted
@@ -270,7 +268,7 @@ class XbsServo(AbstractController):
         moving = jnp.maximum(vehicle, _SLOWEST)
         angle = jnp.asarray(self.steered) * m.steering
         angle = angle - jnp.asarray(self.ahead) * m.yaw_rate / moving
-        along = jnp.maximum(moving / turning - 1, _LEAST_SLIP)
+        along = jnp.maximum(moving / turning - 1, 0.01)
         across = self.stiffness_ratio * jnp.tan(angle) * (1 + along)
         slope = braking_slope(self.share, jnp.asarray(self.stiffness), jnp.arctan2(across, along))
         return slope / turning
@@ -281,5 +279,4 @@ class XbsServo(AbstractController):
         down = jnp.clip(ready / self.lag, _LEAST_FLOW, self.fall)
         full = self.period * jnp.where(error > 0, up, down)
         share = jnp.clip(self.response * error / full, -1.0, 1.0)
-        share = jnp.where(jnp.abs(error) > self.dead_band, share, 0.0)
         return share, share * full

@@ -1,16 +1,27 @@
 """Report of simulated stops: text, and figures of the stops over time and of the path of slip
 and friction on the curve of the tire."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.data.table import WHEELS
 from tirefit.params import check_names
-from tirefit.report.canvas import COLORS, DARK, GREY, WIDE, Picture, boxed, dots, panel_title, tidy
-from tirefit.report.numbers import format_number, plain_text
+from tirefit.report.canvas import (
+    COLORS,
+    DARK,
+    WIDE,
+    Panel,
+    Picture,
+    axes_panel,
+    boxed,
+    dots,
+    together,
+)
+from tirefit.report.numbers import format_number
 from tirefit.report.page import Rows, Section, report_text
+from tirefit.sim.brake import Log
 from tirefit.sim.brake_request import tire_curve
 from tirefit.sim.brake_result import MEANINGS, UNITS, Braking, Stop
 from tirefit.sim.brake_vehicle import road_of
@@ -23,12 +34,6 @@ _SHORT = {
     "recovery_time": "recovery",
 }
 """Numbers shown in the terminal."""
-_LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
-_LIMITED = ("pressure", "slip", "stiffness")
-"""Panels of a stop whose axis ends at the values while the car is fast."""
-_SLOWEST_SHOWN = 2.0
-"""Speed [m/s] above which a path of slip is shown; below, controllers switch off."""
-_PEAKS_SHOWN = 8.0  # largest slip shown, over that of the highest peak
 
 
 def _scaled(name: str) -> tuple[float, str]:
@@ -99,100 +104,79 @@ def plot_braking(result: Braking, what: str = "stop") -> Picture:
     return figures[what](result)
 
 
-def _foot(picture: Picture, result: Braking) -> None:
-    foot = f"tirefit {result.version} · braking positive, SI · seed {result.seed} · {_head(result)}"
-    picture.supxlabel(plain_text(foot), fontsize=6.5, color=GREY)
+def _together(panels: Sequence[Panel], result: Braking) -> Picture:
+    """The panels with the distance and the friction used of each controller."""
+    ends = []
+    for name, stop in result.stops.items():
+        distance, used = stop.summary.stopping_distance, stop.summary.mean_friction_used
+        end = f"{distance:.1f} m" if np.isfinite(distance) else "no stop"
+        ends.append(f"{name}: {end}, {100 * float(used):.0f} % of the friction")
+    foot = f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
+    return together(panels, f"Braking: {_head(result)}", "; ".join(ends), foot)
 
 
-class Line(NamedTuple):
-    """One line over time: values (n,), label, colour and style."""
+Series = Callable[[Log], Any]
+"""Values of a log: (n, w) of the wheels, or (n,)."""
 
-    values: Any  # array of NumPy or JAX
-    label: str
-    color: str = DARK
-    style: str = "-"
-
-
-def lines_of(stop: Stop) -> dict[str, list[Line]]:
-    """Label of a panel -> its lines, as O Figures 8-9 and 12-13, with slip and friction below;
-    and the extended braking stiffness of the first wheel if a controller estimates it."""
-    log, info = stop.log, stop.log.info
-    names = list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
-
-    def wheels(values: Any) -> list[Line]:
-        return [Line(values[:, k], name, COLORS[k]) for k, name in enumerate(names)]
-
-    # One lane per wheel, because the valves would hide each other.
-    lanes = 0.4 * np.clip(log.valve, -1, 1) - np.arange(log.valve.shape[1])
-    truth, of = log.reading.truth, f" ({names[0]})" if len(names) > 1 else ""
-    speeds = [*wheels(log.reading.wheel_speed), Line(log.motion.v_x, "body")]
-    if "reference_speed" in info:
-        speeds.append(Line(info["reference_speed"][:, 0], "reference", DARK, ":"))
-    used = Line(truth.mu[:, 0], f"available $\\mu${of}", GREY, "--")
-    peak = Line(truth.peak[:, 0], f"of the peak{of}", GREY, "--")
-    panels = {
-        "speed [m/s]": speeds,
-        "pressure [MPa]": wheels(log.motion.pressure / 1e6),
-        "valve": wheels(lanes),
-        "deceleration\n[m/s²]": [Line(log.reading.deceleration, "")],
-        "$F_x/F_z$ [–]": [*wheels(log.contacts.fx / log.contacts.fz), used],
-        "slip $\\kappa$ [–]": [*wheels(log.contacts.slips.kappa), peak],
-    }
-    if "xbs" in info:
-        stiffness = [Line(log.xbs_true[:, 0] / 1e3, "true", GREY)]
-        stiffness.append(Line(info["xbs"][:, 0] / 1e3, "estimated", COLORS[0]))
-        if "xbs_wanted" in info:
-            stiffness.append(Line(info["xbs_wanted"][:, 0] / 1e3, "wanted, O(22)", DARK, ":"))
-        panels["stiffness $k$\n[kN s/m]"] = stiffness
-    return panels
+_SERIES: dict[str, tuple[str, Series, Series | None]] = {
+    "Speed of the wheels; dashed: of the car": (
+        "m/s", lambda log: log.reading.wheel_speed, lambda log: log.motion.v_x,
+    ),
+    "Pressure of the wheels": ("MPa", lambda log: log.motion.pressure / 1e6, None),
+    "Friction in use; dashed: available": (
+        "–", lambda log: log.contacts.fx / log.contacts.fz, lambda log: log.reading.truth.mu[:, 0],
+    ),
+    "Slip κ; dashed: of the peak": (
+        "–", lambda log: log.contacts.slips.kappa, lambda log: log.reading.truth.peak[:, 0],
+    ),
+    "Stiffness estimated of the first wheel; dashed: true": (
+        "kN s/m", lambda log: log.info["xbs"][:, :1] / 1e3, lambda log: log.xbs_true[:, 0] / 1e3,
+    ),
+}  # fmt: skip
+"""Title of a panel -> unit, a line for each wheel, and one of the first wheel or of the car."""
 
 
-def _reach(stop: Stop, lines: Sequence[Line]) -> float:
-    """Upper axis limit of lines by the time in which the car is fast; at the end of a stop
-    slip and stiffness are without bound."""
-    fast = np.asarray(stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0])
-    highest = [np.nanpercentile(line.values[fast], 97) for line in lines]
-    return 1.2 * float(np.max(highest)) or 1.0
+def draw_series(axes: Any, result: Braking, title: str) -> None:
+    """One quantity of every controller over time, a colour for each.
+
+    At the end of a stop slip and stiffness are without bound: the axis ends at the values while
+    the car is faster than a third of its initial speed.
+    """
+    _, wheels, beside = _SERIES[title]
+    highest = []
+    for color, (name, stop) in zip(COLORS, result.stops.items(), strict=False):
+        log = stop.log
+        if "xbs" not in log.info and title.startswith("Stiffness"):
+            continue
+        values = [np.asarray(of(log)) for of in (wheels, beside) if of is not None]
+        for shown, style in zip(values, ("-", "--"), strict=False):
+            lines = axes.plot(log.reading.time, shown, style, color=color, lw=0.9, alpha=0.8)
+            lines[0].set_label(name if style == "-" and title.startswith("Speed") else "")
+        fast = np.asarray(log.motion.v_x > 0.3 * log.motion.v_x[0])
+        highest += [np.nanpercentile(shown[fast], 97) for shown in values]
+    top = 1.2 * float(np.max(highest)) or 1.0
+    # The slope of the force is negative beyond its peak.
+    axes.set_ylim((-0.4 if title.startswith("Stiffness") else -0.1) * top, top)
 
 
 def stop_figure(result: Braking) -> Picture:
-    """Every controller in a column: speeds, pressure, valves, deceleration, use, slip."""
-    columns = {name: lines_of(stop) for name, stop in result.stops.items()}
-    labels = max(columns.values(), key=len)
-    picture = Picture(
-        figsize=(max(WIDE, 3.6 * len(columns)), 1.6 * len(labels)), layout="constrained"
-    )
-    shape = len(labels), len(columns)
-    grid = picture.subplots(*shape, sharex=True, sharey="row", squeeze=False)
-    reach: dict[str, list[float]] = {}
-    for number, (name, panels) in enumerate(columns.items()):
-        stop, column = result.stops[name], grid[:, number]
-        for axes, label in zip(column, labels, strict=True):
-            for line in panels.get(label, ()):
-                style = {"color": line.color, "linestyle": line.style, "linewidth": 0.8}
-                axes.plot(stop.log.reading.time, line.values, label=line.label, **style)
-            tidy(axes, "", label if number == 0 else "")
-            if label in panels and label.startswith(_LIMITED):
-                reach.setdefault(label, []).append(_reach(stop, panels[label]))
-        distance, used = stop.summary.stopping_distance, stop.summary.mean_friction_used
-        end = f"{distance:.1f} m, " if np.isfinite(distance) else "no stop, "
-        panel_title(column[0], name, f"{end}{100 * float(used):.0f} % of the friction")
-        column[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
-    for (label, lines), row in zip(labels.items(), grid, strict=True):
-        if label in reach:
-            row[0].set_ylim(max(min(row[0].get_ylim()[0], 0.0), -1.0), max(reach[label]))
-        if label == "valve":
-            row[0].set_yticks(-np.arange(len(lines)), [line.label for line in lines])
-        elif label.startswith(("speed", "stiffness")):
-            last = [axes for axes in row if axes.lines][-1]
-            last.legend(fontsize=7, **_LEGEND, loc="upper right", ncols=2)
-    _foot(picture, result)
-    return picture
+    """Speed, pressure, friction in use and slip over time, and the extended braking stiffness if
+    a controller estimates it, as O Figures 8-9 and 12-13."""
+    estimates = any("xbs" in stop.log.info for stop in result.stops.values())
+    panels = [
+        axes_panel(
+            partial(draw_series, result=result, title=title), title, "time [s]", f"[{unit}]"
+        )._replace(size=(WIDE, 2.1))
+        for title, (unit, *_) in _SERIES.items()
+        if estimates or not title.startswith("Stiffness")
+    ]
+    return _together(panels, result)
 
 
 def _slowest_shown(stop: Stop) -> float:
     """Speed [m/s] below which the slip of a wheel is not shown."""
-    return min(_SLOWEST_SHOWN, 0.5 * float(stop.log.motion.v_x[0]))
+    # Speed [m/s] above which a path of slip is shown; below, controllers switch off.
+    return min(2.0, 0.5 * float(stop.log.motion.v_x[0]))
 
 
 class Path(NamedTuple):
@@ -218,34 +202,36 @@ def paths_figure(result: Braking) -> Picture:
 
     Below: the share of time that it spent at each slip, locked wheels at the right end.
     """
-    picture = Picture(figsize=(WIDE, 4.8), layout="constrained")
-    axes, below = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1.3))
     peak = max(float(np.max(s.log.reading.truth.peak)) for s in result.stops.values())
-    limit = min(_PEAKS_SHOWN * peak, 1.0)
-    for mu, (kappa, force) in tire_curve(result.request, limit).items():
-        axes.plot(kappa, force, color=DARK, linewidth=1.1, zorder=3)
-        boxed(
-            axes, kappa[-1], force[-1] + 0.02, f"tire at mu = {mu:g}", 7.5, ha="right", va="bottom"
-        )
-    edges = np.linspace(0.0, limit, 41)
-    for color, (name, stop) in zip(COLORS, result.stops.items(), strict=False):
-        path = path_of(stop)
-        dots(axes, path.kappa, path.force, 2, color, 0.35)
-        beyond = path.mean[0] > limit
-        label = f"{name}: mean" + f", at $\\kappa$ = {path.mean[0]:.2f}" * beyond
-        marker = {"markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 4}
-        place = min(path.mean[0], limit), path.mean[1]
-        axes.plot(*place, ">" if beyond else "o", color=color, label=label, **marker)
-        counts, _ = np.histogram(np.clip(path.kappa, 0.0, limit), edges)
-        share = 100 * counts / max(len(path.kappa), 1)
-        below.stairs(share, edges, color=color, linewidth=1.1)
-    axes.set_xlim(-0.02 * limit, limit)
-    axes.set_ylim(bottom=0.0)
-    tidy(axes, "", "$F_x/F_z$ [–]")
-    tidy(below, "slip $\\kappa$ [–]; larger slips are in the last bar", "time [%]")
-    axes.legend(fontsize=8, **_LEGEND, loc="lower right")
+    limit = min(8.0 * peak, 1.0)  # largest slip shown, over that of the highest peak
+    paths = {name: path_of(stop) for name, stop in result.stops.items()}
+
+    def on_curve(axes: Any) -> None:
+        for mu, (kappa, force) in tire_curve(result.request, limit).items():
+            axes.plot(kappa, force, color=DARK, linewidth=1.1, zorder=3)
+            place = kappa[-1], force[-1] + 0.02
+            boxed(axes, *place, f"tire at mu = {mu:g}", 7.5, ha="right", va="bottom")
+        for color, (name, path) in zip(COLORS, paths.items(), strict=False):
+            dots(axes, path.kappa, path.force, 2, color, 0.35)
+            beyond = path.mean[0] > limit
+            label = f"{name}: mean" + f", at κ = {path.mean[0]:.2f}" * beyond
+            marker = {"markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 4}
+            place = min(path.mean[0], limit), path.mean[1]
+            axes.plot(*place, ">" if beyond else "o", color=color, label=label, **marker)
+        axes.set_xlim(-0.02 * limit, limit)
+        axes.set_ylim(bottom=0.0)
+
+    def shares(axes: Any) -> None:
+        edges = np.linspace(0.0, limit, 41)
+        for color, path in zip(COLORS, paths.values(), strict=False):
+            counts, _ = np.histogram(np.clip(path.kappa, 0.0, limit), edges)
+            axes.stairs(100 * counts / max(len(path.kappa), 1), edges, color=color, linewidth=1.1)
+        axes.set_xlim(-0.02 * limit, limit)
+
     slowest = min(map(_slowest_shown, result.stops.values()))
     note = f"line: the tire at its static load; dots: every sample above {slowest:.2g} m/s"
-    panel_title(axes, "Slip and friction of the first wheel", note)
-    _foot(picture, result)
-    return picture
+    slip = "slip κ [–]"
+    title = "Slip and friction of the first wheel"
+    below = axes_panel(shares, "Time at each slip; the last bar: larger ones", slip, "[%]")
+    above = axes_panel(on_curve, title, slip, "$F_x/F_z$ [–]", note)
+    return _together([above, below._replace(size=(WIDE, 2.1))], result)

@@ -32,9 +32,6 @@ DPI = 130
 WIDE = 4.6
 """Width [in] of a picture of a page: on a screen of 375 pixels, 8.5 points are then 9.6
 pixels high."""
-_MOST_LINES = 5  # of the text below the title of a figure
-_NOTE = 66  # largest number of characters in a line of a panel's note
-_PIXELS = 100  # of the page per inch of a panel that scrolls
 
 
 class Picture(Figure):
@@ -69,7 +66,8 @@ def frame(
     """
     width, height = size
     heads = textwrap.wrap(title, int(9.5 * width), max_lines=2, placeholder=" …")
-    lines = textwrap.wrap(text, int(14.3 * width), max_lines=_MOST_LINES, placeholder=" …")
+    # Of the text below the title of a figure.
+    lines = textwrap.wrap(text, int(14.3 * width), max_lines=5, placeholder=" …")
     feet = textwrap.wrap(foot, int(18.5 * width))
     below, above = 0.06 + 0.12 * len(feet), 0.2 + 0.2 * len(heads)
     head = above + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))
@@ -129,7 +127,10 @@ def images_of(panels: Iterable[Panel]) -> list[dict[str, Any]]:
     """The panels for the templates of pages."""
     return [
         image_of(
-            alone(panel), panel.alternative, round(_PIXELS * panel.size[0]) if panel.scrolls else 0
+            # Of the page per inch of a panel that scrolls.
+            alone(panel),
+            panel.alternative,
+            round(100 * panel.size[0]) if panel.scrolls else 0,
         )
         for panel in panels
     ]
@@ -216,7 +217,7 @@ def tidy(axes: Any, x_label: str = "", y_label: str = "", size: float = 8.5) -> 
 
 def panel_title(axes: Any, text: str, note: str = "") -> None:
     """Title of a panel, with a note in small print."""
-    lines = textwrap.wrap(note, _NOTE)
+    lines = textwrap.wrap(note, 66)  # largest number of characters in a line of a panel's note
     style: dict[str, Any] = {"loc": "left", "fontsize": 9.5, "fontweight": "bold", "color": DARK}
     axes.set_title(plain_text(text), pad=6 + 11 * len(lines), **style)
     if note:
@@ -224,12 +225,9 @@ def panel_title(axes: Any, text: str, note: str = "") -> None:
         axes.text(0, 1.02, plain_text("\n".join(lines)), transform=axes.transAxes, **small)
 
 
-def save_pictures(
-    pictures: Iterable[tuple[str, Picture]], folder: Path, svg: bool = False
-) -> list[Path]:
-    """Write named pictures as PNG, and as SVG if ``svg``; returns the files."""
-    ends = (".png", ".svg") if svg else (".png",)
-    return [save_picture(p, folder / f"{name}{end}") for name, p in pictures for end in ends]
+def save_pictures(pictures: Iterable[tuple[str, Picture]], folder: Path) -> list[Path]:
+    """Write named pictures as PNG; returns the files."""
+    return [save_picture(picture, folder / f"{name}.png") for name, picture in pictures]
 
 
 def save_picture(picture: Picture, path: Path) -> Path:

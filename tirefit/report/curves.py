@@ -20,7 +20,6 @@ from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 _MOST_GROUPS = 6
 _POINTS = 240
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
-_SAME_LOAD = 0.02  # relative spread of the loads up to which forces of files are in newtons
 FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
     "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
@@ -53,7 +52,6 @@ class Group(NamedTuple):
 class Curve(NamedTuple):
     """A fitted curve (m,) with its 95 % band and the 95 % band of a measurement."""
 
-    label: str
     slip: np.ndarray
     force: np.ndarray
     low: np.ndarray
@@ -208,7 +206,6 @@ def _carried(
 def _curve(
     result: FitResult,
     channel: str,
-    label: str,
     ends: Sequence[float],
     axis: SlipAxis,
     at: Mapping[str, Any],
@@ -225,7 +222,7 @@ def _curve(
         force = fitted_force(result, channel, inputs, of_run)
         names = np.array(problem.layout.runs)[of_run]
         noise = noise_std(result.noise[channel], columns["fz"], force, names)
-    return Curve(label, shown, *force_band(result, channel, inputs, of_run, noise))
+    return Curve(shown, *force_band(result, channel, inputs, of_run, noise))
 
 
 def _ends(values: np.ndarray, axis: SlipAxis) -> tuple[float, float]:
@@ -264,8 +261,8 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     force, is_moved = _carried(result, channel, members, conditions)
     runs, ends = problem.used(problem.rows.run), _ends(values, axis)
     curves = [
-        _curve(result, channel, label, ends, axis, at, int(runs[rows][0]))
-        for (label, rows), at in zip(members, conditions, strict=True)
+        _curve(result, channel, ends, axis, at, int(runs[rows][0]))
+        for (_, rows), at in zip(members, conditions, strict=True)
     ]
     notes = []
     if "run" in keys and len(members) < len(problem.layout.runs):
@@ -287,33 +284,3 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
         curves,
         "\n".join(notes),
     )
-
-
-def overlay_of(fits: Mapping[str, FitResult], channel: str) -> FitCurve:
-    """The curves of all fits that have this force, each at the median load of its rows.
-
-    If the loads differ by more than 2 %, forces are divided by the load. A parameter per
-    run has its value in the first run.
-    """
-    given = {name: result for name, result in fits.items() if channel in result.forces}
-    slip = CHANNEL_SLIP[channel]
-    axis = slip_axis(slip, np.concatenate([_slips(r, channel) for r in given.values()]))
-    loads = [r.reference["fz"] for r in given.values()]
-    over_load = np.ptp(loads) > _SAME_LOAD * np.median(loads)
-    groups, curves = [], []
-    for name, result in given.items():
-        every, label = np.ones(result.problem.n, bool), plain_text(name)
-        at = _conditions(result, every, slip, False) | {"fz": result.reference["fz"]}
-        force, _ = _carried(result, channel, [("", every)], [at])
-        slips, unit = _slips(result, channel), at["fz"] if over_load else 1.0
-        ends = axis.shown(np.array([min(slips.min(), 0.0), max(slips.max(), 0.0)])).tolist()
-        curve = _curve(result, channel, label, ends, axis, at, 0)
-        groups.append(Group(label, axis.shown(slips), force / unit))
-        curves.append(Curve(label, curve.slip, *(x / unit for x in curve[2:])))
-    text, unit, ratio = FORCE_LABEL[channel]
-    y_label = f"{text} [{unit}]"
-    note = f"at $F_z$ = {np.median(loads):.4g} N"
-    if over_load:
-        y_label = f"{ratio} [{'m' if channel == 'mz' else '-'}]"
-        note = f"each at its own median load, {min(loads):.4g} to {max(loads):.4g} N"
-    return FitCurve(channel, f"{axis.label} [{axis.unit}]", y_label, groups, curves, note)

@@ -11,8 +11,6 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, axes_panel, toget
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Rows, Section, report_text
 
-_ROOM = 0.15  # margin of an axis, over the range of the estimates
-
 
 def _rows(result: Estimates) -> Rows:
     rows = [["method", "parameter", "at the end", "unit", "flagged rows", "last flag"]]
@@ -68,7 +66,8 @@ def _limits(result: Estimates, parameter: str) -> tuple[float, float] | None:
     if not len(known):
         return None
     low, high = np.percentile(known, [0.5, 99.5])
-    room = _ROOM * max(high - low, 0.2 * abs(high))
+    # Margin of an axis, over the range of the estimates.
+    room = 0.15 * max(high - low, 0.2 * abs(high))
     return max(low - room, 0.0), high + room
 
 

@@ -145,7 +145,7 @@ PANELS: Mapping[str, Callable[..., list[Panel]]] = {
 }
 """Name of a figure -> function of a fit that gives its panels."""
 
-FIGURE_FILES = tuple(f"{name}{suffix}" for name in PANELS for suffix in (".png", ".svg"))
+FIGURE_FILES = tuple(f"{name}.png" for name in PANELS)
 """Every file that :func:`save_figures` may write."""
 
 
@@ -209,16 +209,13 @@ def plot_fit(result: FitResult, what: str = "fit", ax: Any = None, **how: Any) -
     return ax.figure
 
 
-def save_figures(
-    result: FitResult, directory: str | os.PathLike[str], svg: bool = False
-) -> list[Path]:
+def save_figures(result: FitResult, directory: str | os.PathLike[str]) -> list[Path]:
     """Write fit.png and residuals.png; runs.png if runs have separate parameters;
     profile.png, corner.png, trace.png if available.
 
     Args:
         result: a fit with its problem.
         directory: made if it is not there.
-        svg: write every figure as SVG too.
 
     Returns:
         the files written.
@@ -226,7 +223,7 @@ def save_figures(
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     names = [name for name in PANELS if name not in missing_of(result)]
-    written = save_pictures(((name, figure_of(result, name)) for name in names), directory, svg)
+    written = save_pictures(((name, figure_of(result, name)) for name in names), directory)
     # Remove figures of an earlier fit, which would be mistaken for new ones.
     for name in FIGURE_FILES:
         if directory / name not in written:

@@ -37,9 +37,7 @@ from tirefit.report.page import (
 Named = list[tuple[str, str]]
 """Pairs of a name and a text."""
 
-_FAR_ROWS = 8  # outliers that the full report lists one by one
 _MASKED = 5  # masked rows that are listed one by one
-_PAIRS = 10  # correlations that are listed
 _MANY = 8  # largest number of parameters whose profiles a page shows at once
 EXPLORE = "sliders of load, camber, speed and slip: run tirefit explore fit.json in this folder"
 """Line of a page; `tirefit explore` puts a link in its place."""
@@ -92,7 +90,8 @@ def _data(result: FitResult, full: bool) -> Section:
         ("convention", f"{convention} {data['slip_definition']})"),
         *others,
         *named_lines("masked", [*masked[:_MASKED], *more]),
-        *named_lines("outliers", far_lines(result, _FAR_ROWS) if full else []),
+        # Outliers that the full report lists one by one.
+        *named_lines("outliers", far_lines(result, 8) if full else []),
     ]
     return Section("Data and settings", lines)
 
@@ -146,7 +145,7 @@ def sections_of(result: FitResult, full: bool) -> list[Section]:
             Section("Posterior", posterior, chain_rows(result), ("corner",), right=right),
             Section("Chains", (), (), ("trace",), folded=True),
         ]
-    pairs = correlation_lines(result, _PAIRS)
+    pairs = correlation_lines(result, 10)  # correlations that are listed
     return [*parts, Section("Correlations above 0.9", pairs)]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
 from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.problem.likelihood import row_moments
-from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
+from tirefit.fitting.result import Estimate, FitResult
 from tirefit.fitting.uncertainty.derived import derived_channel, quantities, quantity_of
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 from tirefit.report.page import Rows
@@ -20,7 +20,6 @@ if TYPE_CHECKING:  # which imports much that other fits do not need
 
 FORCE_UNIT = {force: CANONICAL[force][0] for force in FORCES}
 _ROUTES = ("covariance", "profile", "posterior", "independent")
-_STRONG = 0.9
 
 
 def short_run(result: FitResult, run: str) -> str:
@@ -245,22 +244,17 @@ def posterior_lines(result: FitResult) -> list[str]:
     p = result.posterior
     if p is None:
         return []
-    return [_posterior_head(p), p.note] if p.note else [_posterior_head(p)]
-
-
-def _posterior_head(p: PosteriorSummary) -> str:
-    """Sampler, number of samples, acceptance and seed."""
-    if p.sampler == "importance":
-        draws = round(p.acceptance * p.steps)
-        return (
-            f"importance: {p.steps} points of Student's t, worth {draws} independent"
-            f" draws; Pareto k-hat {p.k_hat:.2f} (below 0.7: to be trusted); no chain,"
-            f" so no trace; seed {p.seed}"
-        )
-    return (
+    head = (
         f"{p.sampler}: {p.ensembles} ensembles × {p.walkers} walkers × {p.steps} steps"
         f" ({p.discarded} discarded), acceptance {p.acceptance:.2f}, seed {p.seed}"
     )
+    if p.sampler == "importance":
+        head = (
+            f"importance: {p.steps} points of Student's t, worth {round(p.acceptance * p.steps)}"
+            f" independent draws; Pareto k-hat {p.k_hat:.2f} (below 0.7: to be trusted); no chain,"
+            f" so no trace; seed {p.seed}"
+        )
+    return [head, p.note] if p.note else [head]
 
 
 def rows_text(result: FitResult) -> str:
@@ -295,7 +289,7 @@ def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
         (abs(matrix[i, j]), f"{names[j]} and {names[i]}: {matrix[i, j]:+.3f}")
         for i in range(len(labels))
         for j in range(i)
-        if abs(matrix[i, j]) > _STRONG
+        if abs(matrix[i, j]) > 0.9
     ]
     pairs.sort(key=lambda pair: -pair[0])
     lines = [text for _, text in pairs[:most]]

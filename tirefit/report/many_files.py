@@ -13,14 +13,12 @@ from tirefit import __version__
 from tirefit.data.merged import merged
 from tirefit.data.records import FAILED, FileRecord, dates_of
 from tirefit.data.run_names import run_names
-from tirefit.files import write_text_atomic
+from tirefit.files import write_texts
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import record_of_fit
 from tirefit.fitting.uncertainty.derived import quantity_of
 from tirefit.fitting.verdict.across_files import AcrossFiles, across_files
 from tirefit.report.canvas import images_of
-from tirefit.report.curves import overlay_of
-from tirefit.report.fit_figures import curve_panel
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Rows, Section, page, table_parts, verdict_of
 from tirefit.report.values import Points, points_panel
@@ -30,7 +28,6 @@ _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
 """Kinds of quantities in the order of the page, without given values (``base``)."""
 _OWN_STD = ("parameter", "effect", "derived")
 """Kinds whose numbers have a standard deviation; without one a number counts as unknown."""
-_FEW = 3  # smallest number of files for a quantity to be shown
 _PICTURES, _LISTED = 12, 40
 """Largest numbers of drawn quantities and of listed files."""
 _DISTANCE = f"""\
@@ -89,7 +86,8 @@ def files_of(records: Sequence[FileRecord]) -> Files:
         if kind not in _OWN_STD:
             std = np.zeros(count)
         known = np.isfinite(value + std)
-        if kind in _KINDS and known.sum() >= min(_FEW, count):
+        # Smallest number of files for a quantity to be shown.
+        if kind in _KINDS and known.sum() >= min(3, count):
             across = across_files(value[known], std[known], when[known])
             quantities.append(Quantity(kind, name, unit, value, std, known, across))
     quantities.sort(key=lambda quantity: _KINDS.index(quantity.kind))
@@ -256,25 +254,17 @@ def _settings(files: Files, notes: Sequence[str]) -> Iterator[str]:
     yield from notes
 
 
-def files_page(
-    files: Files, title: str, curves: Sequence[dict[str, Any]] = (), notes: Sequence[str] = ()
-) -> str:
+def files_page(files: Files, title: str, notes: Sequence[str] = ()) -> str:
     """Results of several files as one HTML document, without script or external resource.
 
     Args:
-        curves: pictures of fitted curves.
         notes: assumptions on the files.
     """
-    more = len(files.names) - _LISTED
     none = ["no quantity of three files or more"] * (not files.quantities)
     sections = [
-        Section("Fitted curves", (), (), curves),
         Section("Quantities over the files", none, _quantities(files), _pictures(files)),
         Section("Files that differ", (), _different(files), note=_DISTANCE),
-        Section(
-            "Files", [f"and {more} more, in the table of results"] * (more > 0),
-            _table_of_files(files),
-        ),
+        Section("Files", (), _table_of_files(files), note=f"the first {_LISTED}", folded=True),
         Section("Data and settings", list(_settings(files, notes))),
     ]  # fmt: skip
     subtitle = "; ".join(filter(None, [files.pattern, "braking positive, SI"]))
@@ -285,7 +275,7 @@ def write_fleet_page(records: Sequence[FileRecord], path: Path, command: str) ->
     """Write the page of all results of a command."""
     files = files_of(records)
     title = f"tirefit {command}: {len(files.names)} files"
-    write_text_atomic(path, files_page(files, title))
+    write_texts({path: files_page(files, title)})
 
 
 def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None) -> str:
@@ -303,15 +293,9 @@ def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = 
         FileRecord(name, "", "", FAILED, problem=text) for name, text in (failed or {}).items()
     ]
     files = files_of(records)
-    by_name = dict(zip(files.names, fits.values(), strict=False))
-    channels = dict.fromkeys(channel for result in fits.values() for channel in result.forces)
-    curves = images_of(
-        curve_panel(overlay_of(by_name, channel), f"Fitted curves of {channel} of all files")
-        for channel in channels
-    )
     notes = merged((name, result.data["assumptions"]) for name, result in fits.items())
     models = ", ".join(dict.fromkeys(result.model for result in fits.values()))
-    return files_page(files, f"{models} fitted to {len(fits)} files", curves, notes)
+    return files_page(files, f"{models} fitted to {len(fits)} files", notes)
 
 
 def write_fits_page(
@@ -335,4 +319,4 @@ def write_fits_page(
         >>> fits = {name: fit(samples / f"{name}.csv") for name in names}
         >>> write_fits_page(fits, folder / "fits.html")
     """
-    write_text_atomic(path, fits_page(fits, failed))
+    write_texts({path: fits_page(fits, failed)})

@@ -17,11 +17,7 @@ from tirefit.report.fit_figures import curve_panel, draw_fit
 from tirefit.report.fit_tables import fit_files
 from tirefit.results import UsageError
 
-MAGIC_FORMULA_FILES = tuple(
-    f"{name}{suffix}"
-    for name in ("fit", *FORCE_LABEL, "residuals", "ellipse")
-    for suffix in (".png", ".svg")
-)
+MAGIC_FORMULA_FILES = tuple(f"{name}.png" for name in ("fit", *FORCE_LABEL, "residuals", "ellipse"))
 """Every file that :func:`save_magic_formula` may write."""
 
 _POINTS = 80  # points of a curve between the first and the last bin
@@ -63,10 +59,10 @@ def _nominal(bins: SlipBins, slip: np.ndarray) -> TireInputs:
     return TireInputs(**columns)
 
 
-def _curve(label: str, x: np.ndarray, force: np.ndarray, std: Any = 0.0) -> Curve:
+def _curve(x: np.ndarray, force: np.ndarray, std: Any = 0.0) -> Curve:
     """A curve (m,) with the 95 % band of a measurement."""
     half = _IN_95 * std
-    return Curve(label, x, force, force, force, force - half, force + half)
+    return Curve(x, force, force, force, force - half, force + half)
 
 
 def _drawn(
@@ -84,7 +80,7 @@ def _drawn(
         shift = fitted[count + i][0] - fitted[2 * count + i][0]
         moved = (values + shift for values in (bins.force, bins.low, bins.high))
         groups.append(Group(label, scale * bins.slip, *moved))
-        curves.append(_curve(label, scale * grid, *fitted[i]))
+        curves.append(_curve(scale * grid, *fitted[i]))
     return groups, curves
 
 
@@ -141,7 +137,7 @@ def residual_curve(fit: MagicFormulaFit, force: str) -> FitCurve:
         points.setdefault(bins.setting.text("held"), []).append(np.stack([x, off]))
         places.setdefault(bins.setting.text("fz"), []).append(i)
     groups = [Group(kind, *np.concatenate(points[kind], axis=1)) for kind in even(sorted(points))]
-    curve = _curve("", np.arange(float(len(table))), np.zeros(len(table)), std)
+    curve = _curve(np.arange(float(len(table))), np.zeros(len(table)), std)
     size = [float(np.sqrt(np.mean(off**2))) for off in residual]
     worst, unit = int(np.argmax(size)), FORCE_LABEL[force][1]
     note = f"worst, {size[worst]:.3g} {unit} rms: {_conditions(table[worst])}"
@@ -170,7 +166,7 @@ def ellipse_curves(fit: MagicFormulaFit) -> list[FitCurve]:
     for a, x_of, s, y_of in zip(along, x, side, y, strict=True):
         groups.append(Group(a.label, a.force / fz, np.interp(a.slip, s.slip, s.force) / fz))
         lateral_force = np.interp(x_of.slip, y_of.slip, y_of.force)
-        curves.append(_curve(a.label, x_of.force / fz, lateral_force / fz))
+        curves.append(_curve(x_of.force / fz, lateral_force / fz))
     x_label, y_label = (f"{FORCE_LABEL[force][2]} [-]" for force in ("fx", "fy"))
     note, title = _conditions(members[0][0], "held"), "Friction ellipse"
     return [FitCurve("fy", x_label, y_label, groups, curves, note, title)]
@@ -221,10 +217,8 @@ def page_pictures(fit: MagicFormulaFit) -> list[dict[str, Any]]:
     return images_of(curve_panel(curve, curve.title) for curve in every)
 
 
-def save_magic_formula(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
-    """Write the figures as PNG, and as SVG if ``svg``; returns the files."""
+def save_magic_formula(fit: MagicFormulaFit, folder: Path) -> list[Path]:
+    """Write the figures; returns the files."""
     curves = curves_of(fit)
     named = {"fit": _first(fit, curves), **curves}.items()
-    return save_pictures(
-        ((name, stacked(some, title_of(fit))) for name, some in named), folder, svg
-    )
+    return save_pictures(((name, stacked(some, title_of(fit))) for name, some in named), folder)

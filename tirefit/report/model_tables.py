@@ -24,11 +24,6 @@ def _parameters(model: AbstractTire) -> str:
     return ", ".join(name if spec.free else f"({name})" for name, spec in declared.items())
 
 
-def _about(model: AbstractTire) -> str:
-    text = (type(model).__doc__ or "").strip()
-    return text.split("\n\n")[0].replace("\n", " ").strip()
-
-
 def _parameter_rows(models: Mapping[str, AbstractTire]) -> list[list[str]]:
     known: dict[str, Spec] = {}
     for model in models.values():
@@ -84,17 +79,6 @@ _MEANING = {
 }
 
 
-def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict[str, Any]]:
-    """The same content, JSON-able: model name -> description and parameters."""
-    return {
-        name: {
-            "about": _about(model),
-            "parameters": {k: spec._asdict() for k, spec in specs(model).items()},
-        }
-        for name, model in models.items()
-    }
-
-
 def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
     """Every method with inputs, estimates, valid range of used friction, source, settings."""
     lines = ["METHODS of `tirefit estimate`"]
@@ -123,18 +107,3 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
         for takers in others:
             rows += [_row(f"  {name}.{key}", spec) for name, spec in takers]
     return "\n".join([*lines, "", "SETTINGS (--set METHOD.NAME=VALUE)", *table(rows)])
-
-
-def methods_dict(methods: Mapping[str, type[AbstractEstimator]]) -> dict[str, dict[str, Any]]:
-    """The same content for JSON: method name -> its properties."""
-    return {
-        name: {
-            "meaning": kind.method.meaning,
-            "inputs": ["time", *kind.method.inputs],
-            "parameters": {p: PARAMETERS[p]._asdict() for p in kind.method.parameters},
-            "valid": kind.method.valid,
-            "source": kind.method.source,
-            "settings": {k: spec._asdict() for k, spec in specs(kind()).items()},
-        }
-        for name, kind in methods.items()
-    }

@@ -120,16 +120,13 @@ def named_lines(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
     return [(name if i == 0 else "", text) for i, text in enumerate(texts)]
 
 
-def _heading(section: Section) -> str:
-    title, bracket, rest = section.title.partition(" (")
-    return title.upper() + bracket + rest + f" ({section.note})" * bool(section.note)
-
-
 def section_text(section: Section) -> Iterator[str]:
     """Lines of a section as text; none without lines and table."""
     has_table = len(section.table) > 1
     if section.title and (section.lines or has_table):
-        yield from wrapped(_heading(section), "", " " * _HANGING)
+        title, bracket, rest = section.title.partition(" (")
+        heading = title.upper() + bracket + rest + f" ({section.note})" * bool(section.note)
+        yield from wrapped(heading, "", " " * _HANGING)
     if has_table:
         yield from table_parts(section.table, section.right)
     for line in section.lines:

@@ -22,7 +22,6 @@ from tirefit.report.numbers import plain_text
 from tirefit.results import UsageError
 
 _MOST = 10  # largest number of parameters of a figure that are not asked for by name
-_TRACE_POINTS = 600
 _CELL = 1.1  # width of a cell of the corner [in]
 
 
@@ -163,7 +162,7 @@ def trace_panels(result: FitResult, parameters: Sequence[str] | None = None) -> 
 def _draw_trace(figure: Any, result: FitResult, labels: Sequence[str]) -> None:
     chains, summary = np.asarray(result.chains, float), result.posterior
     length = chains.shape[1]
-    some = np.linspace(0, length - 1, min(_TRACE_POINTS, length)).astype(int)
+    some = np.linspace(0, length - 1, min(600, length)).astype(int)
     cells = figure.subplots(len(labels), 1, squeeze=False, sharex=True).ravel()
     for axes, label in zip(cells, labels, strict=True):
         for k, chain in enumerate(chains[:, some, result.labels.index(label)]):

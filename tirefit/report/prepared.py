@@ -34,11 +34,6 @@ _PANELS = {
 }
 """Channels that are shown, in this order, and their labels."""
 _ALSO = {"fx": (1.0, "N"), "fy": (1.0, "N"), "temperature": (1.0, "°C")}
-_LEAST_FORCE = 0.1
-"""Smallest range of a force that has a panel, over the largest load."""
-_KILO = 2000.0  # forces above this [N] are shown in kN
-_POINTS = 1500
-"""Number of columns of the picture; a line has its smallest and largest value in each."""
 
 
 class Panel(NamedTuple):
@@ -46,8 +41,7 @@ class Panel(NamedTuple):
 
     name: str
     label: str  # with its unit
-    time: np.ndarray  # (m,) of the line
-    value: np.ndarray
+    value: np.ndarray  # (n,)
     settings: np.ndarray  # (k,) settings of the rig
 
 
@@ -59,25 +53,10 @@ class Strip(NamedTuple):
     rows: int
     is_kept: bool
 
-
-class RigView(NamedTuple):
-    """The content of the figure; ``clock`` labels its time axis."""
-
-    title: str
-    note: str
-    clock: str
-    panels: list[Panel]
-    strips: list[Strip]
-
-
-def _thinned(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line of fewer points with the same look: the ends of every column."""
-    n = len(time)
-    if n <= 4 * _POINTS:
-        return time, value
-    edges = np.linspace(0, n, _POINTS + 1).astype(int)[:-1]
-    low, high = (f.reduceat(value, edges) for f in (np.minimum, np.maximum))
-    return np.repeat(time[edges], 2), np.column_stack([low, high]).ravel()
+    @property
+    def style(self) -> dict[str, Any]:
+        """Colour and opacity, which is stronger for rows that are kept."""
+        return {"facecolor": _COLOR[self.kind], "alpha": 0.45 if self.is_kept else 0.22}
 
 
 def _is_telling(name: str, prepared: Prepared, settings: int) -> bool:
@@ -86,11 +65,13 @@ def _is_telling(name: str, prepared: Prepared, settings: int) -> bool:
     if name in LEAST:
         return size >= LEAST[name]
     if name in ("fx", "fy") and "fz" in prepared.columns:
-        return size >= _LEAST_FORCE * float(np.max(prepared.columns["fz"]))
+        # Smallest range of a force that has a panel, over the largest load.
+        return size >= 0.1 * float(np.max(prepared.columns["fz"]))
     return name not in ("gamma", "pressure", "v") or settings != 1
 
 
-def _panels(prepared: Prepared) -> list[Panel]:
+def panels_of(prepared: Prepared) -> list[Panel]:
+    """The channels that changed by more than noise about one value."""
     panels = []
     for name, label in _PANELS.items():
         if name not in prepared.columns:
@@ -100,19 +81,19 @@ def _panels(prepared: Prepared) -> list[Panel]:
         scale, unit = (SHOWN | _ALSO)[name]
         if name == "sigma_x":
             value = slip_from_sigma(value, "slip_ratio")
-        if unit == "N" and np.max(np.abs(value)) > _KILO:
+        if unit == "N" and np.max(np.abs(value)) > 2000.0:  # forces above this [N] are shown in kN
             scale, unit = 1e-3, "kN"
         held = settings is not None and settings.is_held
         center = settings.center if settings is not None and held else np.zeros(0)
         if not _is_telling(name, prepared, len(center)):
             continue
-        line = _thinned(prepared.series.time, scale * value)
         center = scale * center if name not in ("alpha", "sigma_x") else np.zeros(0)
-        panels.append(Panel(name, f"{label}\n[{unit}]", *line, center))
+        panels.append(Panel(name, f"{label}\n[{unit}]", scale * value, center))
     return panels
 
 
-def _strips(prepared: Prepared) -> list[Strip]:
+def strips_of(prepared: Prepared) -> list[Strip]:
+    """The segments of each kind."""
     time, step = prepared.series.time, 1.0
     if prepared.series.rate is not None:
         step = 1 / prepared.series.rate
@@ -128,8 +109,8 @@ def _strips(prepared: Prepared) -> list[Strip]:
     return sorted(strips.values(), key=lambda strip: order.index(strip.kind))
 
 
-def view_of(prepared: Prepared) -> RigView:
-    """The content of the figure of a prepared test, as arrays and texts."""
+def title_of(prepared: Prepared) -> str:
+    """The numbers of sweeps, steady states and bins, and the share of rows kept."""
     kept, total = int(prepared.kept.sum()), len(prepared.data)
     sweeps, states = (
         sum(part.kind == kind for part in prepared.segments) for kind in ("sweep", "steady")
@@ -142,27 +123,16 @@ def view_of(prepared: Prepared) -> RigView:
     ]
     title = f"{prepared.data.name}: {' and '.join(what) or 'no sweep'} in {len(bins)}"
     title += f" bin{'s' if len(bins) > 1 else ''}, {kept / total:.0%} of the rows kept"
-    chosen = prepared.filter
-    band = "not filtered" if chosen is None else f"zero-phase {chosen.bandwidth:g} Hz"
-    note = f"tirefit {__version__} · braking positive, SI · {band}"
-    note += f" · {kept} of {total} rows"
-    clock = "row" if prepared.series.rate is None else "time [s]"
-    return RigView(title, note, clock, _panels(prepared), _strips(prepared))
+    return title
 
 
-def _strength(strip: Strip) -> float:
-    """Opacity of the segments of one kind."""
-    return 0.45 if strip.is_kept else 0.22
-
-
-def _draw(axes: Any, panel: Panel, strips: list[Strip]) -> None:
+def _draw(axes: Any, panel: Panel, time: np.ndarray, strips: list[Strip]) -> None:
     whole = {"transform": axes.get_xaxis_transform(), "linewidth": 0, "zorder": 0}
     for strip in strips:
-        color = {"facecolor": _COLOR[strip.kind], "alpha": _strength(strip)}
-        axes.broken_barh(strip.spans, (0, 1), **color, **whole)
+        axes.broken_barh(strip.spans, (0, 1), **strip.style, **whole)
     for setting in panel.settings:
         axes.axhline(setting, color=DARK, linewidth=0.5, linestyle=":", zorder=1)
-    axes.plot(panel.time, panel.value, color=DARK, linewidth=0.6, zorder=2)
+    axes.plot(time, panel.value, color=DARK, linewidth=0.6, zorder=2)
     tidy(axes, "", panel.label, 8)
     axes.margins(x=0)
 
@@ -170,21 +140,21 @@ def _draw(axes: Any, panel: Panel, strips: list[Strip]) -> None:
 def prepared_figure(prepared: Prepared) -> Picture:
     """Draw the whole test: every channel that changed, with segments in the background
     (strong colours: kept), and dotted lines for settings."""
-    view = view_of(prepared)
-    picture = frame(view.title, "", view.note, (WIDE, 0.8 + 0.9 * len(view.panels)))
+    panels, strips, series = panels_of(prepared), strips_of(prepared), prepared.series
+    chosen, count = prepared.filter, len(prepared.data)
+    band = "not filtered" if chosen is None else f"zero-phase {chosen.bandwidth:g} Hz"
+    note = f"tirefit {__version__} · braking positive, SI · {band}"
+    note += f" · {int(prepared.kept.sum())} of {count} rows"
+    picture = frame(title_of(prepared), "", note, (WIDE, 0.8 + 0.9 * len(panels)))
     body: Any = picture.subfigures(1, 1)  # whose legend is below the title
-    all_axes = body.subplots(len(view.panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, panel in zip(all_axes, view.panels, strict=True):
-        _draw(axes, panel, view.strips)
-    all_axes[-1].set_xlabel(view.clock, fontsize=8, color=DARK)
+    all_axes = body.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, panel in zip(all_axes, panels, strict=True):
+        _draw(axes, panel, series.time, strips)
+    clock = "row" if series.rate is None else "time [s]"
+    all_axes[-1].set_xlabel(clock, fontsize=8, color=DARK)
     body.align_ylabels(all_axes)
     handles = [
-        Patch(
-            facecolor=_COLOR[strip.kind],
-            alpha=_strength(strip),
-            label=f"{strip.kind} {strip.rows / len(prepared.data):.0%}",
-        )
-        for strip in view.strips
+        Patch(**strip.style, label=f"{strip.kind} {strip.rows / count:.0%}") for strip in strips
     ]
     style: dict[str, Any] = {"fontsize": 7.5, "frameon": False, "handlelength": 1.2}
     body.legend(handles=handles, loc="outside upper left", ncols=3, **style)

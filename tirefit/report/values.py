@@ -23,7 +23,7 @@ class Points(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     known: np.ndarray  # (n,) whether the data identify it
-    far: np.ndarray  # (n,) whether it differs from the others
+    outlying: np.ndarray  # (n,) whether it differs from the others
     line: tuple[np.ndarray, np.ndarray, float] | None = None  # places, values, half-width
     whole: bool = False  # whether it counts something
 
@@ -61,10 +61,10 @@ def draw_points(axes: Any, points: Points) -> None:
     size = float(np.clip(60 / len(at), 1.0, 5.0))
     first = np.where(np.isnan(points.low), low, np.maximum(points.low, low))
     last = np.where(np.isnan(points.high), high, np.minimum(points.high, high))
-    there, near = np.isfinite(points.value), points.known & ~points.far
+    there, near = np.isfinite(points.value), points.known & ~points.outlying
     for rows, color, mark, face in (
         (near, BLUE, "o", BLUE),
-        (points.known & points.far, RED, "x", RED),
+        (points.known & points.outlying, RED, "x", RED),
         (~points.known & there, GREY, "o", "white"),
         (~there, RED, "x", RED),
     ):

@@ -50,18 +50,16 @@ _FAN = 1.0  # duration [s] of a drawn prediction
 _PREDICTED = f"predicted, {_FAN:g} s"
 
 
-_AHEAD = 0.5  # horizon [s] at which models are compared; the nearest one is used
 _AS_WELL = 1.05  # ratio of two rms errors up to which one model predicts as well as the other
-_ABOVE = 2.0  # rms error over that of the noise from which models can be compared
 _OFF, _SURE = 0.05, 3.0  # smallest error of the turning that is told, and its standard errors
-_BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
 _FEWEST = 16  # smallest number of starts for that, and for a horizon at which models are compared
 
 
 def _place_of(result: Replay) -> int:
     """Number of the horizon at which models are compared."""
     reached = result.horizons[: sum(count > 0 for count in result.windows)]
-    return int(np.argmin([abs(h - _AHEAD) for h in reached]))
+    # Horizon [s] at which models are compared; the nearest one is used.
+    return int(np.argmin([abs(h - 0.5) for h in reached]))
 
 
 def turning(result: Replay) -> tuple[float, float] | None:
@@ -75,7 +73,8 @@ def turning(result: Replay) -> tuple[float, float] | None:
     there = np.isfinite(true) & np.isfinite(predicted)
     if there.sum() < _FEWEST or not np.any(predicted[there]):
         return None
-    parts = np.array_split(np.flatnonzero(there), _BLOCKS)
+    # Number of parts of the starts; their spread gives the error of a ratio.
+    parts = np.array_split(np.flatnonzero(there), 8)
     products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
     whole, left = products.sum(axis=0), products.sum(axis=0) - products
     return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))
@@ -84,16 +83,16 @@ def turning(result: Replay) -> tuple[float, float] | None:
 def _worse(result: Replay, model: str, other: str) -> str:
     """Where a model predicts worse than another one by the largest ratio, such as ``the yaw rate
     after 5 s by 23 rad/s instead of 0.57``; empty if it is nowhere worse."""
-    found, most = "", _AS_WELL
-    own, than = (result.models[k].rms() for k in (model, other))
+    worst, most = "", _AS_WELL
+    errors, reference = (result.models[k].rms() for k in (model, other))
     for name in ("yaw_rate", "lateral"):
-        each = zip(result.horizons, result.windows, own[name], than[name], strict=True)
+        each = zip(result.horizons, result.windows, errors[name], reference[name], strict=True)
         for horizon, count, wrong, less in each:
             if count >= _FEWEST and wrong and less and wrong > most * less:
                 most = wrong / less
-                found = f"the {_NAMES[name]} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
-                found += f" instead of {less:.2g}"
-    return found
+                worst = f"the {_NAMES[name]} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
+                worst += f" instead of {less:.2g}"
+    return worst
 
 
 def conclusions(result: Replay) -> list[str]:
@@ -107,7 +106,8 @@ def conclusions(result: Replay) -> list[str]:
             said.append(f"The effects make the prediction worse: with them it misses {worse}.")
     place = _place_of(result)
     rms = {k: errors.rms()["yaw_rate"][place] or 0.0 for k, errors in result.models.items()}
-    if rms["tire"] < _ABOVE * rms["floor"]:
+    # Rms error over that of the noise from which models can be compared.
+    if rms["tire"] < 2.0 * rms["floor"]:
         return said
     if rms["no slip"] <= _AS_WELL * rms["tire"]:
         said.append("The tires are not what limits: a car without slip predicts as well.")
@@ -312,7 +312,7 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
         reach = np.percentile(np.abs(rows["alpha"]), 99.5)
         alpha = np.linspace(-reach, reach, 121)
         at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
-        drawn = [np.asarray(forces(one, at).fy) for one in tire.drawn(generator, 60)]
+        drawn = [np.asarray(forces(sample, at).fy) for sample in tire.drawn(generator, 60)]
         low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
         axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
         axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)

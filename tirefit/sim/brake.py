@@ -243,7 +243,6 @@ def wheel_speeds(sensors: Sensors, turning: Array, noise: Array) -> Array:
 STANDS = 0.1
 """Speed [m/s] below which the car has stopped: 1.3 cm before standstill at mu 0.04."""
 SPUN = 1.5708  # heading [rad] above which a car has spun: at right angles to its first one
-_RUN_IN = 2.0  # time [s] of a turn at constant speed before braking
 
 
 class Log(NamedTuple):
@@ -316,7 +315,8 @@ def simulate_stop(
     if len(static) > 1:  # begin in a steady turn, if steered
         none = jnp.zeros_like(start.omega)
         drive = Drive(none, none, none, jnp.ones(()), jnp.ones(()))
-        start, _ = advance(plant, start, drive, zero, _RUN_IN)
+        # Time [s] of a turn at constant speed before braking.
+        start, _ = advance(plant, start, drive, zero, 2.0)
         start = start._replace(distance=zero, x=zero, y=zero, heading=zero)
     forces = noise.road * static[None]
     at_samples = noise._replace(road=noise.road[:-1])

@@ -136,7 +136,6 @@ class Hydraulics(NamedTuple):
 ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
 """Examples of the syntax of a road: constant; another friction after 20 m; split."""
 _LEAST, _MOST = 0.05, 2.0
-_PATCH = 0.2  # length [m] of the contact patch, over which a change of friction is linear
 
 
 class Road(NamedTuple):
@@ -151,7 +150,8 @@ class Road(NamedTuple):
         self, distance: Float[Array, " w"], y: Float[Array | np.ndarray, " w"]
     ) -> Float[Array, " w"]:
         """Friction under wheels after ``distance`` [m], and ``y`` [m] left of the centre."""
-        share = jnp.clip((distance - self.jump) / _PATCH + 0.5, 0.0, 1.0)
+        # Length [m] of the contact patch, over which a change of friction is linear.
+        share = jnp.clip((distance - self.jump) / 0.2 + 0.5, 0.0, 1.0)
         side = (jnp.asarray(y) < 0).astype(int)
         before, after = jnp.asarray(self.before)[side], jnp.asarray(self.after)[side]
         return before + share * (after - before)
@@ -201,10 +201,7 @@ LOW_SPEED = 0.3
 be infinitely stiff at standstill. The force of a locked wheel fades below a tenth of it,
 in the last 0.1 m."""
 _LOCKED = 0.99  # largest kappa, that of a standing wheel (sigma 99)
-_LEAST_KAPPA = -5.0
-_LEAST_LOAD = 1.0
 _SPEEDS, _LOADS, _SLIPS = 16, 5, 200
-_HALVINGS = 60  # golden-section steps about the best slip of a grid: the peak is exact to rounding
 
 
 class Slips(NamedTuple):
@@ -219,7 +216,7 @@ def wheel_slips(v_x: Array, v_y: Array, turning: Array) -> Slips:
     """Slips of wheels (w,) from the speeds of their centres along and across them, and
     their circumferential speed R omega; all [m/s]."""
     speed = jnp.maximum(v_x, LOW_SPEED)
-    kappa = jnp.clip((v_x - turning) / speed, _LEAST_KAPPA, _LOCKED)
+    kappa = jnp.clip((v_x - turning) / speed, -5.0, _LOCKED)
     return Slips(kappa, jnp.arctan2(v_y, speed), speed)
 
 
@@ -244,12 +241,12 @@ class RoadTire(eqx.Module):
     ) -> tuple[Float[Array, " w"], Float[Array, " w"]]:
         """Forces [N] (w,) along and across wheels on a road of friction mu (w,)."""
 
-        def one(mu: Array, *at: Array) -> tuple[Array, Array]:
+        def forces_at(mu: Array, *at: Array) -> tuple[Array, Array]:
             made = self.tire(_similar(mu / self.usual, *at))
             across = jnp.zeros(()) if made.fy is None else made.fy
             return mu / self.usual * jnp.asarray(made.fx), mu / self.usual * across
 
-        return jax.vmap(one)(mu, *slips, jnp.maximum(fz, _LEAST_LOAD))
+        return jax.vmap(forces_at)(mu, *slips, jnp.maximum(fz, 1.0))
 
     def peaks(self, mu: Array, speed: Array, fz: Array) -> tuple[Array, Array]:
         """Largest braking force over load (w,) on roads mu (w,), at speeds [m/s] and
@@ -291,10 +288,10 @@ def _peaked(
     loads = jnp.asarray(fz) * jnp.linspace(0.2, 2.4, _LOADS)
     roads = jnp.sort(jnp.asarray(roads, float))
 
-    def own(k: Array) -> Array:
+    def of_tire(k: Array) -> Array:
         return jnp.asarray(tire(TireInputs(sigma_from_kappa(k), 0.0, fz, speed)).fx) / fz
 
-    usual, _ = _highest(own)
+    usual, _ = _highest(of_tire)
 
     def highest(mu: Array, v: Array, load: Array) -> tuple[Array, Array]:
         def curve(k: Array) -> Array:
@@ -324,6 +321,7 @@ def _highest(curve: Callable[[Array], Array]) -> tuple[Array, Array]:
         return jnp.where(keep, low, left), jnp.where(keep, right, high)
 
     ends = grid[jnp.maximum(best - 1, 0)], grid[jnp.minimum(best + 1, len(grid) - 1)]
-    low, high = jax.lax.fori_loop(0, _HALVINGS, narrow, ends)
+    # Golden-section steps about the best slip of a grid: the peak is exact to rounding.
+    low, high = jax.lax.fori_loop(0, 60, narrow, ends)
     place = (low + high) / 2
     return curve(place), place

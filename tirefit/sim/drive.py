@@ -31,11 +31,8 @@ from tirefit.sim.braking import SimulatedLog
 from tirefit.sim.settings import Drive
 
 _SLOWEST = 0.01  # wheel speed over that of free rolling below which a brake only holds a wheel
-_LEAST_LOAD = 1.0
 _PREVIEW = 15.0  # distance [m] at which the driver looks at the lane
-_LEAD = 0.15  # time [s] by which the driver steers before a bend: the lag of the car
 _FRONT_BRAKES = 0.6
-_PITCH_TIME = 0.1  # lag [s] of the axle loads behind the deceleration
 
 
 class Car(NamedTuple):
@@ -97,7 +94,8 @@ def _steering(numbers: _Numbers, t: Numbers, s: _State) -> Array:
     """Road wheel angle [rad] of a driver who looks ahead along the lane."""
     car = numbers.car
     base = car.l_f + car.l_r
-    curvature = _road_rate(numbers, t + _LEAD, s.v_x) / s.v_x
+    # Time [s] by which the driver steers before a bend: the lag of the car.
+    curvature = _road_rate(numbers, t + 0.15, s.v_x) / s.v_x
     course = s.heading + s.v_y / s.v_x - s.road_heading
     aside = s.offset + _PREVIEW * course
     softer = 1 / car.stiffness_f - 1 / car.stiffness_r
@@ -150,7 +148,7 @@ def _tires(numbers: _Numbers, t: Numbers, s: _State) -> tuple[Any, ...]:
     # A force to the left rolls the car to the right and loads the wheels there.
     moment = car.roll_stiffness * s.roll + car.roll_damping * s.roll_rate
     loads = jnp.stack([front, front, rear, rear]) / 2 - moment / car.track * 0.5 * left
-    loads = jnp.maximum(loads, _LEAST_LOAD)
+    loads = jnp.maximum(loads, 1.0)
     along, across = loads * share.x, loads * share.y
     x = jnp.stack([car.l_f, car.l_f, -car.l_r, -car.l_r])
     turn = jnp.array([1.0, 1.0, 0.0, 0.0]) * steering
@@ -174,7 +172,8 @@ def _rate(t: Numbers, s: _State, numbers: _Numbers) -> _State:
         omega=jnp.where(holds, 0.0, spun / car.wheel_inertia),
         roll=s.roll_rate,
         roll_rate=(roll - car.roll_damping * s.roll_rate) / car.roll_inertia,
-        lag=(-forward / car.mass - s.lag) / _PITCH_TIME,
+        # Lag [s] of the axle loads behind the deceleration.
+        lag=(-forward / car.mass - s.lag) / 0.1,
         offset=s.v_x * sin + s.v_y * cos,
         heading=s.yaw_rate,
         road_heading=_road_rate(numbers, t, s.v_x),
@@ -204,7 +203,7 @@ def _integrate(numbers: _Numbers, time: Array, max_steps: int) -> tuple[_State, 
 def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.Array]:
     """Measured and true columns from the states (n, ...) at the times."""
 
-    def one(t: Array, s: _State) -> dict[str, Array]:
+    def columns_at(t: Array, s: _State) -> dict[str, Array]:
         steering, sigma, angles, loads, along, across, (forward, left, _) = _tires(numbers, t, s)
         wheels = {"omega": s.omega, "torque": _torques(numbers, t, s)}
         wheels |= {"sigma_x": sigma, "fx": along, "fz": loads}
@@ -223,7 +222,7 @@ def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.A
             "mu": _mu(numbers, t),
         }  # fmt: skip
 
-    return jax.vmap(one)(time, states)
+    return jax.vmap(columns_at)(time, states)
 
 
 def simulate_drive(

@@ -32,7 +32,6 @@ from tirefit.sim.brake_request import (
 )
 from tirefit.sim.brake_result import Braking, Stop, Summary, summarise
 
-_TOGETHER = 50  # stops in one batch: more need much memory, and all wait for the slowest one
 _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
 """A tire with a peak: the sliding friction is four fifths of the peak, S(33)."""
 
@@ -98,7 +97,7 @@ def brake(
     request = with_numbers(made, plant or {})
     check(request)
     car = known_to_controllers(request)
-    controllers = {n: controller_of(n, car, own) for n, own in chosen.items()}
+    controllers = {n: controller_of(n, car, settings) for n, settings in chosen.items()}
     done = braked(request, controllers, seed=seed, stops=stops, progress=progress)
     return replace(done, notes=(*notes, *doubts(request)))
 
@@ -117,12 +116,13 @@ def many_stops(
             :func:`tirefit.sim.brake.simulate_stop`.
     """
 
-    def one(given: tuple[Plant, Array]) -> Summary:
+    def summary_of(given: tuple[Plant, Array]) -> Summary:
         plant, key = given
         log = simulate_stop(plant, controller, sensors, speed, key, samples, queue)
         return summarise(plant, log, 1 / controller.rate)
 
-    return jax.lax.map(one, (plants, keys), batch_size=_TOGETHER)
+    # Stops in one batch: more need much memory, and all wait for the slowest one.
+    return jax.lax.map(summary_of, (plants, keys), batch_size=50)
 
 
 def braked(

@@ -38,25 +38,25 @@ class Settings:
     def problems(self) -> list[InputProblem]:
         """The problems: numbers out of their limits, an unknown tire."""
         numbers: list[tuple[Any, ...]] = []  # (name, value, least, largest)
-        for one in fields(self):  # type: ignore[arg-type]
-            value, ends = getattr(self, one.name), one.metadata["limits"]
-            if one.name == "drop" and value is not None:
+        for setting in fields(self):  # type: ignore[arg-type]
+            value, ends = getattr(self, setting.name), setting.metadata["limits"]
+            if setting.name == "drop" and value is not None:
                 latest = self.rows / self.rate  # type: ignore[attr-defined]
                 numbers.append(("time of the drop", value[0], 0.0, latest))
                 numbers.append(("friction of the drop", value[1], *_FRICTION))
             for each in value if isinstance(value, list | tuple) else (value,):
-                if one.name != "drop" and isinstance(each, int | float):
-                    numbers.append((one.name, each, *ends))
+                if setting.name != "drop" and isinstance(each, int | float):
+                    numbers.append((setting.name, each, *ends))
         numbers.append(("number of rows", self.rows, 1.0, _MOST_ROWS))
-        found = [
+        faults = [
             InputProblem(f"{name} {value:g} is out of range", f"{low:g} to {high:g}")
             for name, value, low, high in numbers
             if not low <= value <= high
         ]
         if getattr(self, "tire", TIRES[0]) not in TIRES:
             reason = f"there is no tire {self.tire!r}"  # type: ignore[attr-defined]
-            found.append(InputProblem(reason, " or ".join(TIRES)))
-        return found
+            faults.append(InputProblem(reason, " or ".join(TIRES)))
+        return faults
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,9 @@ def simulate(kind: str = "braking", **settings: Any) -> SimulatedLog:
     require_x64("simulate")
     check_names("simulation", [kind], KINDS)
     if settings:
-        check_names(f"{kind} setting", list(settings), [one.name for one in fields(KINDS[kind])])
+        check_names(
+            f"{kind} setting", list(settings), [field.name for field in fields(KINDS[kind])]
+        )
     how = KINDS[kind](**settings)
     UsageError.raise_for(how.problems())
     if kind == "rig":

@@ -130,7 +130,6 @@ class Comparison(Record):
     """
 
     text_by: ClassVar[str] = "tirefit.report.compare:comparison_text"
-    html_by: ClassVar[str] = "tirefit.report.compare:comparison_fragment"
     plot_by: ClassVar[str] = "tirefit.report.compare:plot_comparison"
     page_by: ClassVar[str] = "tirefit.report.compare:comparison_page"
     internal: ClassVar[tuple[str, ...]] = ("sources",)
@@ -146,12 +145,6 @@ class Comparison(Record):
     meanings: tuple[str, ...] = ()
     level: float = LEVEL
     version: str = field(default=__version__)
-
-    @property
-    def drawable(self) -> bool:
-        """Whether there are curves, or numbers with errors, for the figure."""
-        each = *self.numbers, *self.effects
-        return bool(self.forces) or any(one.difference is not None for one in each)
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``comparison.json``."""

@@ -6,7 +6,6 @@ import numpy as np
 
 from tirefit.data.rig.levels import cells, levels
 from tirefit.fitting.problem.likelihood import row_moments
-from tirefit.fitting.problem.noise import autocorrelation
 from tirefit.fitting.result import FitResult
 
 _BINS = 12
@@ -57,23 +56,3 @@ def means_by(codes: np.ndarray, x: np.ndarray, residual: np.ndarray, inflation: 
     count, mean, std = cells(codes, size, residual)
     half = _HALF_95 * std * np.sqrt(inflation / np.maximum(count, 1))
     return Means(cells(codes, size, x)[1], mean, half)
-
-
-def ordered_correlation(
-    residual: np.ndarray, run: np.ndarray, time: np.ndarray | None
-) -> np.ndarray:
-    """Autocorrelation at lags 0, 1, ... in time order, runs pooled.
-
-    Args:
-        residual: (n,) standardised.
-        run: (n,) number of the run of each row.
-        time: (n,), or None to use the order of the file.
-    """
-    parts = []
-    for code in np.unique(run):
-        rows = np.flatnonzero(run == code)
-        if time is not None:
-            rows = rows[np.argsort(time[rows], kind="stable")]
-        parts.append(residual[rows])
-    correlation = autocorrelation(parts)
-    return correlation[: max(min(_LAGS, len(correlation) // 4) + 1, 1)]
