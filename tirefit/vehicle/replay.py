@@ -25,6 +25,7 @@ from tirefit.data.records import Row, frame
 from tirefit.data.vehicle.motion import Motion, road_wheel, with_noise
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle
+from tirefit.diagnosis.engine.left_out import jackknife_error
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
 from tirefit.files import listed
@@ -83,15 +84,20 @@ DRAWS = 24
 NOISES = 4
 """Number of draws of the noise of the log, for the floor."""
 _NORMAL_95 = 1.96
+_AHEAD = 0.5  # horizon [s] at which models are compared; the nearest one is used
+_BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
+FEWEST = 16
+"""Smallest number of starts for a ratio, and for a horizon at which models are compared."""
 
 
 class Fans(NamedTuple):
     """Measured and predicted ``x``, ``y`` [m], ``yaw_rate`` [rad/s] and ``a_y`` [m/s2]
-    of each window of a log, (w, k) at times (w, k) [s], NaN beyond its end."""
+    of each window of a log, (w, k) at times (w, k) [s] after ``epoch``, NaN beyond its end."""
 
     time: np.ndarray
     measured: Mapping[str, np.ndarray]
     predicted: Mapping[str, np.ndarray]
+    epoch: float = 0.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,6 +133,29 @@ class Replay(Record):
         """The horizons that no window reaches."""
         off = [f"{h:g} s" for h, n in zip(self.horizons, self.windows, strict=True) if not n]
         return {Outcome.INCOMPLETE: f"no log has {' or '.join(off)} without a gap" if off else ""}
+
+    @property
+    def place(self) -> int:
+        """Number of the horizon at which models are compared."""
+        reached = self.horizons[: sum(count > 0 for count in self.windows)]
+        return int(np.argmin([abs(h - _AHEAD) for h in reached]))
+
+    @property
+    def turning(self) -> tuple[float, float] | None:
+        """Measured over predicted yaw rate, by least squares over all starts, with its standard
+        error between parts of the starts; None with few starts or hardly any turning."""
+        horizon, pairs = self.horizons[self.place], []
+        for fan in self.fans.values():
+            step = round(horizon / float(fan.time[0, 1] - fan.time[0, 0]))
+            pairs.append([of["yaw_rate"][:, step] for of in (fan.measured, fan.predicted)])
+        true, predicted = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        there = np.isfinite(true) & np.isfinite(predicted)
+        if there.sum() < FEWEST or not np.any(predicted[there]):
+            return None
+        parts = np.array_split(np.flatnonzero(there), _BLOCKS)
+        products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
+        whole, left = products.sum(axis=0), products.sum(axis=0) - products
+        return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers, as in ``replay.json``."""
@@ -456,5 +485,6 @@ def _fans(
                 k: np.where(there, one[rows], np.nan)
                 for k, one in (states._asdict() | {"a_y": lateral}).items()
             },
+            log.epoch,
         )
     return fans

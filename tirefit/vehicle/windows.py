@@ -44,6 +44,7 @@ class CutLog(NamedTuple, Generic[Piece]):
     missing: tuple[str, ...] = ()  # see :class:`tirefit.data.vehicle.track.Track`
     path: str = ""
     sha256: str = ""
+    epoch: float = 0.0  # see ``Track``
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -104,7 +105,13 @@ def cut_logs(
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
             found[run_name(file)] = CutLog(
-                motion, windows, names_of_runs(file, track), track.missing, str(file), track.sha256
+                motion,
+                windows,
+                names_of_runs(file, track),
+                track.missing,
+                str(file),
+                track.sha256,
+                track.epoch,
             )
     DataError.raise_for(problems)
     return found
