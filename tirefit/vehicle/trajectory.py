@@ -398,7 +398,7 @@ class _Problem:
             low, high = sorted(float(natural(end)) for end in ends[:, k])
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
             value, error = float(natural(z[k])), float(slope * std[k])
-            known = bool(identified(low, high)) and abs(z[k]) < AT_BOUND
+            known = bool(identified(low, high) and abs(z[k]) < AT_BOUND)
             found[name] = Estimate(value, error, unit, (low, high), known)
 
         for axle, layout in enumerate(self.layouts):
