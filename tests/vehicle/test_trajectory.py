@@ -201,19 +201,18 @@ def test_a_friction_far_above_the_slip_angles_has_only_a_lower_end(drive, tmp_pa
 
 @pytest.mark.long
 def test_an_unknown_far_from_its_usual_value_is_a_systematic_misfit(found, drive, tmp_path):
-    """A steering map that states a third of the angle."""
+    """A steering sensor that is off by 20 degrees."""
     assert found.strained == ()
     head, *rows = (drive / "drive.csv").read_text().splitlines()
     cells = np.array([row.split(",") for row in rows[:800]], float)
-    cells[:, 4] /= 3.0
-    path = tmp_path / "third.csv"
+    cells[:, 4] -= 0.35
+    path = tmp_path / "off.csv"
     np.savetxt(path, cells, "%.9g", ",", header=head, comments="")
-    unknowns = ("steering_ratio", "steering_delay")
-    off = fit_trajectory([path], drive / "vehicle.toml", *found.axles.values(), unknowns=unknowns)
-    one = off.parameters["steering_ratio"]
-    assert abs(one.value - 3.0) < 3 * one.std + 0.1
-    assert off.strained == ("steering_ratio",) and off.status == Outcome.SYSTEMATIC_MISFIT
-    assert "steering_ratio far from any usual value" in " ".join(off.summary().split())
+    off = fit_trajectory([path], drive / "vehicle.toml", *found.axles.values())
+    one = off.parameters["steering_offset"]
+    assert abs(one.value - OFFSET - 0.35) < 3 * one.std < 0.02
+    assert off.strained == ("steering_offset",) and off.status == Outcome.SYSTEMATIC_MISFIT
+    assert "steering_offset far from any usual value" in " ".join(off.summary().split())
 
 
 def test_the_saved_fit_predicts_the_log(found, drive, tmp_path):

@@ -25,9 +25,10 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, page, report_text, verdict_of
-from tirefit.vehicle.errors import QUANTITIES
-from tirefit.vehicle.replay import FEWEST, Fans, Replay
-from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
+from tirefit.vehicle.errors import FEWEST, QUANTITIES, Fans
+from tirefit.vehicle.replay import Replay
+from tirefit.vehicle.start import UNKNOWNS
+from tirefit.vehicle.trajectory import TrajectoryFit
 
 _NAMES = {
     "yaw_rate": "yaw rate",

@@ -12,7 +12,8 @@ from tirefit import __version__
 from tirefit.results import InputProblem, UsageError
 
 if TYPE_CHECKING:
-    from tirefit.vehicle.replay import Fans, Replay
+    from tirefit.vehicle.errors import Fans
+    from tirefit.vehicle.replay import Replay
 
 NAMES = {
     "x": "x_m",

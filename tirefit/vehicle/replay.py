@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -25,7 +25,6 @@ from tirefit.data.records import Row, frame
 from tirefit.data.vehicle.motion import Motion, road_wheel, with_noise
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle
-from tirefit.diagnosis.engine.left_out import jackknife_error
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
 from tirefit.files import listed
@@ -50,10 +49,12 @@ from tirefit.vehicle.diagnose import Steps
 from tirefit.vehicle.errors import (
     QUANTITIES,
     Errors,
+    Fans,
     Measured,
     errors_of,
     errors_without_slip,
     floor_of,
+    turning,
 )
 from tirefit.vehicle.mcap import recorded
 from tirefit.vehicle.windows import (
@@ -85,19 +86,6 @@ NOISES = 4
 """Number of draws of the noise of the log, for the floor."""
 _NORMAL_95 = 1.96
 _AHEAD = 0.5  # horizon [s] at which models are compared; the nearest one is used
-_BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
-FEWEST = 16
-"""Smallest number of starts for a ratio, and for a horizon at which models are compared."""
-
-
-class Fans(NamedTuple):
-    """Measured and predicted ``x``, ``y`` [m], ``yaw_rate`` [rad/s] and ``a_y`` [m/s2]
-    of each window of a log, (w, k) at times (w, k) [s] after ``epoch``, NaN beyond its end."""
-
-    time: np.ndarray
-    measured: Mapping[str, np.ndarray]
-    predicted: Mapping[str, np.ndarray]
-    epoch: float = 0.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -142,20 +130,9 @@ class Replay(Record):
 
     @property
     def turning(self) -> tuple[float, float] | None:
-        """Measured over predicted yaw rate, by least squares over all starts, with its standard
-        error between parts of the starts; None with few starts or hardly any turning."""
-        horizon, pairs = self.horizons[self.place], []
-        for fan in self.fans.values():
-            step = round(horizon / float(fan.time[0, 1] - fan.time[0, 0]))
-            pairs.append([of["yaw_rate"][:, step] for of in (fan.measured, fan.predicted)])
-        true, predicted = (np.concatenate(part) for part in zip(*pairs, strict=True))
-        there = np.isfinite(true) & np.isfinite(predicted)
-        if there.sum() < FEWEST or not np.any(predicted[there]):
-            return None
-        parts = np.array_split(np.flatnonzero(there), _BLOCKS)
-        products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
-        whole, left = products.sum(axis=0), products.sum(axis=0) - products
-        return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))
+        """Measured over predicted yaw rate with its standard error, see
+        :func:`tirefit.vehicle.errors.turning`."""
+        return turning(self.fans.values(), self.horizons[self.place])
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers, as in ``replay.json``."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -51,7 +51,7 @@ from tirefit.vehicle.shooting import (
     profile_ends,
     sandwich,
 )
-from tirefit.vehicle.start import started, within
+from tirefit.vehicle.start import UNKNOWNS, started, within
 from tirefit.vehicle.windows import (
     CHANNELS,
     cut_in_windows,
@@ -59,27 +59,6 @@ from tirefit.vehicle.windows import (
     known_vehicle,
     steering_problems,
 )
-
-
-class Unknown(NamedTuple):
-    """An unknown of the car."""
-
-    unit: str
-    prior: float  # standard error of a weak prior at zero; of a factor's logarithm
-    is_factor: bool
-    meaning: str
-
-
-UNKNOWNS = {
-    "yaw_inertia": Unknown("kg m2", 0.5, True, "about the cg"),
-    "cg_ahead": Unknown("m", 0.05, False, "than in vehicle.toml"),
-    "steering_ratio": Unknown("-", 0.3, True, "of wheel to map"),
-    "steering_offset": Unknown("rad", 0.1, False, "added to the angle"),
-    "steering_delay": Unknown("s", 0.1, False, "wheels after the log"),
-    "sideslip_zero": Unknown("rad", 0.05, False, "logged less the car's"),
-}
-"""Parameters that may be estimated with the tires; the prior of ``cg_ahead`` is a share of
-the wheelbase."""
 
 WINDOW = 0.5
 """Length [s] of a window."""
