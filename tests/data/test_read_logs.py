@@ -32,8 +32,9 @@ def test_signals_are_resampled_to_the_time_of_the_known_ones():
         "fx": Signal(clock, np.arange(21.0), "kN"),
         "early": Signal(early, 2 * early),
     }
-    columns, units, notes = on_one_clock(signals, lambda name: name == "fx", "log")
+    columns, units, notes, epoch = on_one_clock(signals, lambda name: name == "fx", "log")
     np.testing.assert_allclose(columns["time"], clock - 10)
+    assert epoch == 10.0
     np.testing.assert_array_equal(columns["fx"], np.arange(21.0))
     np.testing.assert_allclose(columns["other"], 3 * clock)
     np.testing.assert_allclose(columns["early"][:11], 2 * clock[:11])

@@ -28,7 +28,7 @@ from tirefit.vehicle.applied import Applied, applied
 from tirefit.vehicle.car import State, cubic, delayed, lagged, with_play
 from tirefit.vehicle.diagnose import subject_of
 from tirefit.vehicle.effects import CAR_EFFECTS, Reading, Samples, Setting, Steering
-from tirefit.vehicle.model import Model, steered
+from tirefit.vehicle.model import Model, as_driven, steered
 from tirefit.vehicle.model import logged as seen_in_log
 from tirefit.vehicle.windows import cut_in_windows
 
@@ -372,6 +372,11 @@ def test_what_a_log_has_of_a_state_follows_its_errors():
     place = (1 + 2j) + 0.25 * np.exp(0.4j)
     poses = seen_in_log(3, state, error, 2.0)
     np.testing.assert_allclose(poses, [0.4 - 1e-6, place.real, place.imag], rtol=1e-12)
+    # A start state, which has no error of the yaw rate, is seen through the same errors.
+    error, start = Reading(0.2, 0.0, 0.25), np.array([0.3, 0.5, 0.4, 1.0, 2.0])
+    driven = as_driven(start, error, 2.0)
+    np.testing.assert_allclose(seen_in_log(2, driven, error, 2.0), start[:2], rtol=1e-12)
+    np.testing.assert_allclose(seen_in_log(3, driven, error, 2.0), start[2:], rtol=1e-12)
 
 
 def test_wheels_turn_by_ratio_and_offset_and_yield_to_the_side_force():

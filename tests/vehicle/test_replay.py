@@ -19,7 +19,7 @@ from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.source import axle_tire
 from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
-from tirefit.report.vehicle import conclusions, replay_text, turning
+from tirefit.report.vehicle import conclusions, replay_text
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.errors import QUANTITIES, Errors
 from tirefit.vehicle.replay import HORIZONS, replay
@@ -120,7 +120,7 @@ def test_a_car_without_slip_follows_its_wheels(exact, drive):
 def test_a_wrong_steering_ratio_is_seen_in_the_turning(drive, exact):
     """Of a car without slip, r = v tan(delta) / L: a map that reads .8 of the angle gives
     1.25 times the predicted yaw rate, but for the bend of the tangent (2 %)."""
-    ratio, error = turning(exact)
+    ratio, error = exact.turning
     assert ratio == pytest.approx(1.0, abs=0.005) and error < 0.01 and conclusions(exact) == []
     toml = drive / "less.toml"
     toml.write_text(TOML.replace("angle = [-1.0, 1.0]", "angle = [-0.8, 0.8]"))
@@ -129,10 +129,10 @@ def test_a_wrong_steering_ratio_is_seen_in_the_turning(drive, exact):
     log = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
     yaw, wheel = np.gradient(log[:, 3], log[:, 0]), 2.5 * np.tan(0.8 * log[:, 4]) / (L_F + L_R)
     expected = (yaw @ wheel) / (wheel @ wheel)
-    assert turning(found)[0] == pytest.approx(expected, rel=0.03)
+    assert found.turning[0] == pytest.approx(expected, rel=0.03)
     limits, turned = conclusions(found)
     assert limits == "The tires are not what limits: a car without slip predicts as well."
-    assert turned.startswith(f"The car turns {turning(found)[0]:.2f} ± ")
+    assert turned.startswith(f"The car turns {found.turning[0]:.2f} ± ")
     assert limits in " ".join(replay_text(found).split())
 
 
@@ -281,12 +281,16 @@ def messages(content):
     }
 
 
-def test_the_channels_of_mcap_are_the_log_and_have_the_errors_of_the_replay(drive):
+def test_the_channels_of_mcap_are_the_log_and_have_the_errors_of_the_replay(drive, tmp_path):
     """Predicted less measured at the same time has the rms of the replay, which is of a linear
-    tire here, so that it is no rounding."""
-    log = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
+    tire here, so that it is no rounding. The stamps are absolute, as those of the log."""
+    head, *rows = (drive / "exact.csv").read_text().splitlines()
+    log = np.array([row.split(",") for row in rows], float)
+    log[:, 0] += 1.7e9
+    path = tmp_path / "exact.csv"
+    np.savetxt(path, log, "%.17g", ",", header=head, comments="")
     weak = Brush(cpa2=0.7 * FRONT.cpa2, mu=FRONT.mu)
-    result = replay([drive / "exact.csv"], drive / "vehicle.toml", weak, REAR)
+    result = replay([path], drive / "vehicle.toml", weak, REAR)
     found = messages(result.to_mcap())
     measured = found.pop("/exact/measured")
     for k, name in ((1, "x_m"), (2, "y_m"), (3, "heading_rad")):

@@ -42,7 +42,8 @@ def steer(time):
 
 
 def write_drive(path, turned, logged, seed):
-    """Write poses with noise of a car whose wheels are turned so, and the logged angle."""
+    """Write poses with noise of a car whose wheels are turned so, and the logged angle; returns
+    time (n,) and true states (5, n)."""
     time, generator = np.arange(0, 24, 0.01), np.random.default_rng(seed)
     true = solve_ivp(
         slopes,
@@ -61,6 +62,7 @@ def write_drive(path, turned, logged, seed):
     ]
     rows = np.stack([time, *noisy, logged(time)], axis=1)
     np.savetxt(path, rows, "%.9g", ",", header="t,x,y,yaw,steer", comments="")
+    return time, true.y
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +70,8 @@ def drive(tmp_path_factory):
     """A folder with a vehicle file and a log of poses with noise."""
     folder = tmp_path_factory.mktemp("trajectory")
     (folder / "vehicle.toml").write_text(TOML)
-    write_drive(folder / "drive.csv", lambda t: steer(t - DELAY) + OFFSET, steer, 3)
+    true = write_drive(folder / "drive.csv", lambda t: steer(t - DELAY) + OFFSET, steer, 3)
+    np.savez(folder / "true.npz", *true)
     return folder
 
 
@@ -106,6 +109,29 @@ def test_the_steering_of_windows_is_as_logged_and_begins_before_the_stated_delay
     time = cut.motion.time[rows[:, :1] + np.arange(-lead, rows.shape[1])]
     np.testing.assert_allclose(angle, steer(time), atol=1e-8)
     assert time[0, lead] - time[0, 0] > DELAY + 0.28  # the longest delay that is searched
+
+
+def test_the_error_of_a_start_state_is_stated(drive):
+    """The filter has no part in it that matters: it is far above the frequencies of this drive."""
+    (cut,) = cut_in_windows([drive / "drive.csv"], stating(drive, DELAY), 0.5).values()
+    data, rows = cut.windows
+    time, true = np.load(drive / "true.npz").values()
+    there = np.array([np.interp(cut.motion.time[rows[:, 0]], time, one) for one in true])
+    error = np.sqrt(np.mean((np.asarray(data.start) - there.T) ** 2, axis=0))
+    np.testing.assert_allclose(error, data.std[0], rtol=0.35)  # three errors of 46 windows
+
+
+def test_no_window_has_the_steering_of_before_a_gap(drive, tmp_path):
+    head, *rows = (drive / "drive.csv").read_text().splitlines()
+    path = tmp_path / "gap.csv"
+    path.write_text("\n".join([head, *rows[:900], *rows[1000:]]) + "\n")
+    (cut,) = cut_in_windows([path], stating(drive, DELAY), 0.5).values()
+    data, own = cut.windows
+    lead = data.steering.shape[1] - own.shape[1]
+    time = cut.motion.time[own[:, :1] + np.arange(-lead, own.shape[1])]
+    np.testing.assert_allclose(np.asarray(data.steering), steer(time), atol=1e-8)
+    assert np.all(np.ptp(time, axis=1) < (own.shape[1] + lead) / 100)
+    assert np.any(time[:, 0] > 10.0) and np.any(time[:, 0] < 9.0)
 
 
 @pytest.mark.long
@@ -171,6 +197,22 @@ def test_a_friction_far_above_the_slip_angles_has_only_a_lower_end(drive, tmp_pa
     for axle, (_, mu) in TIRES.items():
         one = found.parameters[f"{axle}.mu"]
         assert not one.identified and one.ci95[0] < mu < one.ci95[1] == 5.0, one
+
+
+@pytest.mark.long
+def test_an_unknown_far_from_its_usual_value_is_a_systematic_misfit(found, drive, tmp_path):
+    """A steering sensor that is off by 20 degrees."""
+    assert found.strained == ()
+    head, *rows = (drive / "drive.csv").read_text().splitlines()
+    cells = np.array([row.split(",") for row in rows[:800]], float)
+    cells[:, 4] -= 0.35
+    path = tmp_path / "off.csv"
+    np.savetxt(path, cells, "%.9g", ",", header=head, comments="")
+    off = fit_trajectory([path], drive / "vehicle.toml", *found.axles.values())
+    one = off.parameters["steering_offset"]
+    assert abs(one.value - OFFSET - 0.35) < 3 * one.std < 0.02
+    assert off.strained == ("steering_offset",) and off.status == Outcome.SYSTEMATIC_MISFIT
+    assert "steering_offset far from any usual value" in " ".join(off.summary().split())
 
 
 def test_the_saved_fit_predicts_the_log(found, drive, tmp_path):

@@ -5,11 +5,20 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from tirefit.vehicle.shooting import Data, Squares, left_to_gain, linearised, minimised, sandwich
+from tirefit.vehicle.shooting import (
+    Data,
+    End,
+    Squares,
+    left_to_gain,
+    linearised,
+    minimised,
+    sandwich,
+)
 
 TIME = np.linspace(0.0, 1.0, 21)
 NOISE, PULL = np.array([0.02, 0.05]), np.array([0.0, 4.0, 0.0])
 WINDOWS = 6
+STD = np.full((WINDOWS, 2), [0.1, 0.3])  # of start states
 
 
 def missed(z, start, window, parts):
@@ -24,26 +33,28 @@ def problem():
     truth, starts = np.array([0.7, 0.2, 1.5]), generator.normal(0.0, 1.0, (WINDOWS, 2))
     speed = np.sin(3 * TIME) + generator.normal(0.0, 0.1, (WINDOWS, len(TIME)))
     empty = np.zeros((WINDOWS, len(TIME), 2))
-    clean = linearised(missed, 1)(truth, starts, Data(speed, speed, empty, starts))[0]
+    clean = linearised(missed, 1)(truth, starts, Data(speed, speed, empty, starts, STD))[0]
     logged = np.asarray(clean) + NOISE * generator.standard_normal(empty.shape)
-    return Data(speed, speed, logged, starts + generator.normal(0.0, 0.4, starts.shape))
+    return Data(speed, speed, logged, starts + generator.normal(0.0, 0.4, starts.shape), STD)
 
 
-@pytest.mark.parametrize("highest", [np.inf, 1.3])
-def test_windows_have_the_minimum_of_scipy_in_all_unknowns(highest):
+@pytest.mark.parametrize(("highest", "std"), [(np.inf, np.inf), (1.3, np.inf), (np.inf, STD)])
+def test_windows_have_the_minimum_of_scipy_in_all_unknowns(highest, std):
     data, run = problem(), linearised(missed, 1)
     z, bounds = np.array([0.0, 0.0, 1.0]), (-np.inf, np.array([np.inf, np.inf, highest]))
 
     def residual(x):
         found = run(x[:3], x[3:].reshape(WINDOWS, 2), data)[0]
-        return np.concatenate([np.ravel(np.asarray(found) / NOISE), np.sqrt(PULL) * x[:3]])
+        off = (x[3:].reshape(WINDOWS, 2) - np.asarray(data.start)) / std
+        each = np.ravel(np.asarray(found) / NOISE), np.sqrt(PULL) * x[:3], off.ravel()
+        return np.concatenate(each)
 
     high = np.concatenate([bounds[1], np.full(2 * WINDOWS, np.inf)])
     peer = optimize.least_squares(
         residual, np.concatenate([z, data.start.ravel()]), "3-point",
         bounds=(-np.inf, high), xtol=1e-14, ftol=1e-14, gtol=1e-12,
     )  # fmt: skip
-    squares = Squares(lambda z, starts: run(z, starts, data), NOISE, PULL)
+    squares = Squares(lambda z, starts: run(z, starts, data), NOISE, PULL, data.start, std)
     began = squares.begun(jnp.asarray(z), data.start)
     found, starts, now, converged = minimised(squares, began, bounds)
     assert converged
@@ -87,7 +98,9 @@ def test_the_sandwich_of_a_mean_is_its_standard_error_between_windows(pull):
     best = 2 * values.sum() / 2 / 0.5**2 / information
     missed = best - values[..., None]
     apart = one * np.array([-1.0, 1.0])[:, None, None]
-    found, count, widened = sandwich(missed, one, apart, np.array([0.5]), np.array([pull]))
+    squares = Squares(None, np.array([0.5]), np.array([pull]))
+    end = End(np.array([best]), np.zeros((WINDOWS, 1)), (missed, one, apart))
+    found, count, widened = sandwich(squares, end)
     sums = 2 * (best - middle) / 0.5**2
     between = WINDOWS / (WINDOWS - 1) * np.sum(sums**2)
     assert count == WINDOWS
@@ -95,7 +108,8 @@ def test_the_sandwich_of_a_mean_is_its_standard_error_between_windows(pull):
     np.testing.assert_allclose(widened, [(between + pull) / information], rtol=1e-6)
     # An element at its bound has no slope: the error of the other one is the same.
     both = np.concatenate([one, 0 * one], axis=3)
-    more, *_ = sandwich(missed, both, apart, np.array([0.5]), np.array([pull, 0.0]))
+    end = End(np.array([best, 0.0]), end.starts, (missed, both, apart))
+    more, *_ = sandwich(squares._replace(pull=np.array([pull, 0.0])), end)
     np.testing.assert_allclose(more[0, 0], found[0, 0], rtol=1e-6)
     assert more[1, 1] > 100.0**2
     if not pull:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.diagnosis.engine.left_out import jackknife_error
 from tirefit.diagnosis.summary.result import UNITS
 from tirefit.models import TireInputs, forces
 from tirefit.report.canvas import (
@@ -26,9 +25,10 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, page, report_text, verdict_of
-from tirefit.vehicle.errors import QUANTITIES
-from tirefit.vehicle.replay import Fans, Replay
-from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
+from tirefit.vehicle.errors import FEWEST, QUANTITIES, Fans
+from tirefit.vehicle.replay import Replay
+from tirefit.vehicle.start import UNKNOWNS
+from tirefit.vehicle.trajectory import TrajectoryFit
 
 _NAMES = {
     "yaw_rate": "yaw rate",
@@ -52,32 +52,6 @@ _PREDICTED = f"predicted, {_FAN:g} s"
 
 _AS_WELL = 1.05  # ratio of two rms errors up to which one model predicts as well as the other
 _OFF, _SURE = 0.05, 3.0  # smallest error of the turning that is told, and its standard errors
-_FEWEST = 16  # smallest number of starts for that, and for a horizon at which models are compared
-
-
-def _place_of(result: Replay) -> int:
-    """Number of the horizon at which models are compared."""
-    reached = result.horizons[: sum(count > 0 for count in result.windows)]
-    # Horizon [s] at which models are compared; the nearest one is used.
-    return int(np.argmin([abs(h - 0.5) for h in reached]))
-
-
-def turning(result: Replay) -> tuple[float, float] | None:
-    """Measured over predicted yaw rate, by least squares over all starts, with its standard
-    error between parts of the starts; None with few starts or hardly any turning."""
-    horizon, pairs = result.horizons[_place_of(result)], []
-    for fan in result.fans.values():
-        step = round(horizon / float(fan.time[0, 1] - fan.time[0, 0]))
-        pairs.append([of["yaw_rate"][:, step] for of in (fan.measured, fan.predicted)])
-    true, predicted = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    there = np.isfinite(true) & np.isfinite(predicted)
-    if there.sum() < _FEWEST or not np.any(predicted[there]):
-        return None
-    # Number of parts of the starts; their spread gives the error of a ratio.
-    parts = np.array_split(np.flatnonzero(there), 8)
-    products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
-    whole, left = products.sum(axis=0), products.sum(axis=0) - products
-    return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))
 
 
 def _worse(result: Replay, model: str, other: str) -> str:
@@ -88,7 +62,7 @@ def _worse(result: Replay, model: str, other: str) -> str:
     for name in ("yaw_rate", "lateral"):
         each = zip(result.horizons, result.windows, errors[name], reference[name], strict=True)
         for horizon, count, wrong, less in each:
-            if count >= _FEWEST and wrong and less and wrong > most * less:
+            if count >= FEWEST and wrong and less and wrong > most * less:
                 most = wrong / less
                 worst = f"the {_NAMES[name]} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
                 worst += f" instead of {less:.2g}"
@@ -104,7 +78,7 @@ def conclusions(result: Replay) -> list[str]:
     if "with the effects" in result.models:
         if worse := _worse(result, "with the effects", "tire"):
             said.append(f"The effects make the prediction worse: with them it misses {worse}.")
-    place = _place_of(result)
+    place = result.place
     rms = {k: errors.rms()["yaw_rate"][place] or 0.0 for k, errors in result.models.items()}
     # Rms error over that of the noise from which models can be compared.
     if rms["tire"] < 2.0 * rms["floor"]:
@@ -113,7 +87,7 @@ def conclusions(result: Replay) -> list[str]:
         said.append("The tires are not what limits: a car without slip predicts as well.")
     elif rms["linear tire"] <= _AS_WELL * rms["tire"]:
         said.append("The tires' bend is not what limits: linear tires predict as well.")
-    ratio = turning(result)
+    ratio = result.turning
     if ratio is not None and abs(ratio[0] - 1) > max(_OFF, _SURE * ratio[1]):
         text = f"The car turns {ratio[0]:.2f} ± {ratio[1]:.2f} times as much as predicted:"
         text += " `tirefit diagnose --vehicle` tells steering, masses and tires apart."
@@ -124,7 +98,7 @@ def conclusions(result: Replay) -> list[str]:
 def answer(result: Replay) -> str:
     """What limits the prediction; the error of the car, of the noise of the log, and of the
     baselines."""
-    place = _place_of(result)
+    place = result.place
     rms = {name: errors.rms() for name, errors in result.models.items()}
 
     def size(model: str, quantity: str = "lateral") -> str:

@@ -1,11 +1,12 @@
 """Errors of the prediction of a car, by quantity and horizon."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.vehicle.vehicle import Vehicle
+from tirefit.diagnosis.engine.left_out import jackknife_error
 from tirefit.vehicle.car import State
 from tirefit.vehicle.effects import Samples
 
@@ -93,3 +94,35 @@ def errors_without_slip(vehicle: Vehicle, windows: Measured, steps: Sequence[int
     y = summed(v_x * sin + sideways * cos, windows.start.y)
     a_y = np.gradient(sideways, 1 / rate, axis=1) + v_x * yaw
     return errors_of(State(sideways, yaw, heading, x, y), a_y, windows, steps)
+
+
+_BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
+FEWEST = 16
+"""Smallest number of starts for a ratio, and for a horizon at which models are compared."""
+
+
+class Fans(NamedTuple):
+    """Measured and predicted ``x``, ``y`` [m], ``yaw_rate`` [rad/s] and ``a_y`` [m/s2]
+    of each window of a log, (w, k) at times (w, k) [s] after ``epoch``, NaN beyond its end."""
+
+    time: np.ndarray
+    measured: Mapping[str, np.ndarray]
+    predicted: Mapping[str, np.ndarray]
+    epoch: float = 0.0
+
+
+def turning(fans: Iterable[Fans], horizon: float) -> tuple[float, float] | None:
+    """Measured over predicted yaw rate at a horizon [s], by least squares over all starts, with
+    its standard error between parts of the starts; None with few starts or hardly any turning."""
+    pairs = []
+    for fan in fans:
+        step = round(horizon / float(fan.time[0, 1] - fan.time[0, 0]))
+        pairs.append([of["yaw_rate"][:, step] for of in (fan.measured, fan.predicted)])
+    true, predicted = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    there = np.isfinite(true) & np.isfinite(predicted)
+    if there.sum() < FEWEST or not np.any(predicted[there]):
+        return None
+    parts = np.array_split(np.flatnonzero(there), _BLOCKS)
+    products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
+    whole, left = products.sum(axis=0), products.sum(axis=0) - products
+    return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))

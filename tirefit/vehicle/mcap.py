@@ -12,7 +12,8 @@ from tirefit import __version__
 from tirefit.results import InputProblem, UsageError
 
 if TYPE_CHECKING:
-    from tirefit.vehicle.replay import Fans, Replay
+    from tirefit.vehicle.errors import Fans
+    from tirefit.vehicle.replay import Replay
 
 NAMES = {
     "x": "x_m",
@@ -60,11 +61,11 @@ def recorded(replay: "Replay") -> bytes:
     text = json.dumps(_SCHEMA).encode()
     schema = out.register_schema("tirefit.motion", well_known.SchemaEncoding.JSONSchema, text)
     for log, fans in replay.fans.items():
-        first = min(float(np.nanmin(fans.time)), 0.0)
+        base = fans.epoch - min(fans.epoch + float(np.nanmin(fans.time)), 0.0)
         for topic, time, rows in _channels(fans, replay.horizons):
             name = f"/{re.sub('[^A-Za-z0-9_]', '_', log)}/{topic}"
             channel = out.register_channel(name, well_known.MessageEncoding.JSON, schema)
-            for at, *values in zip(np.round((time - first) * _NANO), *rows, strict=True):
+            for at, *values in zip(np.round((time + base) * _NANO), *rows, strict=True):
                 pairs = zip(NAMES.values(), map(float, values), strict=True)
                 message = {key: value for key, value in pairs if np.isfinite(value)}
                 out.add_message(channel, int(at), json.dumps(message).encode(), int(at))

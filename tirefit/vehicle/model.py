@@ -276,6 +276,16 @@ def logged(channels: int, state: State, reading: Reading, v_x: jax.Array) -> jax
     return jnp.stack([state.heading - reading.sideslip, *place])
 
 
+def as_driven(start: jax.Array, reading: Reading, v_x: jax.Array) -> State:
+    """The state of which a log has the start state (s,): the inverse of :func:`logged`."""
+    v_y, yaw_rate, *place = start
+    heading, x, y = place or jnp.zeros(3)
+    heading = heading + reading.sideslip
+    v_y = v_y - reading.sideslip * v_x - reading.ahead * yaw_rate
+    x, y = x - reading.ahead * jnp.cos(heading), y - reading.ahead * jnp.sin(heading)
+    return State(v_y, yaw_rate, heading, x, y)
+
+
 @partial(jax.jit, static_argnums=0, compiler_options=BRIEF)
 def moved(
     channels: int,

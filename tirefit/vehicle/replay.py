@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -49,10 +49,12 @@ from tirefit.vehicle.diagnose import Steps
 from tirefit.vehicle.errors import (
     QUANTITIES,
     Errors,
+    Fans,
     Measured,
     errors_of,
     errors_without_slip,
     floor_of,
+    turning,
 )
 from tirefit.vehicle.mcap import recorded
 from tirefit.vehicle.windows import (
@@ -83,15 +85,7 @@ DRAWS = 24
 NOISES = 4
 """Number of draws of the noise of the log, for the floor."""
 _NORMAL_95 = 1.96
-
-
-class Fans(NamedTuple):
-    """Measured and predicted ``x``, ``y`` [m], ``yaw_rate`` [rad/s] and ``a_y`` [m/s2]
-    of each window of a log, (w, k) at times (w, k) [s], NaN beyond its end."""
-
-    time: np.ndarray
-    measured: Mapping[str, np.ndarray]
-    predicted: Mapping[str, np.ndarray]
+_AHEAD = 0.5  # horizon [s] at which models are compared; the nearest one is used
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,6 +121,18 @@ class Replay(Record):
         """The horizons that no window reaches."""
         off = [f"{h:g} s" for h, n in zip(self.horizons, self.windows, strict=True) if not n]
         return {Outcome.INCOMPLETE: f"no log has {' or '.join(off)} without a gap" if off else ""}
+
+    @property
+    def place(self) -> int:
+        """Number of the horizon at which models are compared."""
+        reached = self.horizons[: sum(count > 0 for count in self.windows)]
+        return int(np.argmin([abs(h - _AHEAD) for h in reached]))
+
+    @property
+    def turning(self) -> tuple[float, float] | None:
+        """Measured over predicted yaw rate with its standard error, see
+        :func:`tirefit.vehicle.errors.turning`."""
+        return turning(self.fans.values(), self.horizons[self.place])
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers, as in ``replay.json``."""
@@ -456,5 +462,6 @@ def _fans(
                 k: np.where(there, one[rows], np.nan)
                 for k, one in (states._asdict() | {"a_y": lateral}).items()
             },
+            log.epoch,
         )
     return fans

@@ -26,12 +26,14 @@ AT_BOUND = 6.0
 
 class Data(NamedTuple):
     """Windows: speed (w, k), steering (w, l + k) with its lead, logged channels
-    (w, k, c), NaN where they are not known, and start states (w, s)."""
+    (w, k, c), NaN where they are not known, and start states (w, s) with their standard
+    errors."""
 
     v_x: jax.Array
     steering: jax.Array
     logged: jax.Array
     start: jax.Array
+    std: jax.Array
 
 
 _BLOCKS = 40
@@ -58,18 +60,27 @@ def eliminated(
     by_z: jax.Array,
     by_start: jax.Array,
     noise: jax.Array,
+    off: jax.Array,
+    root: jax.Array,
     damping: jax.Array | float = 0.0,
 ) -> tuple[jax.Array, ...]:
     """The normal equations of z without the start states: score (w, p), information
     (w, p, p), and the terms of the step of each start: (w, s) and (w, s, p).
 
     A start state that the car forgets quickly is hardly determined; its steps are damped.
+
+    Args:
+        off: start states less measured ones, over their standard errors (w, s).
+        root: one over these standard errors (w, s).
     """
     w = len(missed)
     weight = 1 / noise[None, None]
     r = (missed * weight).reshape(w, -1)
     a = (by_z * weight[..., None]).reshape(w, r.shape[1], -1)
     b = (by_start * weight[..., None]).reshape(w, r.shape[1], -1)
+    r = jnp.concatenate([r, off], axis=1)
+    a = jnp.pad(a, ((0, 0), (0, off.shape[1]), (0, 0)))
+    b = jnp.concatenate([b, root[..., None] * jnp.eye(off.shape[1])[None]], axis=1)
     own = jnp.einsum("wms,wmt->wst", b, b)
     trace = jnp.trace(own, axis1=1, axis2=2)[:, None, None]
     eye = jnp.eye(own.shape[1])[None]
@@ -85,7 +96,8 @@ eliminate = jax.jit(eliminated)
 
 
 class Squares(NamedTuple):
-    """The squares of residuals over their noise (c,), and of z with the precision ``pull`` (p,).
+    """The squares of residuals over their noise (c,), of z with the precision ``pull`` (p,), and
+    of start states less ``measured`` (w, s) over ``std`` (w, s); infinite: they are free.
 
     ``run`` gives the residuals and their derivatives for z and the start states (w, s), as
     :func:`linearised` does.
@@ -94,13 +106,25 @@ class Squares(NamedTuple):
     run: Callable[[Any, Any], tuple[Values, ...]]
     noise: jax.Array
     pull: jax.Array
+    measured: Values | float = 0.0
+    std: Values | float = np.inf
 
-    def of(self, missed: Values) -> float:
-        """Those of the residuals (w, k, c) alone."""
-        return float(jnp.sum((missed / self.noise[None, None]) ** 2))
+    def held(self, starts: Values) -> tuple[jax.Array, jax.Array]:
+        """Start states less measured ones, over their standard errors, and one over these."""
+        root = jnp.broadcast_to(1 / jnp.asarray(self.std), starts.shape)
+        return root * (starts - self.measured), root
+
+    def of(self, missed: Values, starts: Values) -> float:
+        """Those of the residuals (w, k, c) and start states alone."""
+        off = self.held(starts)[0]
+        return float(jnp.sum((missed / self.noise[None, None]) ** 2) + jnp.sum(off**2))
 
     def at(self, end: "End") -> float:
-        return self.of(end.now[0]) + float(self.pull @ end.z**2)
+        return self.of(end.now[0], end.starts) + float(self.pull @ end.z**2)
+
+    def eliminated(self, end: "End", damping: float = 0.0) -> tuple[jax.Array, ...]:
+        """:func:`eliminated` at an end."""
+        return eliminate(*end.now, self.noise, *self.held(end.starts), damping)
 
     def begun(self, z: Values, starts: Values) -> "End":
         """Where a search begins."""
@@ -138,10 +162,11 @@ class _Windows:
         else:
             self.damping /= EASE
         now, pull = self.end.now, np.asarray(squares.pull)
-        score, information, self.step, self.tied = eliminate(*now, squares.noise, self.damping)
+        score, information, self.step, self.tied = squares.eliminated(self.end, self.damping)
         missed, _, by_start = now
         after = missed + jnp.einsum("wkcs,ws->wkc", by_start, self.step)
-        beside = squares.of(missed) - squares.of(after)
+        starts = self.end.starts
+        beside = squares.of(missed, starts) - squares.of(after, starts + self.step)
         normal = np.asarray(information.sum(axis=0)) + np.diag(pull)
         return Normal(cost, normal, np.asarray(score.sum(axis=0)) + pull * z, beside)
 
@@ -189,7 +214,7 @@ def left_to_gain(squares: Squares, end: End) -> float:
     """Share of the squares that one whole step of z would take off if the residuals were linear,
     without elements at a bound. A search that stops as no shorter step helps leaves more of it.
     """
-    score, information, *_ = eliminate(*end.now, squares.noise)
+    score, information, *_ = squares.eliminated(end)
     inside = np.abs(end.z) < AT_BOUND
     slope = (np.asarray(score.sum(axis=0)) + np.asarray(squares.pull * end.z))[inside]
     normal = np.asarray(information.sum(axis=0)) + np.diag(squares.pull)
@@ -197,13 +222,11 @@ def left_to_gain(squares: Squares, end: End) -> float:
     return float(gain) / squares.at(end)
 
 
-def sandwich(
-    missed: Values, by_z: Values, by_start: Values, noise: jax.Array, pull: jax.Array
-) -> tuple[np.ndarray, int, np.ndarray]:
+def sandwich(squares: Squares, end: End) -> tuple[np.ndarray, int, np.ndarray]:
     """Covariance (p, p) of z from the scores of blocks of windows; their number; and its
     diagonal over that for independent residuals (p,)."""
-    score, information, *_ = eliminate(missed, by_z, by_start, noise)
-    pull = jnp.maximum(pull, _LEAST_PRECISION)
+    score, information, *_ = squares.eliminated(end)
+    pull = jnp.maximum(squares.pull, _LEAST_PRECISION)
     inverse = np.linalg.inv(np.asarray(information.sum(axis=0)) + np.diag(pull))
     blocks = np.array_split(np.asarray(score), min(_BLOCKS, len(score)))
     sums = np.array([block.sum(axis=0) for block in blocks])

@@ -1,6 +1,7 @@
-"""Tires with which a search over trajectories begins."""
+"""Unknowns of a car, and tires, with which a search over trajectories begins."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,27 @@ from tirefit.fitting.source import GivenTire
 from tirefit.fitting.store import at_estimate
 from tirefit.models import MODELS
 from tirefit.vehicle.shooting import AT_BOUND
+
+
+class Unknown(NamedTuple):
+    """An unknown of the car."""
+
+    unit: str
+    prior: float  # standard error of a weak prior at zero; of a factor's logarithm
+    is_factor: bool
+    meaning: str
+
+
+UNKNOWNS = {
+    "yaw_inertia": Unknown("kg m2", 0.5, True, "about the cg"),
+    "cg_ahead": Unknown("m", 0.05, False, "than in vehicle.toml"),
+    "steering_ratio": Unknown("-", 0.3, True, "of wheel to map"),
+    "steering_offset": Unknown("rad", 0.1, False, "added to the angle"),
+    "steering_delay": Unknown("s", 0.1, False, "wheels after the log"),
+    "sideslip_zero": Unknown("rad", 0.05, False, "logged less the car's"),
+}
+"""Parameters that may be estimated with the tires; the prior of ``cg_ahead`` is a share of
+the wheelbase."""
 
 _ORDINARY_MU, _ORDINARY_SLOPE = 0.8, 8.0
 """Friction, and slope of force over load [1/rad], of an ordinary tire."""

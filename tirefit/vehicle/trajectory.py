@@ -1,10 +1,10 @@
 """Fit the tires and unknown parameters of a car to its trajectories: :func:`fit_trajectory`.
 
 A log is cut into windows. In each the car of :mod:`tirefit.vehicle.car` runs freely
-from a start state of its own; the tires of both axles, the unknowns of the car and all
-start states together minimise the squares of predicted less logged. Nothing is
-differentiated and nothing but the speed ahead is filtered, so that slow, noisy and
-quantised channels are as good as they are. The start states are eliminated window by
+from a start state of its own, which was measured: that of the filtered log, with the error that the
+noise of its channels causes. The tires of both axles, the unknowns of the car and all start
+states together minimise the squares of predicted less logged, and of start states less measured.
+The start states are eliminated window by
 window (a Schur complement); the covariance of the rest is the sandwich of the scores of
 blocks of windows, which holds where residuals are correlated within a block.
 """
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -38,10 +38,11 @@ from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import Values, constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
-from tirefit.vehicle.car import Car, State, car_of, delayed, predicted, steps_a_sample
+from tirefit.vehicle.car import Car, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.effects import Reading
-from tirefit.vehicle.model import logged
+from tirefit.vehicle.model import as_driven, logged
 from tirefit.vehicle.shooting import (
+    AT_BOUND,
     Data,
     Squares,
     left_to_gain,
@@ -50,7 +51,7 @@ from tirefit.vehicle.shooting import (
     profile_ends,
     sandwich,
 )
-from tirefit.vehicle.start import started, within
+from tirefit.vehicle.start import UNKNOWNS, started, within
 from tirefit.vehicle.windows import (
     CHANNELS,
     cut_in_windows,
@@ -59,27 +60,6 @@ from tirefit.vehicle.windows import (
     steering_problems,
 )
 
-
-class Unknown(NamedTuple):
-    """An unknown of the car."""
-
-    unit: str
-    prior: float  # standard error of a weak prior at zero; of a factor's logarithm
-    is_factor: bool
-    meaning: str
-
-
-UNKNOWNS = {
-    "yaw_inertia": Unknown("kg m2", 0.5, True, "about the cg"),
-    "cg_ahead": Unknown("m", 0.05, False, "than in vehicle.toml"),
-    "steering_ratio": Unknown("-", 0.3, True, "of wheel to map"),
-    "steering_offset": Unknown("rad", 0.1, False, "added to the angle"),
-    "steering_delay": Unknown("s", 0.1, False, "wheels after the log"),
-    "sideslip_zero": Unknown("rad", 0.05, False, "logged less the car's"),
-}
-"""Parameters that may be estimated with the tires; the prior of ``cg_ahead`` is a share of
-the wheelbase."""
-
 WINDOW = 0.5
 """Length [s] of a window."""
 _SHAPES = "brush", "brush-d", "magic-formula"  # to compare where the peak is not reached
@@ -87,6 +67,7 @@ _ROUNDS = 3  # times that the noise of the channels is estimated again
 _LEFT = 1e-3
 """Share of the squares that one more step may promise where a search has converged: 1e-9 on the
 f1tenth car, 0.15 where start states and tires explain the same."""
+_FAR = 3.0  # standard errors of its prior from which the value of an unknown is reported
 _MOST_SLIPS = 99.5
 """Percentile of the derived slip angles that counts as their largest: few are errors."""
 
@@ -101,6 +82,8 @@ class TrajectoryFit(Record):
         noise: channel -> rms of predicted - logged, used as its noise.
         windows: number of windows; ``blocks`` of them are independent.
         vehicle: with what was found of it.
+        strained: unknowns that end further from their usual value than three standard errors
+            of their prior.
         converged: whether the search ended where one more step promises less than 0.1 % of the
             squares.
         axles: ``front``, ``rear`` -> the tire with its uncertainty and the content of a
@@ -118,6 +101,7 @@ class TrajectoryFit(Record):
     windows: int
     blocks: int
     vehicle: Vehicle
+    strained: tuple[str, ...]
     converged: bool
     axles: Mapping[str, GivenTire] = field(default_factory=dict)
     rows: Mapping[str, TireData] = field(default_factory=dict)
@@ -150,7 +134,12 @@ class TrajectoryFit(Record):
             f"{Outcome.SHAPE_DEPENDENT}: the slip angles reach {', '.join(below)} of the peak;"
             f" compare with {' and '.join(others)}"
         )
+        strained = (
+            f"{', '.join(self.strained)} far from any usual value: an effect that is not fitted,"
+            " such as a lag of the steering, acts in its place, and may in that of the tires"
+        )
         return {
+            Outcome.SYSTEMATIC_MISFIT: strained if self.strained else "",
             Outcome.SHAPE_DEPENDENT: shape if below else "",
             Outcome.NOT_CONVERGED: "" if self.converged else "the search did not converge",
             Outcome.NOT_IDENTIFIED: loose and f"these logs do not determine {loose}",
@@ -166,6 +155,7 @@ class TrajectoryFit(Record):
                 "windows": self.windows,
                 "blocks": self.blocks,
                 "converged": self.converged,
+                "strained": self.strained,
                 "parameters": {k: asdict(v) for k, v in self.parameters.items()},
                 "noise": dict(self.noise),
                 "vehicle": self.vehicle.model_dump(),
@@ -315,26 +305,28 @@ class _Problem:
         steering = delayed(window.steering, delay / step)[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
-        whole = jnp.concatenate([start, jnp.zeros(5 - len(start))])
-        states = predicted(self.car(z), State(*whole), window.v_x, steering, step, parts)
         # The log is for the point at which the centre of gravity was assumed.
         ahead = -self.unknown(z, "cg_ahead")
         reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
+        first = as_driven(start, reading, window.v_x[0])
+        states = predicted(self.car(z), first, window.v_x, steering, step, parts)
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
     def solved(self, rows: Mapping[str, TireData], tell: Callable[..., None]) -> TrajectoryFit:
         tell(0.1, "compiling")
-        squares = Squares(self.run, jnp.ones(len(self.names)), self.pulls())
+        data = self.data
+        ones = jnp.ones(len(self.names))
+        squares = Squares(self.run, ones, self.pulls(), data.start, data.std)
         end = squares.begun(jnp.asarray(self.z), jnp.asarray(self.data.start))
         for k in range(_ROUNDS):
             tell(0.15 + 0.1 * k, f"search {k + 1} of {_ROUNDS}, {len(self.data.v_x)} windows")
             squares = squares._replace(noise=jnp.sqrt(jnp.mean(end.now[0] ** 2, axis=(0, 1))))
             end = minimised_inside(squares, end)
-        at, (missed, by_z, by_start) = np.asarray(end.z), end.now
-        free = self.data.start.size + len(at)
-        count = missed.shape[0] * missed.shape[1]
-        noise = jnp.sqrt(jnp.sum(missed**2, axis=(0, 1)) / max(count - free / len(self.names), 1))
-        covariance, blocks, widened = sandwich(missed, by_z, by_start, noise, squares.pull)
+        at, missed = np.asarray(end.z), end.now[0]
+        count = missed.shape[0] * missed.shape[1] - len(at) / len(self.names)
+        noise = jnp.sqrt(jnp.sum(missed**2, axis=(0, 1)) / max(count, 1))
+        squares = squares._replace(noise=noise)
+        covariance, blocks, widened = sandwich(squares, end)
         std, reach = np.sqrt(np.diag(covariance)), stdtrit(max(blocks - 1, 1), 0.975)
         ends, car = at + reach * np.outer((-1, 1), std), self.car(at)
         # Profiles of a search that stopped short would begin at no minimum.
@@ -344,7 +336,7 @@ class _Problem:
                 for e in range(*self.first[k : k + 2]):
                     level = reach**2 * widened[e]
                     tell(0.4 + 0.5 * e / self.first[-1], f"interval of parameter {e + 1}")
-                    ends[:, e] = profile_ends(squares._replace(noise=noise), end, e, std[e], level)
+                    ends[:, e] = profile_ends(squares, end, e, std[e], level)
         found = self.estimates(at, std, ends)
         axles = {
             axle: self.axle(k, axle, at, covariance, found, rows[axle])
@@ -358,10 +350,15 @@ class _Problem:
             len(self.data.v_x),
             blocks,
             self.found_vehicle(found),
+            tuple(n for n, far in zip(self.unknowns, self.strain(at), strict=True) if far > _FAR),
             converged,
             axles,
             rows,
         )
+
+    def strain(self, z: np.ndarray) -> np.ndarray:
+        """Distance of each unknown from its usual value, in standard errors of its prior."""
+        return np.abs(z * np.sqrt(self.pulls()))[self.first[-1] :]
 
     def pulls(self) -> jax.Array:
         """Precision (p,) of the weak priors of the unknowns at zero."""
@@ -380,7 +377,7 @@ class _Problem:
             low, high = sorted(float(natural(end)) for end in ends[:, k])
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
             value, error = float(natural(z[k])), float(slope * std[k])
-            known = bool(identified(low, high))
+            known = bool(identified(low, high) and abs(z[k]) < AT_BOUND)
             found[name] = Estimate(value, error, unit, (low, high), known)
 
         for axle, layout in enumerate(self.layouts):

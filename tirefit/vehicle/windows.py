@@ -18,7 +18,14 @@ from tirefit.data.readers.remote import file_at
 from tirefit.data.table import TireData
 from tirefit.data.vehicle.contradictions import compare
 from tirefit.data.vehicle.derive import name_problems, names_of_runs, run_name
-from tirefit.data.vehicle.motion import Motion, not_ahead, read_motion, road_wheel, slip_and_force
+from tirefit.data.vehicle.motion import (
+    Motion,
+    not_ahead,
+    read_motion,
+    road_wheel,
+    slip_and_force,
+    with_noise,
+)
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
@@ -44,6 +51,7 @@ class CutLog(NamedTuple, Generic[Piece]):
     missing: tuple[str, ...] = ()  # see :class:`tirefit.data.vehicle.track.Track`
     path: str = ""
     sha256: str = ""
+    epoch: float = 0.0  # see ``Track``
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
@@ -104,7 +112,13 @@ def cut_logs(
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
             found[run_name(file)] = CutLog(
-                motion, windows, names_of_runs(file, track), track.missing, str(file), track.sha256
+                motion,
+                windows,
+                names_of_runs(file, track),
+                track.missing,
+                str(file),
+                track.sha256,
+                track.epoch,
             )
     DataError.raise_for(problems)
     return found
@@ -175,6 +189,8 @@ def _summed(values: np.ndarray) -> np.ndarray:
 _LEAD = 0.3
 """Time [s] of steering before a window, for its delay beyond the stated one."""
 
+_EXACT = 1e-9  # smallest standard error of a state, of a log without noise
+
 CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
 """Names of the logged channels of a log of rates, and of one of poses."""
 
@@ -186,7 +202,8 @@ def windows_of(
     rate = vehicle.filter.sample_rate
     stated = vehicle.steering.delay if vehicle.steering else 0.0
     count, lead = round(window * rate) + 1, round((_LEAD + stated) * rate)
-    logged, state, command = logged_channels(track, motion, vehicle)
+    logged, command = logged_channels(track, motion, vehicle)
+    state = states_of(motion, vehicle)
     steering = road_wheel(replace(motion, command=command), vehicle)
     good = motion.settled & (motion.v_x > vehicle.v_min)
     good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
@@ -199,7 +216,10 @@ def windows_of(
         return None
     rows = np.array(starts)[:, None] + np.arange(-lead, count)
     own = rows[:, lead:]
-    cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]]
+    # The noise of the log, through its filter.
+    noisy = states_of(with_noise(track, motion, vehicle, np.random.default_rng(0)), vehicle)
+    std = np.tile(np.std((noisy - state)[good], axis=0) + _EXACT, (len(own), 1))
+    cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]], std
     return Data(*map(jnp.asarray, cut)), own
 
 
@@ -218,9 +238,9 @@ def cut_in_windows(
 
 def logged_channels(
     track: Track, motion: Motion, vehicle: Vehicle
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values of the log for the centre of gravity, on the grid, unfiltered: channels
-    (n, c), start states (n, s), and the steering command (n,), without the stated delay."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values of the log for the centre of gravity, on the grid, unfiltered: channels (n, c),
+    and the steering command (n,), without the stated delay."""
     names = [channel.quantity for channel in track.channels]
     raw = {
         name: np.interp(motion.time, track.time, track.signals[:, k])
@@ -237,12 +257,18 @@ def logged_channels(
         cos, sin = np.cos(yaw), np.sin(yaw)
         place = raw["x"] + ahead * cos - left * sin, raw["y"] + ahead * sin + left * cos
         logged = np.column_stack([yaw, *place])
-        state = np.column_stack([motion.v_y, motion.yaw_rate, logged])
-        return logged, state, command
+        return logged, command
     cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
     v_y = cos * raw["v_y"] + sin * raw["v_x"] + ahead * raw["yaw_rate"]
     logged = np.column_stack([v_y, raw["yaw_rate"]])
-    return logged, np.column_stack([motion.v_y, motion.yaw_rate]), command
+    return logged, command
+
+
+def states_of(motion: Motion, vehicle: Vehicle) -> np.ndarray:
+    """States (n, s) of the centre of gravity as measured, filtered: the first of
+    :class:`tirefit.vehicle.car.State`."""
+    place = [motion.heading, motion.x, motion.y] if vehicle.columns.motion == POSE else []
+    return np.column_stack([motion.v_y, motion.yaw_rate, *place])
 
 
 _MOST_SAMPLES = 4000

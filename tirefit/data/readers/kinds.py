@@ -141,5 +141,5 @@ def _of_channels(
     return Table(
         str(path), stem_of(path), headers, cells, np.arange(1, n + 1), np.zeros(n, bool),
         units_row=units if any(units) else None, sha256=digest, notes=channels.notes,
-        layout=Layout(units_from=units_from),
+        layout=Layout(units_from=units_from), epoch=channels.epoch,
     )  # fmt: skip

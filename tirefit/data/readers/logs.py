@@ -228,7 +228,8 @@ def on_one_clock(
             f"interpolated to the clock of the others, no further than {_GAP:g} of"
             f" their own samples apart: {', '.join(moved)}"
         )
-    return Channels(columns, {n: text for n, text in units.items() if text}, (*notes,))
+    known = {n: text for n, text in units.items() if text}
+    return Channels(columns, known, (*notes,), float(base[0]))
 
 
 def _moved(signal: Signal, base: np.ndarray) -> np.ndarray:

@@ -35,6 +35,7 @@ class Channels(NamedTuple):
     columns: dict[str, Any]  # name -> (n,) numbers or n texts
     units: dict[str, str]  # stated units, by name
     notes: tuple[str, ...]  # assumptions, and what was left out
+    epoch: float = 0.0  # the file's time [s] where its column ``time`` is 0
 
 
 class _Opaque(NamedTuple):

@@ -65,6 +65,7 @@ class Table:
     doubts: tuple[str, ...] = ()  # warnings on content that may have another meaning
     constants: Mapping[str, float] = field(default_factory=dict)  # see ``Source``
     commas: bool = False  # whether a comma is the decimal mark
+    epoch: float = 0.0  # the file's time [s] where its column ``time`` is 0
 
 
 def read_bytes(path: Place) -> bytes:

@@ -118,9 +118,10 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         if channel.quantity == "yaw":
             there = np.isfinite(values)
             values[there] = np.unwrap(values[there]) + vehicle.yaw_offset
+    epoch = float(time[fresh][0]) + (table.epoch if clock.header == "time" else 0.0)
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
-        max_gap, float(time[fresh][0]), len(table.lines), dropped, table.sha256,
+        max_gap, epoch, len(table.lines), dropped, table.sha256,
         tuple(notes), run[fresh], runs, (*table.doubts, *([lacking] if lacking else [])),
     )  # fmt: skip
 
