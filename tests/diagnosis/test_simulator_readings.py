@@ -4,13 +4,14 @@ import json
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from tirefit.data.accept import as_data
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine.left_out import OWN_MODEL, SMOOTH
-from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.prepared import prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.structure import structures_of
 from tirefit.diagnosis.summary.result import rows_in_file_terms
@@ -30,10 +31,10 @@ def brush(alpha, load=LOAD, cpa2=CPA2, mu=MU):
     return np.sign(alpha) * limit * (3 * share - 3 * share**2 + share**3)
 
 
-def shown(simulated, load=LOAD):
+def shown(simulated, load=LOAD, speed=15.0):
     """Structures of simulated forces over the slip of this file."""
     load = np.broadcast_to(load, SLIP.shape)
-    data = {"time": TIME, "alpha": SLIP, "fz": load, "fy": brush(SLIP, load), "v": 15.0 + 0 * TIME}
+    data = {"time": TIME, "alpha": SLIP, "fz": load, "fy": brush(SLIP, load), "v": speed + 0 * TIME}
     table = as_data(data | {"fy_sim": simulated})
     return {one.id: one for one in structures_of(prepare(table, Rig(), ("fy",)))}
 
@@ -134,10 +135,48 @@ def test_an_own_lag_is_found():
     assert "150 ms" in shown(brush(late[::200]))["own_lag"].means
 
 
-@pytest.mark.parametrize("late", ["delay", "lag"])
-def test_rows_too_far_apart_for_an_own_delay_are_told(late):
-    """Every 8th row (0.4 s), of a delay or lag of 0.15 s; every row shows the lag of slips on
-    ramps (the other test has steps)."""
+def test_an_own_delay_is_found_between_rows_and_across_pauses():
+    """A delay of 2.4 rows, in a file of which every third second was left out."""
+    force, rows = brush(CubicSpline(TIME, SLIP)(TIME - 0.12)), TIME % 3.0 < 2.0
+    columns = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
+    table = as_data({k: x[rows] for k, x in (columns | {"fy_sim": force}).items()})
+    (found,) = structures_of(prepare(table, Rig(), ("fy",)))
+    assert found.id == "own_delay" and "120 ms late" in found.means
+
+
+def test_an_own_delay_is_looked_for_in_rows_that_follow_each_other():
+    """A thinned file has its rows 0.25 s apart, the measurement 0.05 s."""
+    columns = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
+    table = as_data(columns | {"fy_sim": brush(CubicSpline(TIME, SLIP)(TIME - 0.06))})
+    (found,) = structures_of(thinned(prepare(table, Rig(), ("fy",)), 48))
+    assert found.id == "own_delay" and "60 ms late" in found.means
+
+
+def test_an_own_relaxation_length_is_no_time_constant():
+    speed, late = 8.0 + 6.0 * np.sin(2 * np.pi * TIME / 5.0), SLIP.copy()
+    for k, v in enumerate(speed[1:], 1):  # of a slip that is linear between the rows
+        ways = 0.05 * v / 0.9
+        rise = SLIP[k] - SLIP[k - 1]
+        late[k] = SLIP[k] - rise / ways + (late[k - 1] - SLIP[k - 1] + rise / ways) * np.exp(-ways)
+    (found,) = shown(brush(late), speed=speed).values()
+    assert found.id == "own_relaxation" and "0.9 m" in found.means
+
+
+def test_a_force_without_slip_is_told():
+    assert list(shown(3000.0 * np.sin(3.1 * TIME))) == ["no_slip"]
+    shuffled = np.random.default_rng(5).permutation(brush(SLIP))
+    assert list(shown(shuffled)) == ["no_slip"]
+
+
+def test_the_zero_of_a_proportional_force_is_told():
+    assert "zero at a slip angle of 0.01" in shown(95e3 * (SLIP - 0.01))["no_saturation"].means
+    assert "zero at" not in shown(95e3 * SLIP)["no_saturation"].means
+
+
+@pytest.mark.parametrize(("late", "every"), [("delay", 10), ("lag", 8)])
+def test_rows_too_far_apart_for_an_own_delay_are_told(late, every):
+    """Every 10th row (0.5 s) of a delay, or 8th of a lag, of 0.15 s; every row shows the lag of
+    slips on ramps (the other test has steps)."""
     fine = np.arange(0, TIME[-1], 1e-3)
     slip = np.interp(fine, TIME, SLIP)
     if late == "delay":
@@ -149,9 +188,9 @@ def test_rows_too_far_apart_for_an_own_delay_are_told(late):
     force = brush(np.interp(TIME, fine, moved))
     assert list(shown(force)) == [f"own_{late}"]
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP), "fy_sim": force}
-    table = as_data({name: x[::8] for name, x in data.items()})
+    table = as_data({name: x[::every] for name, x in data.items()})
     (found,) = structures_of(prepare(table, Rig(), ("fy",)))
-    assert found.id == "own_time" and "rows 400 ms apart are too far apart" in found.means
+    assert found.id == "own_time" and f"rows {50 * every} ms apart are too far" in found.means
 
 
 def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
