@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.optimize import curve_fit
 from scipy.signal import lfilter
 
 from tirefit.data.accept import as_data
@@ -224,6 +225,26 @@ def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
     assert (own.gain, own.gain_std) == (both.gain, both.gain_std)
     written = json.loads(found.to_json())["simulator"]["readings"]
     assert written["structure"][0]["id"] == "no_saturation"
+
+
+@pytest.mark.long
+def test_a_parameter_differs_though_an_effect_changes_the_same_forces():
+    """Friction that rises with the speed takes over most of a wrong friction if that is the one
+    at rest; told is the plain brush, which SciPy fits to the same forces."""
+    speed, noise = 12.0 + 6.0 * np.sin(2 * np.pi * TIME / 9.0), np.random.default_rng(8)
+    rising = 1 + 0.4 * speed * np.abs(SLIP)  # with the sliding speed
+    measured = brush(SLIP, mu=0.6 * rising) + noise.normal(0, 20, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "v": speed, "fy": measured}
+    few = [e for e in EFFECTS if e.id in ("friction_speed_linear", "slip_offset")]
+    rig = Rig(noise={"fy": 20.0})
+    found = diagnose(data, sim={"fy": brush(SLIP, mu=0.6)}, effects=few, rig=rig)
+    assert "friction_speed_linear" in found.verdict.helping
+    plain = curve_fit(lambda x, cpa2, mu: brush(x, cpa2=cpa2, mu=mu), SLIP, measured, (CPA2, MU))[0]
+    for name, expected in zip(("cpa2", "mu"), plain, strict=True):
+        change = found.verdict.parameters[name]
+        assert abs(change.measured - expected) < 2 * change.std < 0.2 * expected
+    assert found.verdict.parameters["mu"].differs
+    assert abs(found.simulator.readings.measured.parameters["mu"].value / plain[1] - 1) < 0.03
 
 
 def test_the_order_of_rows_changes_nothing():
