@@ -280,7 +280,10 @@ def readings_section(both: Readings, unit: str) -> Section:
         table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
     left = (format_number(s.rms_left_out, 3) if s else "-" for s in (both.simulator, both.measured))
     table.append((f"rms left out [{unit}]", *left))
-    lines = ["in brackets: probability of an effect to be the cause"] if any(sides) else []
+    lines = []
+    if any(sides):
+        lines += ["in brackets: probability of an effect to be the cause"]
+        lines += [f"parameters: of the {both.model} alone that is nearest to it with its effects"]
     for one in both.structure:
         lines += [f"{words.channel_name(one.channel)} of the simulator: {one.means}"]
         lines += [f"    to do: {one.remedy}"]

@@ -204,8 +204,11 @@ class Case(Concluded):
 
     @property
     def _left_out(self) -> np.ndarray:
-        """Those of the base without effects."""
-        return self.predicted.parameters[self.predicted.effects.index(())]
+        """Those of the set without its effects of the tire, or of none."""
+        out, fit = self.predicted, self.chosen
+        atoms = zip(fit.effects, (self.base.atoms[k] for k in fit.atoms), strict=True)
+        key = tuple(name for name, atom in atoms if atom.effect.of != "tire")
+        return out.parameters[out.effects.index(key if key in out.effects else ())]
 
     @cached_property
     def natural(self) -> tuple[np.ndarray, np.ndarray]:
