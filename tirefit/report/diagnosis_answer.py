@@ -220,9 +220,12 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         if own != of_it:
             parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
     else:
+        why = "So this model"
+        if both.gain <= both.gain_std:
+            why = "Neither is better; this model, without a stand-in for the simulator,"
         parts += [
             f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}.",
-            "So this model describes both, and the answer compares them.",
+            f"{why} describes both, and the answer compares them.",
             *_differences(result, both),
         ]
     return " ".join(parts)

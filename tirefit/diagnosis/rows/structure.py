@@ -167,8 +167,8 @@ def _own_time(prepared: Prepared, channel: str, name: str) -> Iterator[Structure
         remedy = "give more rows per second: all of the log and of the simulator"
         yield Structure("own_time", channel, means, remedy)
     elif plain > _NO_SLIP:
-        means = f"it does not follow the slip: at equal slip and load it differs by {plain:.0%} of"
-        means += " its size (rms)"
+        means = "it does not follow the slip: at equal slip and load it differs by"
+        means += f" {100 * plain:.0f} % of its size (rms)"
         remedy = "check that its rows are those of the measurement, in their order; if they are,"
         remedy += " as in a kinematic model, give the simulator a tire: fit a brush to the"
         yield Structure("no_slip", channel, means, remedy + " measured rows (tirefit fit)")
