@@ -250,9 +250,10 @@ def test_a_parameter_differs_though_an_effect_changes_the_same_forces():
 def test_the_order_of_rows_changes_nothing():
     noise = np.random.default_rng(5).normal(0, 40, len(SLIP))
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
-    data |= {"fy_sim": brush(SLIP, mu=1.3 * MU)}
+    data |= {"fy_sim": brush(SLIP, mu=1.3 * MU), "run": np.repeat(["log 2", "log 10"], 120)}
     few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
     order = np.random.default_rng(0).permutation(len(SLIP))
+    order = np.roll(order, -int(np.argmax(order >= 120)))  # begins with log 10
     plain, shuffled = (
         diagnose(rows, sim=True, effects=few, rig=Rig(noise={"fy": 40.0}))
         for rows in (data, {name: values[order] for name, values in data.items()})
