@@ -174,7 +174,7 @@ def _own_time(prepared: Prepared, channel: str, name: str) -> Iterator[Structure
         yield Structure("no_slip", channel, means, remedy + " measured rows (tirefit fit)")
 
 
-def _stretches(data: TireData) -> tuple[list[tuple[np.ndarray, ...]], float]:
+def _stretches(data: TireData) -> tuple[list[tuple[Any, Any, Any]], float]:
     """Rows of the same run that follow each other without a pause, their times [s] and the
     distance travelled [m] since the first of them, of :data:`_MOST_ROWS` at most; and the usual
     distance of the rows in time [s]."""
