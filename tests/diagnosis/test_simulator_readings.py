@@ -274,10 +274,11 @@ def test_a_surplus_effect_of_a_simulator_is_its_own():
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
     few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
     simulated = {"fy": brush(SLIP + 0.02, mu=1.2 * MU)}
-    both = diagnose(
-        data, sim=simulated, effects=few, rig=Rig(noise={"fy": 40.0})
-    ).simulator.readings
+    found = diagnose(data, sim=simulated, effects=few, rig=Rig(noise={"fy": 40.0}))
+    both = found.simulator.readings
     own = both.simulator
+    text = " ".join(diagnosis_text(found).split())
+    assert "measured forces do not show slip offset: take it out of the simulator" in text
     np.testing.assert_allclose(own.parameters["mu"].value, 1.2 * MU, rtol=0.005)
     np.testing.assert_allclose(own.parameters["cpa2"].value, CPA2, rtol=0.005)
     np.testing.assert_allclose(abs(own.effects["slip_offset"].value), 0.02, rtol=0.02)

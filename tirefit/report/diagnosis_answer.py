@@ -210,9 +210,16 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         for s in both.structure
     ]
     own_effects = both.simulator.effects if both.simulator else {}
-    likely = [_amount(e, x) for e, x in own_effects.items() if (x.probability or 0.0) >= _LIKELY]
+    likely = [e for e, x in own_effects.items() if (x.probability or 0.0) >= _LIKELY]
     if likely:
-        parts.append(f"The simulator's own forces show {words.listing(likely)}.")
+        shown = words.listing([_amount(e, own_effects[e]) for e in likely])
+        surplus = [words.name_of(e) for e in likely if e not in both.measured.effects]
+        parts.append(f"The simulator's own forces show {shown}.")
+        if surplus:
+            parts.append(
+                f"The measured forces do not show {words.listing(surplus, 'or')}: take it out of"
+                " the simulator."
+            )
     fitted = f"A {both.model} with effects, fitted to the measured rows, predicts rows left out to"
     fitted += f" {own} {unit}"
     if both.first == "changed":
