@@ -269,6 +269,32 @@ def test_the_order_of_rows_changes_nothing():
         np.testing.assert_array_equal(other[name], values[order], name)
 
 
+@pytest.mark.long
+def test_a_simulator_without_load_has_no_effect_of_the_load():
+    """It is described at one load: beside the varying one it would undo the load of the model."""
+    load, noise = LOAD * (1 + 0.3 * np.sin(TIME)), np.random.default_rng(9).normal(0, 40, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": load, "fy": brush(SLIP, load) + noise}
+    few = [e for e in EFFECTS if e.id in ("load_friction", "slip_offset")]
+    found = diagnose(data, sim={"fy": brush(SLIP)}, effects=few, rig=Rig(noise={"fy": 40.0}))
+    both = found.simulator.readings
+    assert [one.id for one in both.structure] == ["no_load"] and not both.simulator.effects
+    np.testing.assert_allclose(both.simulator.parameters["mu"].value, MU, rtol=0.005)
+
+
+@pytest.mark.long
+def test_where_both_readings_predict_alike_the_stand_in_is_not_told():
+    noise = np.random.default_rng(2).normal(0, 160, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
+    few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
+    sim, rig = {"fy": brush(SLIP, cpa2=0.9 * CPA2)}, Rig(noise={"fy": 160.0})
+    one, other = (
+        diagnose(data, model, sim=sim, effects=few, rig=rig).simulator.readings
+        for model in ("brush", "mf61")
+    )
+    assert abs(other.gain) <= other.gain_std and other.first == "described"
+    assert (one.simulator, one.measured) == (other.simulator, other.measured)
+
+
 def test_a_surplus_effect_of_a_simulator_is_its_own():
     noise = np.random.default_rng(4).normal(0, 40, len(SLIP))
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
