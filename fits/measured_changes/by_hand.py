@@ -43,14 +43,14 @@ def _late(rows: Table, name: str, delay: float) -> np.ndarray:
 def _slow(rows: Table, name: str, time: float) -> np.ndarray:
     """Change of a column by a first-order lag with a time constant [s]."""
     values = rows.columns[name]
-    slow = np.concatenate([_lag(values[part], time * RATE) for part in rows.runs])
+    slow = np.concatenate([_lag(values[part], time * RATE) for part in rows.parts])
     return (slow - values)[rows.kept]
 
 
 def _relaxed(rows: Table, length: float) -> np.ndarray:
     """Change of the slip angle by a first-order lag over a distance [m]."""
     slip, whole = rows.columns["alpha"], []
-    for part in rows.runs:
+    for part in rows.parts:
         way = np.cumsum(rows.columns["v"][part]) / RATE
         grid = np.arange(way[0], way[-1] + WAY, WAY)
         lagged = _lag(np.interp(grid, way, slip[part]), length / WAY)

@@ -22,6 +22,8 @@ from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.results import DataError
 
 DRIVES = {"free": Logs(("free",)), "later": Logs(("later",)), "f1tenth_a": Logs(("a",), every=10)}
+ON_REQUEST = {"others": Logs(("others",), every=20)}
+"""Drives that are run by name: rows on which a carcass could take the place of the stiffness."""
 HERE = Path(__file__).parent
 
 
@@ -129,7 +131,7 @@ def driven(name: str) -> tuple[TireData, Drive]:
     """A measured drive and its plain brush, or the one that is made."""
     if name == "made":
         return made_up()
-    made = table(DRIVES[name])
+    made = table((DRIVES | ON_REQUEST)[name])
     rows = data(made, name)
     fitted = tirefit.fit(rows, "brush").parameters
 
@@ -153,7 +155,13 @@ def judged(fault: Fault, drive: Drive, found: Diagnosis) -> dict:
     structures = {one.id: one for one in both.structure}
     truth = fault.factor * {"mu": drive.mu}.get(fault.parameter, drive.cpa2)
     own = both.simulator
-    right, size = True, ""
+    right, size, times = True, "", None
+    if fault.parameter in both.measured.parameters and own:
+        # What the answer compares: the simulator's parameter over the measured one.
+        here, there = (side.parameters[fault.parameter] for side in (both.measured, own))
+        times = there.value / here.value
+        error = times * np.hypot(here.std / here.value, there.std / there.value)
+        times = [round(float(times), 3), round(float(error), 3)]
     if fault.structure:
         right = fault.structure in structures
         if right and fault.parameter:
@@ -174,6 +182,7 @@ def judged(fault: Fault, drive: Drive, found: Diagnosis) -> dict:
         "right": bool(right),
         "said": fault.structure.startswith("own_") and "own_time" in structures,
         "size": round(float(size), 4) if size != "" else None,
+        "times_measured": times,
         "structure": sorted(structures),
         "own": {k: round(e.probability, 2) for k, e in own.effects.items()} if own else None,
         "first": both.first,
@@ -188,7 +197,7 @@ def main() -> None:
     """Runs the asked pairs and writes ``table.json``."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--drive", action="append", choices=[*DRIVES, "made"])
+    parser.add_argument("--drive", action="append", choices=[*DRIVES, *ON_REQUEST, "made"])
     parser.add_argument("--simulator", action="append", choices=[*SIMULATORS, *FAR])
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)

@@ -131,7 +131,9 @@ def test_parameters_and_sizes_are_those_of_the_mixture_of_the_sets():
     key, twin, blank = ("a",), ("t",), {"residual": np.zeros(3), "pull": np.zeros(3)}
     blank |= {"off": np.zeros(3), "columns": np.diag([10.0, 5.0, 2.0])}  # variances .01, .04, .25
     fits = {
-        k: bare(k, z=np.array([z, 3.0]), amplitude=np.full(len(k), 2.0), **blank)
+        k: bare(
+            k, atoms=(0,) * len(k), z=np.array([z, 3.0]), amplitude=np.full(len(k), 2.0), **blank
+        )
         for k, z in ((key, 1.0), (twin, 1.2), ((), 1.1))
     }
     base = SimpleNamespace(
@@ -144,9 +146,10 @@ def test_parameters_and_sizes_are_those_of_the_mixture_of_the_sets():
     verdict = Verdict(
         status=Status.NAMED, effects=key, key=key, probability=0.8, each=each, unlisted=0.1
     )
+    base.atoms = [SimpleNamespace(effect=SimpleNamespace(of="measurement"))]
     out = SimpleNamespace(
-        effects=(key,),
-        parameters=(np.array([[1, 3], [1, 3.5], [1, 2.5]]),),
+        effects=(key, ()),
+        parameters=(np.array([[1, 3], [1, 3.5], [1, 2.5]]), np.zeros((3, 2))),
         amplitude=(np.array([[2.0], [2.0], [2.0]]),),
     )
     weighed = SimpleNamespace(best_of=fits, log_weight={key: np.log(3), twin: 0.0, (): 9.0})

@@ -4,13 +4,15 @@ import json
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.optimize import curve_fit
 from scipy.signal import lfilter
 
 from tirefit.data.accept import as_data
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine.left_out import OWN_MODEL, SMOOTH
-from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.prepared import prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.structure import structures_of
 from tirefit.diagnosis.summary.result import rows_in_file_terms
@@ -30,10 +32,10 @@ def brush(alpha, load=LOAD, cpa2=CPA2, mu=MU):
     return np.sign(alpha) * limit * (3 * share - 3 * share**2 + share**3)
 
 
-def shown(simulated, load=LOAD):
+def shown(simulated, load=LOAD, speed=15.0):
     """Structures of simulated forces over the slip of this file."""
     load = np.broadcast_to(load, SLIP.shape)
-    data = {"time": TIME, "alpha": SLIP, "fz": load, "fy": brush(SLIP, load), "v": 15.0 + 0 * TIME}
+    data = {"time": TIME, "alpha": SLIP, "fz": load, "fy": brush(SLIP, load), "v": speed + 0 * TIME}
     table = as_data(data | {"fy_sim": simulated})
     return {one.id: one for one in structures_of(prepare(table, Rig(), ("fy",)))}
 
@@ -117,8 +119,9 @@ def test_a_parameter_far_away_is_found_and_told_as_what_it_means(changed):
 def test_a_refused_simulator_is_told_what_its_forces_show():
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
     late = brush(np.interp(TIME - 0.4, TIME, SLIP))
-    with pytest.raises(DataError, match="it follows the slip 400 ms late"):
+    with pytest.raises(DataError, match="it follows the slip 400 ms late") as caught:
         diagnose(data, "brush", sim={"fy": late})
+    assert "row order" not in str(caught.value)  # nothing is wrong with the column
 
 
 def test_an_own_lag_is_found():
@@ -134,10 +137,48 @@ def test_an_own_lag_is_found():
     assert "150 ms" in shown(brush(late[::200]))["own_lag"].means
 
 
-@pytest.mark.parametrize("late", ["delay", "lag"])
-def test_rows_too_far_apart_for_an_own_delay_are_told(late):
-    """Every 8th row (0.4 s), of a delay or lag of 0.15 s; every row shows the lag of slips on
-    ramps (the other test has steps)."""
+def test_an_own_delay_is_found_between_rows_and_across_pauses():
+    """A delay of 2.4 rows, in a file of which every third second was left out."""
+    force, rows = brush(CubicSpline(TIME, SLIP)(TIME - 0.12)), TIME % 3.0 < 2.0
+    columns = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
+    table = as_data({k: x[rows] for k, x in (columns | {"fy_sim": force}).items()})
+    (found,) = structures_of(prepare(table, Rig(), ("fy",)))
+    assert found.id == "own_delay" and "120 ms late" in found.means
+
+
+def test_an_own_delay_is_looked_for_in_rows_that_follow_each_other():
+    """A thinned file has its rows 0.25 s apart, the measurement 0.05 s."""
+    columns = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP)}
+    table = as_data(columns | {"fy_sim": brush(CubicSpline(TIME, SLIP)(TIME - 0.06))})
+    (found,) = structures_of(thinned(prepare(table, Rig(), ("fy",)), 48))
+    assert found.id == "own_delay" and "60 ms late" in found.means
+
+
+def test_an_own_relaxation_length_is_no_time_constant():
+    speed, late = 8.0 + 6.0 * np.sin(2 * np.pi * TIME / 5.0), SLIP.copy()
+    for k, v in enumerate(speed[1:], 1):  # of a slip that is linear between the rows
+        ways = 0.05 * v / 0.9
+        rise = SLIP[k] - SLIP[k - 1]
+        late[k] = SLIP[k] - rise / ways + (late[k - 1] - SLIP[k - 1] + rise / ways) * np.exp(-ways)
+    (found,) = shown(brush(late), speed=speed).values()
+    assert found.id == "own_relaxation" and "0.9 m" in found.means
+
+
+def test_a_force_without_slip_is_told():
+    assert list(shown(3000.0 * np.sin(3.1 * TIME))) == ["no_slip"]
+    shuffled = np.random.default_rng(5).permutation(brush(SLIP))
+    assert list(shown(shuffled)) == ["no_slip"]
+
+
+def test_the_zero_of_a_proportional_force_is_told():
+    assert "zero at a slip angle of 0.01" in shown(95e3 * (SLIP - 0.01))["no_saturation"].means
+    assert "zero at" not in shown(95e3 * SLIP)["no_saturation"].means
+
+
+@pytest.mark.parametrize(("late", "every"), [("delay", 10), ("lag", 8)])
+def test_rows_too_far_apart_for_an_own_delay_are_told(late, every):
+    """Every 10th row (0.5 s) of a delay, or 8th of a lag, of 0.15 s; every row shows the lag of
+    slips on ramps (the other test has steps)."""
     fine = np.arange(0, TIME[-1], 1e-3)
     slip = np.interp(fine, TIME, SLIP)
     if late == "delay":
@@ -149,9 +190,9 @@ def test_rows_too_far_apart_for_an_own_delay_are_told(late):
     force = brush(np.interp(TIME, fine, moved))
     assert list(shown(force)) == [f"own_{late}"]
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP), "fy_sim": force}
-    table = as_data({name: x[::8] for name, x in data.items()})
+    table = as_data({name: x[::every] for name, x in data.items()})
     (found,) = structures_of(prepare(table, Rig(), ("fy",)))
-    assert found.id == "own_time" and "rows 400 ms apart are too far apart" in found.means
+    assert found.id == "own_time" and f"rows {50 * every} ms apart are too far" in found.means
 
 
 def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
@@ -187,12 +228,33 @@ def test_a_linear_simulator_is_compared_by_descriptions_of_both(tmp_path):
     assert written["structure"][0]["id"] == "no_saturation"
 
 
+@pytest.mark.long
+def test_a_parameter_differs_though_an_effect_changes_the_same_forces():
+    """Friction that rises with the speed takes over most of a wrong friction if that is the one
+    at rest; told is the plain brush, which SciPy fits to the same forces."""
+    speed, noise = 12.0 + 6.0 * np.sin(2 * np.pi * TIME / 9.0), np.random.default_rng(8)
+    rising = 1 + 0.4 * speed * np.abs(SLIP)  # with the sliding speed
+    measured = brush(SLIP, mu=0.6 * rising) + noise.normal(0, 20, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "v": speed, "fy": measured}
+    few = [e for e in EFFECTS if e.id in ("friction_speed_linear", "slip_offset")]
+    rig = Rig(noise={"fy": 20.0})
+    found = diagnose(data, sim={"fy": brush(SLIP, mu=0.6)}, effects=few, rig=rig)
+    assert "friction_speed_linear" in found.verdict.helping
+    plain = curve_fit(lambda x, cpa2, mu: brush(x, cpa2=cpa2, mu=mu), SLIP, measured, (CPA2, MU))[0]
+    for name, expected in zip(("cpa2", "mu"), plain, strict=True):
+        change = found.verdict.parameters[name]
+        assert abs(change.measured - expected) < 2 * change.std < 0.2 * expected
+    assert found.verdict.parameters["mu"].differs
+    assert abs(found.simulator.readings.measured.parameters["mu"].value / plain[1] - 1) < 0.03
+
+
 def test_the_order_of_rows_changes_nothing():
     noise = np.random.default_rng(5).normal(0, 40, len(SLIP))
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
-    data |= {"fy_sim": brush(SLIP, mu=1.3 * MU)}
+    data |= {"fy_sim": brush(SLIP, mu=1.3 * MU), "run": np.repeat(["log 2", "log 10"], 120)}
     few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
     order = np.random.default_rng(0).permutation(len(SLIP))
+    order = np.roll(order, -int(np.argmax(order >= 120)))  # begins with log 10
     plain, shuffled = (
         diagnose(rows, sim=True, effects=few, rig=Rig(noise={"fy": 40.0}))
         for rows in (data, {name: values[order] for name, values in data.items()})
@@ -207,15 +269,42 @@ def test_the_order_of_rows_changes_nothing():
         np.testing.assert_array_equal(other[name], values[order], name)
 
 
+@pytest.mark.long
+def test_a_simulator_without_load_has_no_effect_of_the_load():
+    """It is described at one load: beside the varying one it would undo the load of the model."""
+    load, noise = LOAD * (1 + 0.3 * np.sin(TIME)), np.random.default_rng(9).normal(0, 40, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": load, "fy": brush(SLIP, load) + noise}
+    few = [e for e in EFFECTS if e.id in ("load_friction", "slip_offset")]
+    found = diagnose(data, sim={"fy": brush(SLIP)}, effects=few, rig=Rig(noise={"fy": 40.0}))
+    both = found.simulator.readings
+    assert [one.id for one in both.structure] == ["no_load"] and not both.simulator.effects
+    np.testing.assert_allclose(both.simulator.parameters["mu"].value, MU, rtol=0.005)
+
+
+@pytest.mark.long
+def test_where_both_readings_predict_alike_the_stand_in_is_not_told():
+    noise = np.random.default_rng(2).normal(0, 160, len(SLIP))
+    data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
+    few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
+    sim, rig = {"fy": brush(SLIP, cpa2=0.9 * CPA2)}, Rig(noise={"fy": 160.0})
+    one, other = (
+        diagnose(data, model, sim=sim, effects=few, rig=rig).simulator.readings
+        for model in ("brush", "mf61")
+    )
+    assert abs(other.gain) <= other.gain_std and other.first == "described"
+    assert (one.simulator, one.measured) == (other.simulator, other.measured)
+
+
 def test_a_surplus_effect_of_a_simulator_is_its_own():
     noise = np.random.default_rng(4).normal(0, 40, len(SLIP))
     data = {"time": TIME, "alpha": SLIP, "fz": LOAD + 0 * TIME, "fy": brush(SLIP) + noise}
     few = [e for e in EFFECTS if e.id in ("slip_offset", "kinetic_friction")]
     simulated = {"fy": brush(SLIP + 0.02, mu=1.2 * MU)}
-    both = diagnose(
-        data, sim=simulated, effects=few, rig=Rig(noise={"fy": 40.0})
-    ).simulator.readings
+    found = diagnose(data, sim=simulated, effects=few, rig=Rig(noise={"fy": 40.0}))
+    both = found.simulator.readings
     own = both.simulator
+    text = " ".join(diagnosis_text(found).split())
+    assert "measured forces do not show slip offset: take it out of the simulator" in text
     np.testing.assert_allclose(own.parameters["mu"].value, 1.2 * MU, rtol=0.005)
     np.testing.assert_allclose(own.parameters["cpa2"].value, CPA2, rtol=0.005)
     np.testing.assert_allclose(abs(own.effects["slip_offset"].value), 0.02, rtol=0.02)

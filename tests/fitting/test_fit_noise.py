@@ -69,6 +69,9 @@ def test_a_direction_without_information_is_ignored():
     scores[:, 0] = np.random.default_rng(2).standard_normal(100)
     assert effective_inflation(scores, np.zeros(100, int), None) == 1.0
     assert effective_inflation(np.zeros((100, 2)), np.zeros(100, int), None) == 1.0
+    runs = np.repeat(np.arange(10), 10)  # enough of them to compare their sums
+    assert effective_inflation(scores, runs, None) == effective_inflation(scores[:, :1], runs, None)
+    assert effective_inflation(np.zeros((100, 2)), runs, None) == 1.0
 
 
 def test_robust_scale_ignores_outliers():

@@ -610,6 +610,14 @@ def test_the_error_of_a_simulator_is_reported_by_part():
     size = format_number(float(used), 2)
     words = [f"no friction limit below {size} F_z in these rows (set mu to 50)"]
     assert change_texts(slides_never) == words
+    slow = far._replace(simulated=4e4 / 57.3, measured=4e4, std=400.0)
+    (text,) = change_texts(simulated(changes={"cpa2": slow}))
+    assert text == "stiffness 57 times too low, as if it were per degree (set cpa2 to 40000)"
+    # A simulator that is known by its forces has no scaling factors.
+    half, tir = far._replace(simulated=1.0, measured=0.5, std=0.01), found.simulator
+    for kind, todo in (("columns", "multiply it by 0.5"), ("tir", "set LKY to 0.5")):
+        given = simulated(changes={"LKY": half}, simulator=tir._replace(kind=kind))
+        assert change_texts(given) == [f"LKY 100.0 ± 4.0 % too high ({todo})"]
     details = flat(diagnosis_text(found, full=True))
     assert "cpa2 [N] 50000 51000 ± 900 no" in details and "mu [-] 0.981" in details
 

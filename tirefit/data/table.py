@@ -1,6 +1,7 @@
 """The checked, canonical data that every fit reads: :class:`TireData`."""
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple
@@ -170,19 +171,32 @@ class TireData(Displayed):
         return replace(self, used=self.used & rows)
 
     def in_order(self) -> "TireData":
-        """The same data, sorted by run, and by time within each run; unchanged without time."""
-        order = np.lexsort((self["time"], self.run)) if "time" in self else np.arange(len(self))
-        if np.array_equal(order, np.arange(len(self))):
+        """The same data, sorted by run, in the order of the runs' names (numbers by size), and by
+        time within each run; unchanged without time."""
+        if "time" not in self:
+            return self
+        ranked = sorted(range(len(self.runs)), key=lambda k: _natural(self.runs[k]))
+        run = np.argsort(ranked)[self.run]
+        order = np.lexsort((self["time"], run))
+        if np.array_equal(order, np.arange(len(self))) and np.array_equal(run, self.run):
             return self
         columns = {name: values[order] for name, values in self.columns.items()}
         line = None if self.source.line is None else self.source.line[order]
-        source = replace(self.source, line=line, place=order)
-        used, run = self.used[order], self.run[order]
-        return replace(self, columns=columns, used=used, run=run, source=source)
+        paths = tuple(self.source.paths[k] for k in ranked) if self.source.paths else ()
+        source = replace(self.source, line=line, place=order, paths=paths)
+        runs = tuple(self.runs[k] for k in ranked)
+        return replace(
+            self, columns=columns, used=self.used[order], run=run[order], runs=runs, source=source
+        )
 
     def usable(self, column: str) -> np.ndarray:
         """The used rows of one column, shape (n_used,)."""
         return self.columns[column][self.used]
+
+
+def _natural(name: str) -> list[int | str]:
+    """A key that sorts names by their numbers, as log 2 before log 10."""
+    return [int(x) if x.isdecimal() else x for x in re.split(r"(\d+)", name)]
 
 
 def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list[str]]:

@@ -1,6 +1,7 @@
 """The answer of a diagnosis: the largest part of the error first, with its size and remedy; and
 the two readings of a simulator, its structure and both described by one model."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
@@ -154,7 +155,10 @@ def change_texts(result: Diagnosis) -> list[str]:
         if min(change.simulated, change.measured) > 0:
             ratio = change.simulated / change.measured
             error = ratio * change.std / change.measured
-            texts.append(_ratio_text(name, meaning, ratio, error, change.measured, used))
+            # A simulator that is known by its forces has none of the scaling factors.
+            is_columns = result.simulator is not None and result.simulator.kind == "columns"
+            todo = _set_text(name, change.measured, is_columns and name.startswith(("LM", "LK")))
+            texts.append(_ratio_text(name, meaning, ratio, error, todo, used))
         else:
             side = f"{'high' if off > 0 else 'low'} ({_set_text(name, change.measured)})"
             texts.append(f"{meaning} {format_estimate(abs(off), change.std)} too {side}")
@@ -168,22 +172,23 @@ def _used_friction(result: Diagnosis) -> float:
     return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
 
 
-def _set_text(name: str, measured: float) -> str:
+def _set_text(name: str, measured: float, is_factor: bool = False) -> str:
     """What to do about a parameter."""
     verb = "measured:" if name == SLOPE else f"set {name} to"  # the slope is no parameter
+    if is_factor:
+        verb = "multiply it by"
     return f"{verb} {format_number(measured, 3)}"
 
 
-def _ratio_text(
-    name: str, meaning: str, ratio: float, error: float, measured: float, used: float
-) -> str:
-    """A parameter that is ``ratio`` times the measured one, and its measured value; of a ratio
-    that is far from one what it means: up to the friction ``used``, there is no limit."""
-    todo = _set_text(name, measured)
+def _ratio_text(name: str, meaning: str, ratio: float, error: float, todo: str, used: float) -> str:
+    """A parameter that is ``ratio`` times the measured one, and what to do; of a ratio that is
+    far from one what it means: up to the friction ``used``, there is no limit."""
     if ratio > _MANY_TIMES and name in _FRICTION:
         return f"no friction limit below {format_number(used, 2)} F_z in these rows ({todo})"
     if ratio > _MANY_TIMES:
         return f"{meaning} more than {_MANY_TIMES:.0f} times too high ({todo})"
+    if name not in _FRICTION and abs(math.log(math.degrees(ratio))) < 0.1:  # 1/57 to a tenth
+        return f"{meaning} {1 / ratio:.0f} times too low, as if it were per degree ({todo})"
     share = format_estimate(100 * abs(ratio - 1), 100 * error)
     return f"{meaning} {share} % too {'high' if ratio > 1 else 'low'} ({todo})"
 
@@ -205,9 +210,16 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         for s in both.structure
     ]
     own_effects = both.simulator.effects if both.simulator else {}
-    likely = [_amount(e, x) for e, x in own_effects.items() if (x.probability or 0.0) >= _LIKELY]
+    likely = [e for e, x in own_effects.items() if (x.probability or 0.0) >= _LIKELY]
     if likely:
-        parts.append(f"The simulator's own forces show {words.listing(likely)}.")
+        shown = words.listing([_amount(e, own_effects[e]) for e in likely])
+        surplus = [words.name_of(e) for e in likely if e not in both.measured.effects]
+        parts.append(f"The simulator's own forces show {shown}.")
+        if surplus:
+            parts.append(
+                f"The measured forces do not show {words.listing(surplus, 'or')}: take it out of"
+                " the simulator."
+            )
     fitted = f"A {both.model} with effects, fitted to the measured rows, predicts rows left out to"
     fitted += f" {own} {unit}"
     if both.first == "changed":
@@ -215,9 +227,12 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         if own != of_it:
             parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
     else:
+        why = "So this model"
+        if both.gain <= both.gain_std:
+            why = "Neither is better; this model, without a stand-in for the simulator,"
         parts += [
             f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}.",
-            "So this model describes both, and the answer compares them.",
+            f"{why} describes both, and the answer compares them.",
             *_differences(result, both),
         ]
     return " ".join(parts)
@@ -237,7 +252,8 @@ def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
         error = ratio * np.hypot(own.std / own.value, simulated.std / simulated.value)
         if abs(ratio - 1) > _DIFFERS * error:
             used = _used_friction(result)
-            wrong.append(_ratio_text(name, name, ratio, float(error), own.value, used))
+            todo = _set_text(name, own.value)
+            wrong.append(_ratio_text(name, _SHORT.get(name, name), ratio, float(error), todo, used))
     if wrong:
         yield f"The simulator has {words.listing(wrong)}."
     lacks = [
@@ -274,7 +290,10 @@ def readings_section(both: Readings, unit: str) -> Section:
         table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
     left = (format_number(s.rms_left_out, 3) if s else "-" for s in (both.simulator, both.measured))
     table.append((f"rms left out [{unit}]", *left))
-    lines = ["in brackets: probability of an effect to be the cause"] if any(sides) else []
+    lines = []
+    if any(sides):
+        lines += ["in brackets: probability of an effect to be the cause"]
+        lines += [f"parameters: of the {both.model} alone that is nearest to it with its effects"]
     for one in both.structure:
         lines += [f"{words.channel_name(one.channel)} of the simulator: {one.means}"]
         lines += [f"    to do: {one.remedy}"]

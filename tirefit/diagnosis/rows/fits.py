@@ -235,13 +235,17 @@ def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> Non
             force, measured = prepared.column(f"{c}_sim"), prepared.observed[c]
             varies = np.ptp(force) > 0 and np.ptp(measured) > 0
             along = np.corrcoef(force, measured)[0, 1] if varies else 0.0
+            structures = structures_of(prepared)
+            remedies = [
+                f"the simulator's {x.channel} shows that {x.means}: {x.remedy}" for x in structures
+            ]
             if along < -0.8:  # a wrong sign of its slip gives the force the wrong sign
                 remedy = f"reverse the sign of {c}_sim: it is opposite to the measured {c}"
                 remedy += f" (correlation {along:.2f})"
-            for structure in structures_of(prepared):
-                remedy += f"; the simulator's {structure.channel} shows that {structure.means}"
-                remedy += f": {structure.remedy}"
-            raise unfit(prepared.data, reason, remedy)
+            # Another structure explains the misfit: column and base model are right.
+            if along < -0.8 or all(x.id in ("no_load", "own_time") for x in structures):
+                remedies.insert(0, remedy)
+            raise unfit(prepared.data, reason, "; ".join(remedies))
 
 
 Fitted = tuple[Tire, np.ndarray, np.ndarray]

@@ -2,12 +2,14 @@
 explains them does so to their last digits."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares, minimize_scalar
 
-from tirefit.data.table import CANONICAL
+from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.rows.noise import in_order
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -23,7 +25,15 @@ a structure, below which the simulator has that structure."""
 _AT_TOP = 0.999
 """Force over its largest above which it is clipped."""
 
-UNLIKE = ("no_saturation", "clipped", "steps")
+_NO_SLIP = 0.5  # scatter about a curve over the slip, over its size, of a force that has none
+
+_CONSTANTS = np.linspace(np.log(0.005), np.log(0.5), 25)
+"""Logarithms of the delays and time constants [s] that are tried."""
+
+_MOST_ROWS, _LEAST_ROWS = 6000, 20
+"""Numbers of consecutive rows in which a delay is looked for."""
+
+UNLIKE = ("no_saturation", "clipped", "steps", "no_slip")
 """Structures that no tire model of the library has: its parameters would mislead."""
 
 
@@ -62,6 +72,8 @@ def _structures(prepared: Prepared, channel: str, name: str) -> Iterator[Structu
             used = np.max(np.abs(force) / np.maximum(load, NONZERO))
             means = f"it is proportional to the {what}{of_load} ({steep:.4g} N{per}), so it has no"
             means += f" friction limit: here it uses up to {used:.2f} F_z"
+            if abs(offset) > _EXPLAINED * rms(force / scale):
+                means += f"; it is zero at a {what} of {-offset / slope:.3g}"
             remedy = "give the tire a friction limit: fit a brush to the measured rows"
             remedy += " (tirefit fit), and export it to the simulator"
             yield Structure("no_saturation", channel, means, remedy, steep)
@@ -98,7 +110,7 @@ def _structures(prepared: Prepared, channel: str, name: str) -> Iterator[Structu
         remedy = "give the simulator the load of each row, and a tire that depends on it"
         yield Structure("no_load", channel, "it does not depend on the load", remedy)
     if "time" in prepared.data:
-        yield from _own_time(prepared, channel, slip, force / load)
+        yield from _own_time(prepared, channel, name)
 
 
 def _clipped(slip: np.ndarray, share: np.ndarray) -> tuple[float, float] | None:
@@ -117,58 +129,95 @@ def _clipped(slip: np.ndarray, share: np.ndarray) -> tuple[float, float] | None:
     return None if rms(missed(found)) > _EXPLAINED * rms(share) else (top, float(found[0]))
 
 
-def _own_time(
-    prepared: Prepared, channel: str, slip: np.ndarray, share: np.ndarray
-) -> Iterator[Structure]:
-    """A delay or a time constant by which the force follows the slip."""
-    time, tried = prepared.column("time"), []
-    runs = in_order(time, prepared.run)
-    steps = np.concatenate([np.diff(time[rows]) for rows in runs])
-    if not len(steps):
-        return
-    logs = np.linspace(np.log(0.005), np.log(0.5), 25)  # of the constants that are tried [s]
-    for kind in ("delay", "lag", "ramp"):
+def _own_time(prepared: Prepared, channel: str, name: str) -> Iterator[Structure]:
+    """A delay, a time constant or a length by which the force follows the slip of this column;
+    or that the force does not follow the slip."""
+    data = prepared.data  # all rows: those of a thinned file are farther apart
+    slip, share = data.usable(name), data.usable(f"{channel}_sim") / data.usable("fz")
+    stretches, apart = _stretches(data)
+    speed, tried = np.abs(data.usable("v")) if "v" in data else np.zeros(1), []
+    varies = np.ptp(speed) > 0.1 * np.mean(speed)  # else a length is a time
+    for kind, moving in product(("delay", "lag", "ramp"), (False, True)):
+        if moving and (kind == "delay" or not varies):
+            continue
+        pace = float(np.median(speed)) if moving else 1.0
+        parts = [(slip[at], share[at], way if moving else time) for at, time, way in stretches]
 
-        def left(log: float, kind: str = kind) -> float:
-            return _scatter(_late(slip, time, runs, np.exp(log), kind), share)
+        def left(log: float, parts: Any = parts, kind: str = kind, pace: float = pace) -> float:
+            return _share_left(parts, float(np.exp(log)) * pace, kind)
 
-        near, step = min(logs, key=left), logs[1] - logs[0]
-        found = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
-        id = "own_delay" if kind == "delay" else "own_lag"
-        tried.append((found.fun, id, float(np.exp(found.x))))
-    least, id, constant = min(tried)
-    plain, apart = _scatter(slip, share), float(np.median(steps))
-    if least < _RATHER * plain:
-        late = f"{1000 * constant:.0f} ms"
-        how = f"{late} late" if id == "own_delay" else f"with a time constant of about {late}"
+        near, step = min(_CONSTANTS, key=left), _CONSTANTS[1] - _CONSTANTS[0]
+        best = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
+        tried.append((float(best.fun), moving, kind, float(np.exp(best.x)) * pace, pace))
+    least, moving, kind, constant, pace = min(tried)
+    plain = _scatter(slip, share) / max(rms(share), NONZERO)
+    id, how = "own_delay", f"{1000 * constant:.0f} ms late"
+    if moving:
+        id, how = "own_relaxation", f"over a relaxation length of about {constant:.2g} m"
+    elif kind != "delay":
+        id, how = "own_lag", f"with a time constant of about {1000 * constant:.0f} ms"
+    if least < _RATHER:
         remedy = "take this delay out of the simulator, unless the car has it too"
         remedy += " (see channel delay and relaxation length among the effects)"
         yield Structure(id, channel, f"it follows the slip {how}", remedy)
     # Four rows in a delay always show it; with fewer, a part of the scatter may be due to it.
-    elif least < 0.8 * plain and plain > _EXPLAINED * rms(share) and constant < 4.0 * apart:
-        means = "it may follow the slip with a delay or a lag, which rows"
-        means += f" {1000 * apart:.0f} ms apart are too far apart to show"
+    elif least < 0.8 and plain > _EXPLAINED and constant < 4.0 * apart * pace:
+        means = f"it may follow the slip {how}, which rows {1000 * apart:.0f} ms apart are too"
+        means += " far apart to show with certainty"
         remedy = "give more rows per second: all of the log and of the simulator"
         yield Structure("own_time", channel, means, remedy)
+    elif plain > _NO_SLIP:
+        means = "it does not follow the slip: at equal slip and load it differs by"
+        means += f" {100 * plain:.0f} % of its size (rms)"
+        remedy = "check that its rows are those of the measurement, in their order; if they are,"
+        remedy += " as in a kinematic model, give the simulator a tire: fit a brush to the"
+        yield Structure("no_slip", channel, means, remedy + " measured rows (tirefit fit)")
 
 
-def _late(
-    slip: np.ndarray, time: np.ndarray, runs: list[np.ndarray], constant: float, kind: str
-) -> np.ndarray:
-    """The slip after a "delay" or a first-order lag by this time constant [s]: a "lag" of a slip
-    that is constant from row to row, or that is a "ramp"."""
-    moved = np.array(slip, float)
+def _stretches(data: TireData) -> tuple[list[tuple[Any, Any, Any]], float]:
+    """Rows of the same run that follow each other without a pause, their times [s] and the
+    distance travelled [m] since the first of them, of :data:`_MOST_ROWS` at most; and the usual
+    distance of the rows in time [s]."""
+    time, run = data.usable("time"), data.run[data.used]
+    speed = np.abs(data.usable("v")) if "v" in data else np.zeros(len(time))
+    runs, found, count = in_order(time, run), [], 0
+    apart = float(np.median(np.concatenate([[0.0], *(np.diff(time[rows]) for rows in runs)])[1:]))
     for rows in runs:
-        if kind == "delay":
-            moved[rows] = np.interp(time[rows] - constant, time[rows], slip[rows])
-            continue
-        step, rise = np.diff(time[rows]), np.diff(slip[rows])
-        decay = np.exp(-step / constant)
-        added = (1 - decay) * slip[rows[1:]]
-        if kind == "ramp":
-            added += rise * (decay - (1 - decay) * constant / np.maximum(step, NONZERO))
-        for before, row, keep, more in zip(rows[:-1], rows[1:], decay, added, strict=True):
-            moved[row] = keep * moved[before] + more
+        pauses = np.flatnonzero(np.diff(time[rows]) > 1.5 * apart) + 1
+        for part in np.split(rows, pauses):
+            part = part[: _MOST_ROWS - count]
+            if len(part) >= 4:  # a cubic needs four
+                count += len(part)
+                way = np.cumsum(np.append(0.0, np.diff(time[part]) * speed[part[1:]]))
+                found.append((part, time[part] - time[part[0]], way))
+    return found, apart
+
+
+def _share_left(parts: list[Any], constant: float, kind: str) -> float:
+    """Scatter of forces about a curve over the slip after a delay or lag, over that without."""
+    kept = []
+    for slip, share, at in parts:
+        # What was before the first row is not known.
+        known = at > constant * (1.0 if kind == "delay" else 4.0)
+        kept.append((slip[known], share[known], _late(slip, at, constant, kind)[known]))
+    slip, share, moved = map(np.concatenate, zip(*kept, strict=True)) if kept else [np.zeros(0)] * 3
+    if len(slip) < _LEAST_ROWS:
+        return 1.0
+    return _scatter(moved, share) / max(_scatter(slip, share), NONZERO)
+
+
+def _late(slip: np.ndarray, at: np.ndarray, constant: float, kind: str) -> np.ndarray:
+    """The slip after a "delay" or a first-order lag by this constant in the unit of ``at``: a
+    "lag" of a slip that is constant from row to row, or that is a "ramp"."""
+    if kind == "delay":
+        return CubicSpline(at, slip)(at - constant)
+    step, moved = np.maximum(np.diff(at), NONZERO), np.array(slip)
+    decay = np.exp(-step / constant)
+    added = (1 - decay) * slip[1:]
+    if kind == "ramp":
+        added += np.diff(slip) * (decay - (1 - decay) * constant / step)
+    for row, (keep, more) in enumerate(zip(decay, added, strict=True)):
+        moved[row + 1] = keep * moved[row] + more
     return moved
 
 

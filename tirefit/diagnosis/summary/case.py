@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import softmax
 
 from tirefit.diagnosis.effects import NOISE_EFFECTS, Atom
-from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.engine import NONZERO, UNSEEN
 from tirefit.diagnosis.engine.decide import (
     POLICY,
     Status,
@@ -25,10 +25,12 @@ from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Search, Weighed
+from tirefit.diagnosis.rows.fits import refit
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base, on_rows
+from tirefit.padding import pad_rows
 
 
 class Untestable(NamedTuple):
@@ -135,11 +137,20 @@ class Concluded:
     def parameters(self) -> tuple[np.ndarray, np.ndarray]:
         """Parameters z (p,) of the base, averaged over the ``parts``, and their standard
         errors: at least those of the jackknife over the data left out."""
-        fits, p = [self.weighed.best_of[key] for key in self.parts], len(self.chosen.z)
-        variance = self.widening * np.array([np.diag(fit.covariance)[:p] for fit in fits])
-        chances = np.array([*self.parts.values()])
-        value, std = averaged(np.array([f.z for f in fits]), np.maximum(variance, 0.0), chances)
-        return value, np.maximum(std, jackknife_error(self.predicted.parameters[self._place]))
+        found = [self.alone(self.weighed.best_of[key]) for key in self.parts]
+        values, variances = (np.array(part) for part in zip(*found, strict=True))
+        variances = np.maximum(self.widening * variances, 0.0)
+        value, std = averaged(values, variances, np.array([*self.parts.values()]))
+        return value, np.maximum(std, jackknife_error(self._left_out))
+
+    def alone(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters z (p,) of a fit, and their variances."""
+        return fit.z, np.diag(fit.covariance)[: len(fit.z)]
+
+    @property
+    def _left_out(self) -> np.ndarray:
+        """Parameters z (parts, p) with each part of the data left out."""
+        return self.predicted.parameters[self._place]
 
     @property
     def _place(self) -> int:
@@ -173,6 +184,31 @@ class Case(Concluded):
             return ()
         of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
         return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)
+
+    def alone(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters z (p,) of the base without effects whose forces on these rows are nearest to
+        those of a fit with its effects of the tire, and their variances: effects that change the
+        same forces, as a carcass in series with a stiffness, leave a parameter beside them open."""
+        base, p = self.base, len(fit.z)
+        own = np.array([base.atoms[k].effect.of == "tire" for k in fit.atoms])
+        if not own.any():
+            return super().alone(fit)
+        forces = base.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude * own))
+        observed = {c: pad_rows(x, len(base.design.keep)) for c, x in forces.items()}
+        design = base.design._replace(observed=observed)
+        z = refit(base.tire, [(fit.z, ())], [()], design).z[0]
+        columns = base.columns_at(fit)
+        taken = np.linalg.lstsq(columns[:, :p], columns[:, p:] * own, rcond=UNSEEN)[0]
+        slopes = np.hstack([np.eye(p), taken])
+        return z, np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes)
+
+    @property
+    def _left_out(self) -> np.ndarray:
+        """Those of the set without its effects of the tire, or of none."""
+        out, fit = self.predicted, self.chosen
+        atoms = zip(fit.effects, (self.base.atoms[k] for k in fit.atoms), strict=True)
+        key = tuple(name for name, atom in atoms if atom.effect.of != "tire")
+        return out.parameters[out.effects.index(key if key in out.effects else ())]
 
     @cached_property
     def natural(self) -> tuple[np.ndarray, np.ndarray]:

@@ -396,8 +396,8 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple[Any, ...], np.ndarr
 
 
 def parameter_changes(case: Case) -> Mapping[str, Change]:
-    """The parameters of the simulator as given, and as measured, averaged over the sets of
-    effects that these data do not rule out; empty if a form was fitted."""
+    """The parameters of the simulator as given, and as measured by :meth:`Case.parameters`; empty
+    if a form was fitted."""
     layout, simulator = case.base.tire.layout, case.base.simulator
     if simulator is None:
         return {}

@@ -2,7 +2,7 @@
 the simulator's forces, by the same model with effects. A simulator that is far from the rows keeps
 its structure in every prediction of the first; the second does not need it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from tirefit.diagnosis.engine.left_out import OWN_MODEL, Step, closed_share, pre
 from tirefit.diagnosis.rows.fits import as_measured
 from tirefit.diagnosis.rows.prepared import Prepared, prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.structure import UNLIKE, structures_of
+from tirefit.diagnosis.rows.structure import UNLIKE, Structure, structures_of
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.result import Described, Diagnosis, Estimate, Readings
 from tirefit.models import TireInputs, forces
@@ -59,12 +59,15 @@ def with_readings(
     gain, error = float(gains.sum()), float(np.sqrt(len(gains)) * np.std(gains, ddof=1))
     structure = structures_of(whole)
     lacking = any(one.id in UNLIKE for one in structure)
-    itself = None if lacking else _of_simulator(whole, rig, study)
+    itself = None if lacking else _of_simulator(whole, rig, study, structure)
     first = out.as_given if out.as_given is not None else out.loss[:, out.effects.index(())]
     closed = closed_share(out.rows, left, first, floor_of(case.base, out))
     step = Step(OWN_MODEL, float(np.sqrt(share @ left)), *closed, gain, error)
+    # Where both predict alike, the one that does not depend on a stand-in for the simulator.
+    given = case.base.simulator
+    rough = given is not None and given.given.tire is None and given.stand_in != model
     both = Readings(
-        "described" if gain > error else "changed",
+        "described" if gain > (-error if rough else error) else "changed",
         gain,
         error,
         float(np.sqrt(share @ changed)),
@@ -79,10 +82,14 @@ def with_readings(
     return replace(result, ladder=ladder, simulator=simulator._replace(readings=both))
 
 
-def _of_simulator(whole: Prepared, rig: Rig, study: Callable[..., Any]) -> Described | None:
+def _of_simulator(
+    whole: Prepared, rig: Rig, study: Callable[..., Any], structure: Sequence[Structure]
+) -> Described | None:
     """The description of the simulator's own forces, which have next to no noise."""
     data = as_measured(whole.data, whole.channels)
     generator, noise, columns = np.random.default_rng(0), {}, dict(data.columns)
+    if any(one.id == "no_load" for one in structure):  # it has the same load in every row
+        columns["fz"] = np.full(len(data), np.mean(data.usable("fz")))
     for channel in whole.channels:
         noise[channel] = _EXACT * float(np.sqrt(np.nanmean(data.usable(channel) ** 2)))
         columns[channel] = columns[channel] + noise[channel] * generator.standard_normal(len(data))

@@ -190,7 +190,7 @@ def effective_inflation(scores: np.ndarray, run: np.ndarray, time: np.ndarray | 
     left, size, _ = np.linalg.svd(scores, full_matrices=False)
     known = size > 1e-8 * max(size.max(), 1e-300)
     # Also the directions of the parameters: the SVD is arbitrary for equal singular values.
-    directions = np.concatenate([left[:, known], scores], axis=1)
+    directions = np.concatenate([left[:, known], scores[:, np.any(scores, axis=0)]], axis=1)
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]
     freedom, largest = len(parts) - 1, 1.0
