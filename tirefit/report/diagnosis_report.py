@@ -27,7 +27,6 @@ from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, fragment, image_of, page, report_text, verdict_of, wrapped
 
 _LEAST = 0.005  # smallest probability of a candidate that is listed
-_SEEN = 0.5  # an effect with a lower probability of detection may be present unseen
 
 
 def diagnosis_text(result: Diagnosis, full: bool = False) -> str:
@@ -115,7 +114,6 @@ def _details(result: Diagnosis) -> list[Section]:
         Section("Where the gap lies", (), where),
         Section(title, candidates),
         Section(f"{of_changed}Parameters", (), _parameters(result)),
-        Section("Hard to tell on this data (forecast)", confused_lines(result)),
         Section("Also not testable", missing_lines(result)[1]),
         Section("Data and settings", list(_settings(result))),
     ]
@@ -159,26 +157,6 @@ def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
         after = format_number(result.extended_parameters.get(name))
         rows.append((f"{name} {units.get(name, '')}", format_number(value), after))
     return rows
-
-
-def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
-    """Sentences on effects that these rows would confuse with others, and on effects
-    that they would not detect at their usual amplitude."""
-    lines = [
-        f"{words.name_of(chance.effect)} of"
-        f" {words.amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
-        f" probability {chance.recognised:.2f}, else taken for"
-        f" {words.name_of(chance.taken_for)}"
-        for chance in sorted(result.forecast, key=lambda one: one.recognised)
-        if chance.taken_for and chance.seen >= max(_SEEN, chance.recognised / 0.75)
-    ]
-    unseen = [
-        words.name_of(chance.effect)
-        for chance in result.forecast
-        if chance.seen < _SEEN and chance.effect not in result.verdict.effects
-    ]
-    at_usual_size = f"not seen here at their usual size: {', '.join(unseen)}"
-    return lines[:most] + [at_usual_size] * bool(unseen)
 
 
 def _settings(result: Diagnosis) -> Iterator[str]:

@@ -165,13 +165,12 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
         return f"{format_number(force, 3)} {unit}{tail}"
 
     line = f"{where}: gap of {size(gap.rms)} rms beyond the noise"
-    closed = gap.net_closed
     if not (result.verdict.helping or result.simulator):
         return line
-    if not gap.resolvable or closed is None:
+    if not gap.resolvable or gap.closed is None:
         return f"{line}, too uncertain to say how much of it closes"
-    more = " or more" * (closed <= WORST)
-    share = words.closed_text(closed, gap.closed_ci, gap.energy_closed)
+    more = " or more" * (gap.closed <= WORST)
+    share = words.closed_text(gap.closed, gap.closed_ci)
     return (
         f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 % interval]: {share}"
     )

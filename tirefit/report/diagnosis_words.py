@@ -241,22 +241,15 @@ def share_text(share: float | None, ends: tuple[float | None, float | None] | No
     return f"{100 * share:.0f} % [{tail}]"
 
 
-def closed_text(
-    closed: float | None,
-    ends: tuple[float | None, float | None] | None = None,
-    energy: float | None = None,
-) -> str:
-    """The closed share of a gap with its interval, and that of its energy; ``-100 % or
-    worse`` if the effects double the gap or more."""
-    if closed is None:
-        return "-"
-    known = [closed, *(ends if ends and None not in ends else ())]
-    worse = [" or worse" * (share <= WORST) for share in known]
-    message, *more = (share_text(x) + tail for x, tail in zip(known, worse, strict=True))
-    message += f" [{', '.join(more)}]" * bool(more)
-    if energy is not None:
-        message += f", {100 * energy:.0f} %{worse[0]} of its energy"
-    return message
+def closed_text(closed: float, ends: tuple[float | None, float | None]) -> str:
+    """The closed share of a gap with its interval; ``-100 % or worse`` if the effects double the
+    gap or more."""
+    message, *more = (
+        share_text(share) + " or worse" * (share <= WORST)
+        for share in (closed, *ends)
+        if share is not None
+    )
+    return f"{message} [{', '.join(more)}]" if more else message
 
 
 def p_text(p: float, least: float = 1e-12) -> str:

@@ -28,6 +28,9 @@ from tirefit.results import Outcome
 UNKNOWN = "unknown"
 """The id of an effect that the library does not list."""
 
+NOT_WRITTEN = {"written": False}
+"""Metadata of a field that is not in the document."""
+
 
 class Status(StrEnum):
     """The conclusion of a diagnosis. It follows from two answers: which effects are
@@ -146,11 +149,11 @@ class Verdict:
     status: Status
     effects: tuple[str, ...] = ()
     acts_like: tuple[str, ...] = ()
-    key: Key = field(default=(), metadata={"written": False})
+    key: Key = field(default=(), metadata=NOT_WRITTEN)
     probability: float
     each: Mapping[str, Each] = field(default_factory=dict)
     also_possible: tuple[str, ...] = ()
-    unlisted: float
+    unlisted: float = field(metadata=NOT_WRITTEN)
 
 
 class Learned(NamedTuple):

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 
@@ -212,27 +212,14 @@ def _averaged(logs: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
     return logsumexp(logs, axis=axis) - np.log(count)
 
 
-class Beside:
-    """Further columns (m, q) beside a fit, whose coefficients have a normal prior of a common
-    size: the evidence of each size and the coefficients there."""
-
-    def __init__(self, columns: np.ndarray, fit: "Fit", sizes: np.ndarray = SIZES) -> None:
-        left = fit.remainder(columns)
-        values, self.ways = np.linalg.eigh(left.T @ left)
-        self.along = self.ways.T @ (left.T @ fit.remainder())
-        t = sizes[:, None] ** 2
-        curved = 1 + t * np.maximum(values, 0.0)
-        self.shrunk = t / curved  # variance (sizes, q) of each direction
-        self.log = 0.5 * np.sum(self.shrunk * self.along**2 - np.log(curved), axis=1)
-
-    def best(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (q,) and root (q, q) of their covariance, at the likeliest size."""
-        shrunk = self.shrunk[int(np.argmax(self.log))]
-        return self.ways @ (shrunk * self.along), self.ways * np.sqrt(shrunk)
-
-    def drawn(self, count: int, generator: np.random.Generator) -> np.ndarray:
-        """Draws (q, count) of the coefficients, of a size by its evidence each."""
-        sizes = generator.choice(len(self.log), count, p=softmax(self.log))
-        shrunk = self.shrunk[sizes].T
-        unit = generator.standard_normal(shrunk.shape)
-        return self.ways @ (shrunk * self.along[:, None] + np.sqrt(shrunk) * unit)
+def likeliest_beside(columns: np.ndarray, fit: "Fit") -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (q,) of further columns (m, q) beside a fit, and root (q, q) of their
+    covariance, for a normal prior of the likeliest of ``SIZES``."""
+    left = fit.remainder(columns)
+    values, ways = np.linalg.eigh(left.T @ left)
+    along = ways.T @ (left.T @ fit.remainder())
+    curved = 1 + SIZES[:, None] ** 2 * np.maximum(values, 0.0)
+    variances = SIZES[:, None] ** 2 / curved  # (sizes, q) of each direction
+    logs = 0.5 * np.sum(variances * along**2 - np.log(curved), axis=1)
+    variance = variances[int(np.argmax(logs))]
+    return ways @ (variance * along), ways * np.sqrt(variance)

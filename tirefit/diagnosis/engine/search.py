@@ -101,17 +101,6 @@ class Search:
         """The fit without effects."""
         return self.fits[()]
 
-    @cached_property
-    def score(self) -> dict[str, float]:
-        """Score of each effect at the base fit in standard errors: the largest one of its
-        variants."""
-        largest: dict[str, float] = {}
-        for k in self.subject.testable:
-            if self.gram[k, k] > UNSEEN:
-                z = float(self.scores[k] / np.sqrt(self.gram[k, k]))
-                largest[self.ids[k]] = max(largest.get(self.ids[k], 0.0), z, key=abs)
-        return largest
-
     def further(self, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Products, scores and columns of all atoms beside a fit."""
         return fit.further(self.subject.tangents(fit))

@@ -21,7 +21,7 @@ from tirefit.diagnosis.engine.decide import (
     floor_of,
     predictions,
 )
-from tirefit.diagnosis.engine.discrepancy import Beside
+from tirefit.diagnosis.engine.discrepancy import likeliest_beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Search, Weighed
@@ -236,8 +236,11 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     variance = np.einsum("mi,ij,mj->m", moved, fit.covariance[first:, first:], moved)
     smooth = np.zeros(len(variance))  # whitened; zero if the verdict explains all
     if case.verdict.unlisted > POLICY.likely or not case.verdict.key:
-        value, root = Beside(base.discrepancy.additive, fit).best()
-        shapes = beside(base, fit)
+        additive = base.discrepancy.additive
+        value, root = likeliest_beside(additive, fit)
+        # Less the part that parameters and amplitudes take over.
+        taken = fit.covariance @ (fit.columns.T @ additive)
+        shapes = base.plain_discrepancy.additive - columns @ taken
         smooth = shapes @ value
         variance = variance + np.sum((shapes @ root) ** 2, axis=1)
     deviation, forces = np.sqrt(np.maximum(variance, 0)), _both(case, at)
@@ -246,13 +249,6 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         gap = parts["extended"] - parts["base"] + smooth[part] * scale
         parts |= {"gap": gap, "gap_std": deviation[part] * scale}
     return forces
-
-
-def beside(base: Base, fit: Fit) -> np.ndarray:
-    """Whitened forces (m, q) of the smooth functions, less the part that the parameters and
-    amplitudes of a fit take over."""
-    taken = fit.covariance @ (fit.columns.T @ base.discrepancy.additive)
-    return base.plain_discrepancy.additive - base.columns_at(fit) @ taken
 
 
 def all_rows(

@@ -1,7 +1,7 @@
 """Build the document of a diagnosis and its rows."""
 
 import importlib.metadata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
-from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import Ladder, jackknife_error, sizes_by_group
 from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.rows.fits import missed_share
@@ -19,14 +18,8 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.case import Case, Concluded, all_rows, rows_of
-from tirefit.diagnosis.summary.closure import (
-    budgets_of,
-    closure_on_rows,
-    held_out,
-    parameter_changes,
-    plausible_forces,
-)
-from tirefit.diagnosis.summary.forecast import confusion, next_measurements
+from tirefit.diagnosis.summary.closure import budgets_of, gaps_of, held_out, parameter_changes
+from tirefit.diagnosis.summary.forecast import next_measurements
 from tirefit.diagnosis.summary.result import (
     Amplitude,
     Candidate,
@@ -84,20 +77,9 @@ def document_of(
     data, base, rig = whole.data, case.base, settings.rig or Rig()
     n, channels = base.rows.n, base.rows.channels
     rows, main = rows_of(case, base.measured), channels[0]
-    # Random numbers are drawn in this order: true forces, held-out data, budget.
-    truth = plausible_forces(case, generator)
+    # Random numbers are drawn in this order: held-out data, gaps, budget.
     held, ladder = held_out(case, holdout, rig, generator)
-
-    def closed(channel: str, after: np.ndarray) -> Shrinkage:
-        noise = base.noise[channel]
-        given = noise.std**2, base.rows.run, noise.inflation
-        return closure_on_rows(truth[channel], rows[channel]["base"], after, *given)
-
-    def closed_by(fit: Fit) -> Shrinkage:
-        at = base.measured
-        return closed(main, at.forces(fit.z, at.amplitudes(fit.atoms, fit.amplitude))[main])
-
-    gaps = {channel: _gap(case, closed(channel, rows[channel]["extended"])) for channel in rows}
+    gaps = {channel: _gap(case, gap) for channel, gap in gaps_of(case, generator).items()}
     budgets, curves = budgets_of(case, generator), look_curves(case)
     steps, reason = next_measurements(base, case.search, case.weighed, case.verdict)
     shown = shown_rows(base, rows[main])
@@ -108,7 +90,7 @@ def document_of(
     scores = np.split(null.residual[:, None] * null.jacobian, len(channels))
     inflations = [effective_inflation(part, base.rows.run, base.rows.time) for part in scores]
     scale, looks = np.asarray(base.design.scale[main])[:n], [curve.look for curve in curves]
-    others = parameter_changes(case), closed_by, scale, looks
+    others = parameter_changes(case), scale, looks
     layout, verdict = base.tire.layout, case.verdict
     # The parameters of a simulator may explain the whole gap.
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
@@ -172,17 +154,14 @@ def _first_values(values: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
 
 
-def _gap(case: Case, found: Shrinkage) -> Shrinkage:
+def _gap(case: Case, gap: Shrinkage) -> Shrinkage:
     """Closure of a channel on the rows of the search, as the verdict allows to tell it."""
     # The parameters of a simulator close a part for every verdict on effects.
     verdict, is_simulator = case.verdict, case.base.simulator is not None
-    shows = found.resolvable and (verdict.status != Status.NONE or is_simulator)
-    closed, ends, left = found.closed, found.closed_ci, found.remaining_rms
+    shows = gap.resolvable and (verdict.status != Status.NONE or is_simulator)
     if not verdict.key and not is_simulator:
-        closed, ends, left = 0.0, (0.0, 0.0), found.rms
-    elif closed is not None:
-        closed = float(np.clip(closed, 0.0, 1.0))
-    return replace(found, resolvable=shows, closed=closed, closed_ci=ends, remaining_rms=left)
+        gap = replace(gap, closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=gap.rms)
+    return replace(gap, resolvable=shows)
 
 
 def of_any_subject(
@@ -192,7 +171,6 @@ def of_any_subject(
     budgets: Mapping[str, tuple[Part, ...]],
     ladder: Ladder,
     parameters: Mapping[str, Change],
-    closed_by: Callable[[Fit], Shrinkage],
     scale: np.ndarray,
     looks: Sequence[Look] = (),
 ) -> dict[str, Any]:
@@ -201,7 +179,6 @@ def of_any_subject(
     Args:
         gaps: by channel; held: closure on data not used.
         parameters: of a simulator, as given and as measured.
-        closed_by: closure of the gap of the first channel by a fit.
         scale: (n,) units of the whitened residuals of the first channel.
         looks: shapes that the remainder resembles.
     """
@@ -216,10 +193,9 @@ def of_any_subject(
         "budgets": budgets,
         "verdict": _verdict(case, gap, parameters, tuple(looks)),
         "ladder": ladder,
-        "candidates": _candidates(case, closed_by),
+        "candidates": _candidates(case),
         "untestable": case.untestable,
         "resolution": float(np.median(scale) * np.sqrt(energy)),
-        "forecast": tuple(confusion(case.search)),
         "version": importlib.metadata.version("tirefit"),
     }
 
@@ -239,13 +215,11 @@ def _verdict(
         unlisted = max(unlisted, probability)
     elif verdict.status != Status.UNKNOWN:
         unlisted = min(unlisted, 1 - probability)
+    answer = {**vars(verdict), "probability": probability}
+    if noise:
+        answer |= {"status": Status.NAMED, "effects": noise}
     return VerdictSummary(
-        status=Status.NAMED if noise else verdict.status,
-        effects=noise or verdict.effects,
-        acts_like=verdict.acts_like,
-        probability=probability,
-        each=verdict.each,
-        also_possible=verdict.also_possible,
+        **answer,
         left=Left(
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
@@ -260,38 +234,30 @@ def _verdict(
     )
 
 
-def _candidates(case: Concluded, closed_by: Callable[[Fit], Shrinkage]) -> tuple[Candidate, ...]:
+def _candidates(case: Concluded) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown."""
     total, verdict, base = _chances(case), case.verdict, case.base
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
     listed = []
     for key in ranked[:_LISTED]:
         fit, parameters = case.weighed.best_of[key], {}
-        found, spread = fit.amplitude, fit.errors * np.sqrt(case.widening)
+        amplitude, spread = fit.amplitude, fit.errors * np.sqrt(case.widening)
         if key == verdict.key:
-            found, spread = case.sizes
+            amplitude, spread = case.sizes
         elif key in case.predicted.effects:
             left_out = case.predicted.amplitude[case.predicted.effects.index(key)]
             spread = np.maximum(spread, jackknife_error(left_out))
-        ratio, scale = found / np.maximum(spread, ROUNDING), base.priors.scale[list(fit.atoms)]
-        atoms = [base.atoms[k] for k in fit.atoms]
+        scale, atoms = base.priors.scale[list(fit.atoms)], [base.atoms[k] for k in fit.atoms]
         # However bad the fit, the error is at most that of the prior.
-        sizes = found * scale, np.minimum(spread, 1.0) * scale
+        sizes = amplitude * scale, np.minimum(spread, 1.0) * scale
         for atom, size, error in zip(atoms, *sizes, strict=True):
             name, unit = f"{atom.effect.id}: {atom.effect.parameter}", atom.effect.unit
             parameters[name] = Amplitude(float(size), float(error), unit, case.formula(atom))
-        closure, score = closed_by(fit), case.search.score
-        one = Candidate(
-            effects=key,
-            family=" + ".join(dict.fromkeys(atom.effect.family for atom in atoms)),
-            probability=total[key],
-            parameters=parameters,
-            z=max((score.get(effect, 0.0) for effect in fit.effects), key=abs),
-            z_given_rivals=float(np.min(np.abs(ratio))),
-            closed=closure.closed,
-            closed_ci=closure.closed_ci,
+        family = " + ".join(dict.fromkeys(atom.effect.family for atom in atoms))
+        candidate = Candidate(
+            effects=key, family=family, probability=total[key], parameters=parameters
         )
-        listed.append(one)
+        listed.append(candidate)
     alone = verdict.unlisted if not verdict.key else 0.0
     if alone > _MENTIONED:
         listed.append(Candidate(effects=(UNKNOWN,), family=UNKNOWN, probability=alone))

@@ -1,7 +1,6 @@
-"""Forecasts from the conditions of the rows, not from their forces: which effects the
-rows can show, and which further measurement would distinguish two effects."""
+"""Forecast, from the conditions of the rows and not from their forces, which further
+measurement would distinguish two effects, or a cause from a stand-in."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -16,11 +15,9 @@ from tirefit.diagnosis.engine.fit import Fit, without
 from tirefit.diagnosis.engine.search import Search, Weighed
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.result import Forecast, NextMeasurement
-from tirefit.diagnosis.summary.views import LEVEL
+from tirefit.diagnosis.summary.result import NextMeasurement
 from tirefit.models import modelled
 
-DRAWS = 2000  # draws of noise; a probability of 5 % then has an error of 0.5 %
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
@@ -51,59 +48,6 @@ def separability(columns: np.ndarray, a: int, b: int, size_a: float, size_b: flo
     # Equal effects have a correlation of 1, which rounding may exceed.
     apart = max(1 - abs(correlation), 0.0)
     return float(ndtr(np.sqrt(min(energy) * apart / 2)))
-
-
-def scores_of_nothing(
-    directions: np.ndarray, draws: int, generator: np.random.Generator
-) -> np.ndarray:
-    """Scores of unit directions in white noise: (K, draws)."""
-    values, vectors = np.linalg.eigh(directions.T @ directions)
-    root = vectors * np.sqrt(np.maximum(values, 0))
-    # The scores of one draw side by side: their largest one is found much faster.
-    return np.asfortranarray(root @ generator.standard_normal((directions.shape[1], draws)))
-
-
-def recognition(
-    directions: np.ndarray, names: Sequence[str], truth: int, size: float, noise: np.ndarray
-) -> tuple[float, float, str | None]:
-    """Probabilities that the largest score exceeds that of noise, and that it is also that
-    of the true effect; the effect that is found most often instead, None if hardly any.
-    Scores of unit directions of correlation R are z ~ N(size R[:, truth], R).
-
-    Args:
-        directions: (m, K) of length one, orthogonal to the base parameters.
-        names: the effect of each (K,); variants share a name.
-        truth: index of the direction that is there.
-        size: its amplitude in standard errors.
-        noise: (K, draws) of :func:`scores_of_nothing`.
-    """
-    limit = np.quantile(np.abs(noise).max(axis=0), 1 - LEVEL)
-    score = np.abs(noise + size * (directions.T @ directions[:, [truth]]))
-    found = score.argmax(axis=0)[score.max(axis=0) > limit]
-    count, draws = Counter(names[k] for k in found), noise.shape[1]
-    right = count.pop(names[truth], 0)
-    other, often = max(count.items(), key=lambda one: one[1], default=(None, 0))
-    return len(found) / draws, right / draws, other if often > LEVEL * draws else None
-
-
-def confusion(search: Search) -> list[Forecast]:
-    """For each testable effect of usual size, whether it is detected or confused."""
-    base, left = search.subject, search.projected
-    length = np.linalg.norm(left, axis=0)
-    use = [k for k in search.subject.testable if length[k] > UNSEEN]
-    if not use:
-        return []
-    directions = left[:, use] / length[use]
-    noise = scores_of_nothing(directions, DRAWS, np.random.default_rng(0))
-    names, forecasts = [base.atoms[k].effect.id for k in use], []
-    for name in dict.fromkeys(names):
-        first = names.index(name)
-        k, effect = use[first], base.atoms[use[first]].effect
-        usual = float(base.priors.center[k]) or float(effect.sign or 1)
-        chances = recognition(directions, names, first, usual * length[k], noise)
-        amplitude = usual * float(base.priors.scale[k])
-        forecasts.append(Forecast(name, amplitude, effect.unit, *chances))
-    return forecasts
 
 
 def _changes(prepared: Prepared) -> dict[str, dict[str, Any]]:

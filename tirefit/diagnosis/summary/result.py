@@ -16,7 +16,7 @@ from tirefit.data.records import FileRecord, Row, frame
 from tirefit.data.table import TireData
 from tirefit.data.write import csv_text, to_convention
 from tirefit.diagnosis.effects import NOISE_EFFECTS, Effect
-from tirefit.diagnosis.engine.decide import UNKNOWN, Each, Status
+from tirefit.diagnosis.engine.decide import NOT_WRITTEN, UNKNOWN, Verdict
 from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
 from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
@@ -66,28 +66,14 @@ class NoiseSummary:
 @dataclass(frozen=True, kw_only=True)
 class Shrinkage:
     """The rms gap beyond the noise and its closure: ``closed`` is 1 - remaining_rms / rms
-    with its 90 % interval, None if the gap is not ``resolvable``. Its lower limit is zero
-    on the fitted rows, elsewhere :data:`tirefit.diagnosis.summary.closure.WORST`, which
-    includes all worse values."""
+    with its 90 % interval, None if the gap is not ``resolvable``. Its lower limit is
+    :data:`tirefit.diagnosis.summary.closure.WORST`, which includes all worse values."""
 
     rms: float
     resolvable: bool
     closed: float | None
     closed_ci: tuple[float | None, float | None]
     remaining_rms: float
-
-    @property
-    def net_closed(self) -> float | None:
-        """``closed``, negative if the gap has become larger."""
-        if self.closed != 0 or self.remaining_rms <= self.rms:
-            return self.closed
-        return 1 - self.remaining_rms / self.rms
-
-    @property
-    def energy_closed(self) -> float | None:
-        """Share of the gap's energy that is closed."""
-        closed = self.net_closed
-        return None if closed is None else 1 - (1 - closed) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,19 +101,12 @@ class Left(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VerdictSummary:
-    """The effects that are present, and the remainder: a
-    :class:`~tirefit.diagnosis.engine.decide.Verdict` for the report, with a calibrated
-    ``probability``, the share of such verdicts that are right; ``sizes`` of each named effect
-    by groups of each covariate, the most unequal first; ``parameters`` are those of a given
-    simulator, empty for a fitted form."""
+class VerdictSummary(Verdict):
+    """The verdict for the report, with a calibrated ``probability``, the share of such verdicts
+    that are right; what is ``left``; ``sizes`` of each named effect by groups of each covariate,
+    the most unequal first; ``parameters`` are those of a given simulator, empty for a fitted
+    form."""
 
-    status: Status
-    effects: tuple[str, ...]
-    acts_like: tuple[str, ...] = ()
-    probability: float
-    each: Mapping[str, Each] = field(default_factory=dict)
-    also_possible: tuple[str, ...] = ()
     left: Left
     sizes: Mapping[str, tuple[SizeByGroup, ...]] = field(default_factory=dict)
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
@@ -239,28 +218,13 @@ class Amplitude(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of effects that may explain the gap; scores of the unknown are None."""
+    """A set of effects that may explain the gap."""
 
     effects: tuple[str, ...]
     family: str
     probability: float
     # ``effect: parameter`` -> size
     parameters: Mapping[str, Amplitude] = field(default_factory=dict)
-    z: float | None = None  # score at the base fit
-    z_given_rivals: float | None = None  # smallest amplitude over error in the set
-    closed: float | None = 0.0
-    closed_ci: tuple[float | None, float | None] = (0.0, 0.0)
-
-
-class Forecast(NamedTuple):
-    """Forecast probabilities for an effect of usual size on these rows."""
-
-    effect: str
-    amplitude: float
-    unit: str
-    seen: float
-    recognised: float  # detected and recognised
-    taken_for: str | None  # effect found most often instead; None: hardly any
 
 
 class NextMeasurement(NamedTuple):
@@ -283,7 +247,6 @@ class Settings:
     forces: tuple[str, ...] | None = None  # that matter, None for all
 
 
-NOT_WRITTEN = {"written": False}
 UNITS = {"fx": "N", "fy": "N", "mz": "N m", "all": "× noise", "v_y": "m/s", "yaw_rate": "rad/s"}
 UNITS |= {"heading": "rad", "x": "m", "y": "m"}
 """Units of the channels of forces and of cars."""
@@ -334,7 +297,6 @@ class Diagnosis(Record):
     candidates: tuple[Candidate, ...]
     untestable: tuple[Untestable, ...]
     resolution: float
-    forecast: tuple[Forecast, ...]
     next_measurement: tuple[NextMeasurement, ...]
     next_measurement_reason: str | None = None
     slip_check: SlipCheck | None = None
