@@ -25,7 +25,7 @@ KEYS = {
     "": [
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
         "budget", "budgets", "where", "verdict", "ladder",
-        "candidates", "untestable", "resolution", "forecast", "next_measurement",
+        "candidates", "untestable", "resolution", "next_measurement",
         "next_measurement_reason",
         "slip_check", "runs", "base_parameters", "extended_parameters", "extension",
         "settings", "seed", "version", "asked", "ladder_on",
@@ -55,8 +55,7 @@ KEYS = {
         "rms_held_out", "closed_held_out",
     ],
     "candidates 0": [
-        "effects", "family", "probability", "parameters", "z", "z_given_rivals",
-        "closed", "closed_ci",
+        "effects", "family", "probability", "parameters",
     ],
     "resolution": ["smallest unlisted remainder that would have been seen"],
     "candidates 0 parameters": ["slip_offset: amplitude"],
@@ -64,9 +63,6 @@ KEYS = {
         "value", "std", "unit", "formula",
     ],
     "untestable 0": ["effect", "needs"],
-    "forecast 0": [
-        "effect", "amplitude", "unit", "seen", "recognised", "taken_for"
-    ],
     "settings": ["rig", "effects", "holdout", "forces"],
 }  # fmt: skip
 """Path to a record of ``NAME.json`` -> its keys, in order."""

@@ -161,13 +161,7 @@ def test_the_document_satisfies_the_schema(diagnosed):
         assert set(candidate["effects"]) <= known | {"unknown"}
     total = sum(candidate["probability"] for candidate in document["candidates"])
     assert total <= 1 + 1e-9
-    forecast = {record["effect"]: record for record in document["forecast"]}
-    assert forecast["slip_offset"]["seen"] > 0.99
-    assert forecast["slip_offset"]["recognised"] > 0.9
-    for chance in forecast.values():
-        assert 0 <= chance["recognised"] <= chance["seen"] <= 1
     missing = {item["effect"] for item in document["untestable"]}
-    assert not missing & set(forecast)
     assert {"friction_temperature", "camber_thrust", "combined_slip"} <= missing
 
 

@@ -16,7 +16,6 @@ from tirefit.results import UsageError
 
 _NAMED = 6  # largest number of parameters that do not differ and are named
 _JUDGING = "diagnosis", "description"  # kinds of sources that name effects
-_ROUNDING = 1e-16  # smallest probability that is printed as a number
 
 
 def answer(found: Comparison) -> list[str]:
@@ -44,10 +43,6 @@ def _on_numbers(found: Comparison) -> Iterator[str]:
         more = f" and {len(same) - _NAMED} more" if len(same) > _NAMED else ""
         verb = "does" if len(same) == 1 else "do"
         yield f"{', '.join(same[:_NAMED])}{more} {verb} not differ beyond the errors"
-    if (joint := found.joint) and not any(one.differs for one in tested):
-        verb = "differ" if joint.differs else "do not differ"
-        text = f"all parameters together {verb}: chi-square {joint.chi2:.1f} of {joint.dof}"
-        yield f"{text}, {_chance(joint.p)}"
 
 
 def _difference(one: Apart) -> str:
@@ -114,10 +109,6 @@ def _numbers_table(given: Sequence[Apart], names: Sequence[str], what: str) -> R
     return rows
 
 
-def _chance(p: float) -> str:
-    return f"p = {p:.2g}" if p > _ROUNDING else f"p < {_ROUNDING:.0e}"
-
-
 def _cell(one: Apart, name: str) -> str:
     value = one.values.get(name)
     return "-" if value is None else format_estimate(value.value, value.std)
@@ -138,9 +129,6 @@ def sections_of(found: Comparison) -> list[Section]:
             f"'differs': at {100 * found.level:g} % false alarms over all rows of a table;"
             " by chi-square of the scatter between the sources"
         )
-    if found.joint:
-        text = f"all parameters together: chi-square {found.joint.chi2:.1f} of {found.joint.dof},"
-        notes.append(f"{text} {_chance(found.joint.p)}")
     right = range(1, 2 + len(names))
     numbers = _numbers_table(found.numbers, names, "parameter")
     sizes = _numbers_table(found.effects, names, "effect")

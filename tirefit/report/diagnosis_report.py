@@ -82,8 +82,6 @@ def diagnosis_fragment(result: Diagnosis) -> str:
 def _details(result: Diagnosis) -> list[Section]:
     """Sections on the gap, where it lies, all candidates, forecast, noise, settings."""
     gaps = [gap_line(result, result.gap, f"the {result.n} rows fitted")]
-    if result.gap.holdout is not None:
-        gaps.append(gap_line(result, result.gap.holdout, result.gap.holdout.on))
     of_changed = "The simulator, changed: " if both_described(result) else ""
     changed = of_effects(result) if of_changed else []
     where = [("quantity", "range", "share of energy", "p of noise")]

@@ -35,12 +35,7 @@ the windows and tires of a car."""
 _BEYOND = 1.5  # ratio of the noise to the stated noise above which it is reported
 
 _HALF = 0.5  # smallest explained share of a mean square without a warning
-_MOST_STEPS = 3  # largest number of measurements that the short report proposes
 _MOST_NEEDS = 8  # largest number of missing columns that the first screen lists
-
-_TELLS_MORE = 0.1
-"""Smallest gain in the probability of distinguishing two effects for which a measurement
-is proposed."""
 
 _CLOSED = "closed: removed share of the first row's rms beyond the noise, ± std"
 
@@ -289,24 +284,13 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def step_lines(result: Diagnosis) -> list[str]:
-    """Next measurements with their reasons; if none decides, the best one or the reason
-    why there is none."""
+    """Next measurements, at most three; the reason if there is none but twins."""
     why, steps = result.next_measurement_reason, result.next_measurement
-    if not steps:
-        if result.verdict.status != Status.CANNOT_TELL or why is None:
-            return []
-        for effect in (*result.verdict.helping, *result.verdict.also_possible):
-            why = why.replace(effect, words.name_of(effect))
-        return [why]
-    # Without a forecast (NaN) every measurement is listed.
-    worth = [step for step in steps if not step.p_after - step.p_now < _TELLS_MORE]
-    if not worth:
-        best = max(steps, key=lambda step: step.p_after - step.p_now)
-        return [
-            f"no single listed measurement would decide it: at best {best.add},"
-            f" which {_tells_apart(best)}"
-        ]
-    return [f"measure {step.add}: it {_tells_apart(step)}" for step in worth]
+    if steps or result.verdict.status != Status.CANNOT_TELL or why is None:
+        return [f"measure {step.add}: it {_tells_apart(step)}" for step in steps[:3]]
+    for effect in (*result.verdict.helping, *result.verdict.also_possible):
+        why = why.replace(effect, words.name_of(effect))
+    return [why]
 
 
 def _tells_apart(step: NextMeasurement) -> str:
@@ -365,6 +349,6 @@ def of_effects(result: Diagnosis) -> list[Section]:
         *sections,
         Section("Effects", list(_effect_lines(result))),
         Section("What is left", list(left_lines(result))),
-        Section("Next measurement", steps[:_MOST_STEPS]),
+        Section("Next measurement", steps),
         Section("Not testable on this data (missing: effects that need it)", missing),
     ]

@@ -97,16 +97,6 @@ class Apart(NamedTuple):
         return abs(self.difference) / self.std if self.difference is not None else None  # type: ignore[operator]
 
 
-class Joint(NamedTuple):
-    """Chi-square of all parameters together, with their covariances."""
-
-    parameters: tuple[str, ...]
-    chi2: float
-    dof: int
-    p: float
-    differs: bool
-
-
 class Ranked(NamedTuple):
     """A model fitted to the same rows as the others; information counts the same rows."""
 
@@ -137,7 +127,6 @@ class Comparison(Record):
 
     sources: tuple[Source, ...]
     numbers: tuple[Apart, ...] = ()
-    joint: Joint | None = None
     forces: tuple[ForceDifference, ...] = ()
     effects: tuple[Apart, ...] = ()
     models: tuple[Ranked, ...] = ()
@@ -209,8 +198,8 @@ def compared(opened: Sequence[Source], level: float = LEVEL) -> Comparison:
         return Comparison(sources=tuple(opened), models=_ranked(opened), shared=shared)
     same = len({(fit.model, *fit.numbers) for fit in fits}) < 2
     of = {x.name: dict(x.numbers if same or x.kind != "fit" else x.derived) for x in opened}
-    numbers, joint = _apart(of), _joint(opened) if same and not shared else None
-    tests = sum(number.p is not None for number in numbers) + (joint is not None)
+    numbers = _apart(of)
+    tests = sum(number.p is not None for number in numbers)
     notes = [] if same else ["fits of several models: compared by what follows from all of them"]
     forces, more = differing_forces({x.name: x.tire for x in opened if x.tire}, level)
     effects = _apart({x.name: dict(x.effects) for x in opened if x.kind != "fit"}, 1)
@@ -226,7 +215,6 @@ def compared(opened: Sequence[Source], level: float = LEVEL) -> Comparison:
     return Comparison(
         sources=tuple(opened),
         numbers=_judged(numbers, level / max(tests, 1), bool(shared)),
-        joint=joint and joint._replace(differs=joint.p < level / tests),
         forces=forces,
         effects=_judged(effects, level / max(len(effects), 1), bool(shared)),
         shared=shared,
@@ -272,21 +260,6 @@ def _farthest(one: Apart) -> Apart:
         std=float(error[far]),
         p=float(chdtrc(len(value) - 1, scatter)),
     )
-
-
-def _joint(opened: Sequence[Source]) -> Joint | None:
-    """Chi-square of the free parameters of all fits, if all have the same with a covariance."""
-    fits = [one.content["prediction"] for one in opened if one.kind == "fit"]
-    free = [(x["layout"]["free"], x["labels"]) for x in fits]
-    if len(fits) < 2 or any(one != free[0] for one in free) or len(fits[0]["z"]) < 2:
-        return None
-    z = np.array([fit["z"] for fit in fits])
-    precision = np.array([np.linalg.pinv(np.array(x["covariance"]), hermitian=True) for x in fits])
-    pull = np.einsum("kij,kj->i", precision, z)
-    away = z - np.linalg.pinv(precision.sum(axis=0), hermitian=True) @ pull
-    scatter = float(np.einsum("ki,kij,kj->", away, precision, away))
-    dof = z.size - z.shape[1]
-    return Joint(tuple(fits[0]["labels"]), scatter, dof, float(chdtrc(dof, scatter)), False)
 
 
 def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:

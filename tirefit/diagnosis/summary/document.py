@@ -36,15 +36,7 @@ from tirefit.diagnosis.summary.result import (
     Surrogate,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.views import (
-    Look,
-    compared,
-    data_summary,
-    look_curves,
-    regions,
-    residual_map,
-    shown_rows,
-)
+from tirefit.diagnosis.summary.views import Look, compared, data_summary, looks_of, regions
 from tirefit.fitting.problem.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
@@ -79,18 +71,16 @@ def document_of(
     rows, main = rows_of(case, base.measured), channels[0]
     # Random numbers are drawn in this order: held-out data, gaps, budget.
     held, ladder = held_out(case, holdout, rig, generator)
-    gaps = {channel: _gap(case, gap) for channel, gap in gaps_of(case, generator).items()}
-    budgets, curves = budgets_of(case, generator), look_curves(case)
+    gaps = {c: _gap(case, gap, rows[c]["gap"]) for c, gap in gaps_of(case, generator).items()}
+    budgets = budgets_of(case, generator)
     steps, reason = next_measurements(base, case.search, case.weighed, case.verdict)
-    shown = shown_rows(base, rows[main])
     missed = base.residual(base.as_given, base.amplitudes())[:n]
     # Rows of the fit without effects, counted as by `tirefit fit`: its residuals contain the
     # misfit of the model, which the noise does not.
     null = base.at_null
     scores = np.split(null.residual[:, None] * null.jacobian, len(channels))
     inflations = [effective_inflation(part, base.rows.run, base.rows.time) for part in scores]
-    scale, looks = np.asarray(base.design.scale[main])[:n], [curve.look for curve in curves]
-    others = parameter_changes(case), scale, looks
+    others = parameter_changes(case), np.asarray(base.design.scale[main])[:n], looks_of(case)
     layout, verdict = base.tire.layout, case.verdict
     # The parameters of a simulator may explain the whole gap.
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
@@ -102,7 +92,7 @@ def document_of(
         n=data.n,
         n_effective=float(np.mean([n / inflation for inflation in inflations])),
         noise=_noise(case),
-        where=tuple(regions(base, missed, shown.gap)),
+        where=tuple(regions(base, missed, rows[main]["gap"])),
         next_measurement=steps,
         next_measurement_reason=reason,
         slip_check=base.rows.slip_check,
@@ -115,9 +105,7 @@ def document_of(
         rows=all_rows(case, whole, rig, rows),
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
-        residual_map=residual_map(shown, base.inflation, gaps[main].resolvable),
-        comparison=compared(shown, bool(verdict.key) or tuned_alone),
-        look=next(iter(curves), None),
+        comparison=compared(base, rows[main], bool(verdict.key) or tuned_alone),
         library=library,
         meanings={p.name: p.spec.meaning for p in layout.free},
     )
@@ -154,13 +142,18 @@ def _first_values(values: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
 
 
-def _gap(case: Case, gap: Shrinkage) -> Shrinkage:
-    """Closure of a channel on the rows of the search, as the verdict allows to tell it."""
+def _gap(case: Case, gap: Shrinkage, located: np.ndarray) -> Shrinkage:
+    """Closure of a channel on the rows of the search, as the verdict allows to tell it.
+
+    Args:
+        located: (n,) gap [N], by smooth functions if no effect helps.
+    """
     # The parameters of a simulator close a part for every verdict on effects.
     verdict, is_simulator = case.verdict, case.base.simulator is not None
     shows = gap.resolvable and (verdict.status != Status.NONE or is_simulator)
     if not verdict.key and not is_simulator:
-        gap = replace(gap, closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=gap.rms)
+        rms = float(np.sqrt(np.mean(located**2)))
+        gap = replace(gap, rms=rms, closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=rms)
     return replace(gap, resolvable=shows)
 
 

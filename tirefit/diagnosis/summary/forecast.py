@@ -21,7 +21,7 @@ from tirefit.models import modelled
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
-_WORTHWHILE = 0.02
+_WORTHWHILE = 0.1
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
 _OPEN = (0.2, 0.8)  # probabilities of a cause between which a further measurement is to decide
 _STANDS_OFF = 0.5

@@ -23,14 +23,7 @@ from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.rows.structure import Structure
 from tirefit.diagnosis.summary.case import Untestable
-from tirefit.diagnosis.summary.views import (
-    Comparison,
-    DataSummary,
-    Look,
-    LookCurve,
-    Region,
-    ResidualMap,
-)
+from tirefit.diagnosis.summary.views import Comparison, DataSummary, Look, Region
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import MODELS
@@ -272,9 +265,8 @@ class Diagnosis(Record):
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator, ``base`` and
     ``sim`` are its forces as given, ``tuned`` those with adapted parameters.
     ``simulator`` is None if a form was fitted; ``meanings`` are those of its parameters.
-    ``table`` is the data, ``mean_load`` [N] that of its used rows; ``residual_map``,
-    ``comparison`` and ``look`` are the contents of figures, the last None if no unlisted
-    effect has a shape; ``library`` holds the searched effects, including a user's own.
+    ``table`` is the data, ``mean_load`` [N] that of its used rows; ``comparison`` is the content
+    of a figure; ``library`` holds the searched effects, including a user's own.
     """
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_text"
@@ -311,9 +303,7 @@ class Diagnosis(Record):
     rows: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict, metadata=NOT_WRITTEN)
     table: TireData | None = field(default=None, metadata=NOT_WRITTEN)
     mean_load: float = field(default=np.nan, metadata=NOT_WRITTEN)
-    residual_map: ResidualMap | None = field(default=None, metadata=NOT_WRITTEN)
     comparison: Comparison | None = field(default=None, metadata=NOT_WRITTEN)
-    look: LookCurve | None = field(default=None, metadata=NOT_WRITTEN)
     library: tuple[Effect, ...] = field(metadata=NOT_WRITTEN)
     meanings: Mapping[str, str] = field(metadata=NOT_WRITTEN)
 
