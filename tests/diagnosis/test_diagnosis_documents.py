@@ -26,7 +26,7 @@ SLACK = 0.1
 GAPS = ("none", "shift", "ripple", "late", "step", "kappa", "load", "half", "noise")
 OFTEN_NONE = {
     "closed", "closed_ci", "holdout", "settings",
-    "path", "sha256", "given", "slip_check", "next_measurement_reason",
+    "path", "sha256", "given", "slip_check",
     "simulator", "tests", "closed_left_out", "closed_left_out_std", "ladder",
 }  # fmt: skip
 """Keys that may have no value: too small a gap to say."""

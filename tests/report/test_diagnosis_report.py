@@ -35,7 +35,7 @@ from tirefit.diagnosis.summary.result import (
     Surrogate,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.views import DataSummary, Look, Region, compared
+from tirefit.diagnosis.summary.views import DataSummary, Region, Shape, compared
 from tirefit.models import MODELS
 from tirefit.report.canvas import alone
 from tirefit.report.diagnosis_answer import answer, change_texts
@@ -43,7 +43,6 @@ from tirefit.report.diagnosis_figures import (
     after_label,
     budget_bars,
     draw_comparison,
-    draw_look,
     ladder_bars,
     panels_of,
     where_bars,
@@ -56,7 +55,6 @@ from tirefit.report.diagnosis_sections import (
     missing_lines,
     stand_in_line,
     step_label,
-    step_lines,
 )
 from tirefit.report.diagnosis_words import (
     _NEEDS,
@@ -214,7 +212,7 @@ def records(channel):
                 "small slips (a tenth)", ("load_friction", "d"), 0.71, 0.96
             ),
         ),
-        "next_measurement_reason": None, "slip_check": None,
+        "slip_check": None,
         "base_parameters": {"cpa2": 51234.0, "mu": 0.912},
         "extended_parameters": {"cpa2": 51235.0, "mu": 0.913},
         "extension": Extension(
@@ -635,52 +633,31 @@ def test_every_channel_has_a_budget_in_its_unit():
     assert list(panels_of(found))[3:] == ["budget of F_y", "budget of M_z"]
 
 
-STEP = Look(
-    parameter="friction",
-    covariate="fz",
-    is_wave=False,
-    at=6000.0,
-    size=-0.049,
-    probability=0.97,
-    explains=0.8,
-    x=np.array([2e3, 4e3, 6e3]),
-    change=np.array([0.025, 0.024, -0.049]),
-    std=np.array([0.002, 0.001, 0.003]),
-    is_mirrored=False,
-    at_settings=True,
-)
-CURVE = replace(STEP, parameter="stiffness", covariate="v", at=12.0, size=0.2, at_settings=False)
-WAVE = replace(CURVE, parameter="force", covariate="time", is_wave=True, at=0.7, size=0.061)
-SLIDES = replace(CURVE, parameter="slip", covariate="slip_fraction", at=1.2, size=2e-3)
-
-
+STEP = Shape("friction", "fz", False, 6000.0, -0.049, 0.97, 0.8)
 SHAPES = {
     "setting": (STEP, "friction changes with load F_z, by -4.9 % at 6000 N"),
-    "smooth": (CURVE, "stiffness changes with speed v, by 20 % at 12 m/s"),
-    "wave": (WAVE, "force goes up and down with time, period 0.7 s, by ± 6.1 % of F_z"),
+    "smooth": (
+        Shape("stiffness", "v", False, 12.0, 0.2, 1.0, 1.0),
+        "stiffness changes with speed v, by 20 % at 12 m/s",
+    ),
+    "wave": (
+        Shape("force", "time", True, 0.7, 0.061, 1.0, 1.0),
+        "force goes up and down with time, period 0.7 s, by ± 6.1 % of F_z",
+    ),
     "slip": (
-        replace(SLIDES, is_mirrored=True),
+        Shape("slip", "slip_fraction", False, 1.2, 2e-3, 1.0, 1.0),
         "slip changes with slip / slip of full sliding, by 0.002 at 1.2",
     ),
 }
 
 
-@pytest.mark.parametrize(("panel", "said"), SHAPES.values(), ids=SHAPES)
-def test_the_remainder_is_drawn(panel, said):
-    figure = Figure()
-    draw_look(figure, panel, "the base fit")
-    (axes,) = figure.axes
-    title = axes.get_title(loc="left").replace("\n", " ").replace("\\", "")
-    assert title.replace("\u00a0", " ") == f"What is left: {said}"
-    scale = 1 if panel.parameter == "slip" else 100
-    points = axes.containers[0].lines[0] if panel.at_settings else axes.lines[1]
-    np.testing.assert_allclose(points.get_ydata(), scale * panel.change)
-    (errors,) = axes.collections
-    ends = [path.vertices[:, 1] for path in errors.get_paths()]
-    lowest, highest = min(map(np.min, ends)), max(map(np.max, ends))
-    assert lowest == pytest.approx(scale * np.min(panel.change - panel.std))
-    assert highest == pytest.approx(scale * np.max(panel.change + panel.std))
-    assert "on top of the base fit" in " ".join(texts_of(figure))
+@pytest.mark.parametrize(("shape", "sentence"), SHAPES.values(), ids=SHAPES)
+def test_the_remainder_is_described_by_its_shape(shape, sentence):
+    left = LEFT._replace(unlisted=0.8, looks_like=(shape,))
+    text = flat(diagnosis(verdict=said("unknown", (), 0.8, left=left)))
+    share = f"{100 * shape.explains:.0f} % of its mean square"
+    assert f"it resembles this: {sentence} (probability {shape.probability:.2f} among" in text
+    assert f"explains {share}" in text
 
 
 FZ = SizeByGroup("fz", (2000.0, 4000.0, 6000.0), (0.05, 0.12, 0.18), (0.01, 0.02, 0.5), 0.4)
@@ -774,25 +751,17 @@ def test_an_effect_has_amplitude_probability_closure_and_twins():
     assert f"(force_offset): not named {words_on('force_offset')[0]}" in flat(found)
 
 
-def test_next_measurements_are_suggested_or_the_reason_why_there_is_none():
+def test_three_next_measurements_are_suggested():
     pair = ("load_friction", "d")
     steps = [NextMeasurement(add, pair, 0.71, 0.95) for add in ("a", "b", "c", "other speeds")]
-    first, *others = step_lines(diagnosis(next_measurement=tuple(steps[::-1])))
-    assert first == (
+    text = flat(diagnosis(next_measurement=tuple(steps[::-1])))
+    assert (
         "measure other speeds: it separates load friction from d with probability 0.95, instead of"
         " 0.71 now"
-    )
-    assert len(others) == 2
-    open_one = judged(
-        "cannot_tell",
-        ["slip_offset"],
-        0.6,
-        ["force_offset"],
-        next_measurement=(),
-        next_measurement_reason="no addition tells slip_offset from force_offset",
-    )
-    assert step_lines(open_one) == ["no addition tells slip offset from force offset"]
-    assert step_lines(diagnosis(next_measurement=())) == []
+    ) in text
+    assert text.count("it separates") == 3
+    unknown = flat(diagnosis(next_measurement=(steps[0]._replace(p_after=np.nan),)))
+    assert "it separates load friction from d (these rows: with probability 0.71)" in unknown
 
 
 def test_the_text_fits_one_screen_and_full_lists_all():

@@ -1,7 +1,6 @@
-"""The figures of a diagnosis: ladder, before and after, location of the gap, remainder, budget."""
+"""The figures of a diagnosis: ladder, before and after, location of the gap, budget."""
 
 import math
-import textwrap
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from matplotlib.patches import Patch
 
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis
-from tirefit.diagnosis.summary.views import SIGNIFICANT, Comparison, Look
+from tirefit.diagnosis.summary.views import SIGNIFICANT, Comparison
 from tirefit.params import check_names
 from tirefit.report import diagnosis_words as words
 from tirefit.report.canvas import (
@@ -187,44 +186,6 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
     bottom.legend(**beside)
 
 
-_CHANGES = {
-    "stiffness": "change of stiffness [%]",
-    "friction": "change of friction [%]",
-    "slip": "added slip [-]",
-    "force": "added force [% of $F_z$]",
-}
-_ALONG = {
-    "slip": "added slip, in its own direction [-]",
-    "force": "added force, towards the slip [% of $F_z$]",
-}
-_LETTERS = 52  # largest number of characters in a line of the title
-
-
-def draw_look(figure: Any, look: Look, beside: str) -> None:
-    """Draw the change of a parameter over a covariate ± standard error.
-
-    Args:
-        beside: the model to which the change is added.
-    """
-    axes, scale = figure.subplots(), 1.0 if look.parameter == "slip" else 100.0
-    change, std = scale * look.change, scale * look.std
-    axes.axhline(0.0, color=GREY, lw=0.8, zorder=1)
-    if look.at_settings:
-        # There are no measurements between settings.
-        axes.errorbar(look.x, change, std, fmt="o", ms=4, color=BLUE, ecolor=GREY, zorder=3)
-        axes.set_xticks(look.x)
-    else:
-        axes.fill_between(look.x, change - std, change + std, color=BLUE, alpha=0.2, lw=0)
-        axes.plot(look.x, change, color=BLUE, lw=1.6, zorder=2)
-    labels = _ALONG if look.is_mirrored else _CHANGES
-    unit, within = words.covariate_unit(look.covariate), ", within a period" * look.is_wave
-    along = words.covariate_text(look.covariate) + within + f" [{unit}]" * bool(unit)
-    tidy(axes, along, labels[look.parameter])
-    title = f"What is left: {words.look_text(look)}".replace(" %", "\u00a0%")
-    title = textwrap.fill(title, _LETTERS)
-    panel_title(axes, title, f"most probable function ± standard error; on top of {beside}")
-
-
 def panels_of(result: Diagnosis) -> dict[str, Panel]:
     """Name of a panel -> the panel."""
     base = "simulator" if result.simulator else "base fit"
@@ -246,11 +207,6 @@ def panels_of(result: Diagnosis) -> dict[str, Panel]:
         titles |= {"note": f"measured minus {base}: regions beyond the noise (5 % false)"}
         text = "Regions of load, speed, slip or time with their shares of the gap"
         panels["where"] = Panel(partial(draw_bars, bars=regions, **titles), text, _SIZE)
-    for look in result.verdict.left.looks_like[:1]:
-        beside = after if compared and compared.named else "the base fit"
-        text = "Remainder: change of a parameter over the quantity that it depends on"
-        draw = partial(draw_look, look=look, beside=beside)
-        panels["what is left"] = Panel(draw, text, _SIZE)
     for channel in result.budgets if result.simulator else ():
         of = f" of {words.channel_name(channel)}" * (len(result.budgets) > 1)
         titles = {"title": f"Budget{of}: from the simulator's error to noise"}

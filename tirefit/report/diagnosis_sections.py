@@ -272,33 +272,23 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
         f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
         f" {left.unlisted:.2f} of an unlisted effect"
     )
-    for look in left.looks_like[:1]:
+    for shape in left.looks_like[:1]:
         yield (
-            f"it resembles this: {words.look_text(look)} (probability"
-            f" {look.probability:.2f} among such functions; explains"
-            f" {100 * look.explains:.0f} % of its mean square)"
+            f"it resembles this: {words.shape_text(shape)} (probability"
+            f" {shape.probability:.2f} among such functions; explains"
+            f" {100 * shape.explains:.0f} % of its mean square)"
         )
     if not result.verdict.names_an_effect:
         smallest = format_number(result.resolution, 3)
         yield f"smallest unlisted effect that would be detected: {smallest} {unit} rms"
 
 
-def step_lines(result: Diagnosis) -> list[str]:
-    """Next measurements, at most three; the reason if there is none but twins."""
-    why, steps = result.next_measurement_reason, result.next_measurement
-    if steps or result.verdict.status != Status.CANNOT_TELL or why is None:
-        return [f"measure {step.add}: it {_tells_apart(step)}" for step in steps[:3]]
-    for effect in (*result.verdict.helping, *result.verdict.also_possible):
-        why = why.replace(effect, words.name_of(effect))
-    return [why]
-
-
-def _tells_apart(step: NextMeasurement) -> str:
-    one, other = (words.set_name([effect]) for effect in step.separates)
+def _step_text(step: NextMeasurement) -> str:
+    first, second = (words.set_name([effect]) for effect in step.separates)
     forecast = f"with probability {step.p_after:.2f}, instead of {step.p_now:.2f} now"
     if np.isnan(step.p_after):
         forecast = f"(these rows: with probability {step.p_now:.2f})"
-    return f"separates {one} from {other} {forecast}"
+    return f"measure {step.add}: it separates {first} from {second} {forecast}"
 
 
 def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
@@ -342,13 +332,13 @@ def of_effects(result: Diagnosis) -> list[Section]:
     sections = []
     if result.simulator or result.verdict.helping:
         sections += [budget_section(result, channel) for channel in result.budgets]
-    steps = step_lines(result) if result.verdict.status != Status.NONE else []
+    steps = result.next_measurement if result.verdict.status != Status.NONE else ()
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)
     return [
         *sections,
         Section("Effects", list(_effect_lines(result))),
         Section("What is left", list(left_lines(result))),
-        Section("Next measurement", steps),
+        Section("Next measurement", [_step_text(step) for step in steps[:3]]),
         Section("Not testable on this data (missing: effects that need it)", missing),
     ]

@@ -8,7 +8,7 @@ from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by
 from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.result import Amplitude, Diagnosis
-from tirefit.diagnosis.summary.views import Look, Region
+from tirefit.diagnosis.summary.views import Region, Shape
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.slip import CONVENTIONS
 
@@ -134,18 +134,18 @@ def covariate_unit(name: str) -> str:
     return "" if unit == "-" else unit
 
 
-def look_text(look: Look) -> str:
+def shape_text(shape: Shape) -> str:
     """What a remainder resembles: ``friction changes with time, by -7 % at 60 s``."""
-    covariate = covariate_text(look.covariate)
+    covariate = covariate_text(shape.covariate)
     # The place of the largest change, or the period of a wave.
-    at = f"{format_number(look.at, 3)} {covariate_unit(look.covariate)}".rstrip()
-    at = NAMED_VALUES.get(look.covariate, {}).get(round(look.at), at)
-    size = f"{format_number(100 * look.size, 2)} %{' of F_z' * (look.parameter == 'force')}"
-    if look.parameter == "slip":
-        size = format_number(look.size, 2)
-    if look.is_wave:
-        return f"{look.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
-    return f"{look.parameter} changes with {covariate}, by {size} at {at}"
+    at = f"{format_number(shape.at, 3)} {covariate_unit(shape.covariate)}".rstrip()
+    at = NAMED_VALUES.get(shape.covariate, {}).get(round(shape.at), at)
+    size = f"{format_number(100 * shape.size, 2)} %{' of F_z' * (shape.parameter == 'force')}"
+    if shape.parameter == "slip":
+        size = format_number(shape.size, 2)
+    if shape.is_wave:
+        return f"{shape.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
+    return f"{shape.parameter} changes with {covariate}, by {size} at {at}"
 
 
 def _end(value: float, largest: float) -> str:

@@ -141,7 +141,6 @@ def _holding_slope(u: jax.Array, skew: jax.Array, flat: jax.Array) -> jax.Array:
     return jnp.maximum((1 - flat) * skewed + flat * quartic, _LEAST_SLOPE)
 
 
-@jax.custom_jvp
 def _breakaway(rho: jax.Array, skew: jax.Array, flat: jax.Array) -> jax.Array:
     """u where limit and demand meet, by Newton's method; 2 beyond full sliding."""
 
@@ -151,23 +150,13 @@ def _breakaway(rho: jax.Array, skew: jax.Array, flat: jax.Array) -> jax.Array:
 
     # 4 / 3 rho is the breakaway of the parabola.
     u = jax.lax.fori_loop(0, _NEWTON, step, jnp.minimum(4 / 3 * rho, 2.0))
-    return jnp.where(_holding(2.0, skew, flat) <= rho, 2.0, u)
-
-
-@_breakaway.defjvp
-def _breakaway_slope(
-    primals: tuple[jax.Array, jax.Array, jax.Array],
-    tangents: tuple[jax.Array, jax.Array, jax.Array],
-) -> tuple[jax.Array, jax.Array]:
-    rho, skew, flat = primals
-    u = _breakaway(rho, skew, flat)
-    inside = u < 2.0
-    at = jnp.where(inside, u, 1.0)
-    skewed = 0.75 * at * (1 + skew * (at - 1))
-    d_skew = (1 - flat) * 0.75 * at * (at - 1)
-    d_flat = 0.625 * at * (at * (at - 2) + 2) - skewed
-    moved = tangents[0] - d_skew * tangents[1] - d_flat * tangents[2]
-    return u, jnp.where(inside, moved / _holding_slope(at, skew, flat), 0.0)
+    slides = (_holding(2.0, skew, flat) <= rho) | (u >= 2.0)
+    held = jax.lax.stop_gradient
+    at = held(jnp.where(slides, 1.0, u))
+    # Zero, with the slopes of the implicit function.
+    excess = rho - _holding(at, skew, flat)
+    moved = (excess - held(excess)) / held(_holding_slope(at, skew, flat))
+    return jnp.where(slides, 2.0, at + moved)
 
 
 class _TwoFrictions(Friction):

@@ -6,7 +6,7 @@ acceleration may fit any remainder, also on held-out data. The prior of such an 
 therefore the error of a measured quantity if the file states it (``tirefit derive`` copies it
 from vehicle.toml), else the error of a guess."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -146,21 +146,13 @@ def _within_the_past(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
-def said_of_motion(rows: "Prepared", rig: Rig, force: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """A sentence about a force if it was derived from the motion; ``force`` is the base's."""
+def said_of_motion(rows: "Prepared", rig: Rig) -> tuple[str, ...]:
+    """A sentence about a force if it was derived from the motion."""
     derived = rows.derived
     if derived is None:
         return ()
-    observed = rows.observed["fy"]
     message = f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
     message += " it shares its channels with the slip, and so does held-out data"
-    if "yaw_rate" in rows.has and derived.mass is not None:
-        on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
-        message += (
-            "; without any tire model, mass x v x yaw_rate differs from it by"
-            f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
-            f" {_rms(observed - force['fy']):.3g} N"
-        )
     if unstated := [of[0] for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
         message += f"; vehicle.toml does not state {', '.join(unstated)}: measure them"
     return (message,)

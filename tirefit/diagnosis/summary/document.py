@@ -36,7 +36,7 @@ from tirefit.diagnosis.summary.result import (
     Surrogate,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.views import Look, compared, data_summary, looks_of, regions
+from tirefit.diagnosis.summary.views import Shape, compared, data_summary, regions, shapes_of
 from tirefit.fitting.problem.noise import effective_inflation
 
 _LISTED, _MENTIONED = 10, 1e-3
@@ -73,14 +73,13 @@ def document_of(
     held, ladder = held_out(case, holdout, rig, generator)
     gaps = {c: _gap(case, gap, rows[c]["gap"]) for c, gap in gaps_of(case, generator).items()}
     budgets = budgets_of(case, generator)
-    steps, reason = next_measurements(base, case.search, case.weighed, case.verdict)
     missed = base.residual(base.as_given, base.amplitudes())[:n]
     # Rows of the fit without effects, counted as by `tirefit fit`: its residuals contain the
     # misfit of the model, which the noise does not.
     null = base.at_null
     scores = np.split(null.residual[:, None] * null.jacobian, len(channels))
     inflations = [effective_inflation(part, base.rows.run, base.rows.time) for part in scores]
-    others = parameter_changes(case), np.asarray(base.design.scale[main])[:n], looks_of(case)
+    others = parameter_changes(case), np.asarray(base.design.scale[main])[:n], shapes_of(case)
     layout, verdict = base.tire.layout, case.verdict
     # The parameters of a simulator may explain the whole gap.
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
@@ -93,8 +92,7 @@ def document_of(
         n_effective=float(np.mean([n / inflation for inflation in inflations])),
         noise=_noise(case),
         where=tuple(regions(base, missed, rows[main]["gap"])),
-        next_measurement=steps,
-        next_measurement_reason=reason,
+        next_measurement=next_measurements(base, case.search, case.weighed, case.verdict),
         slip_check=base.rows.slip_check,
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_first_values(layout.natural(base.as_given)),
@@ -165,7 +163,7 @@ def of_any_subject(
     ladder: Ladder,
     parameters: Mapping[str, Change],
     scale: np.ndarray,
-    looks: Sequence[Look] = (),
+    shapes: tuple[Shape, ...] = (),
 ) -> dict[str, Any]:
     """The fields of a diagnosis that rows and cars fill alike.
 
@@ -173,7 +171,7 @@ def of_any_subject(
         gaps: by channel; held: closure on data not used.
         parameters: of a simulator, as given and as measured.
         scale: (n,) units of the whitened residuals of the first channel.
-        looks: shapes that the remainder resembles.
+        shapes: that the remainder resembles.
     """
     main, base = next(iter(gaps)), case.base
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
@@ -184,7 +182,7 @@ def of_any_subject(
         "gap": gap,
         "budget": budgets[main],
         "budgets": budgets,
-        "verdict": _verdict(case, gap, parameters, tuple(looks)),
+        "verdict": _verdict(case, gap, parameters, shapes),
         "ladder": ladder,
         "candidates": _candidates(case),
         "untestable": case.untestable,
@@ -194,7 +192,7 @@ def of_any_subject(
 
 
 def _verdict(
-    case: Concluded, gap: Gap, parameters: Mapping[str, Change], looks: tuple[Look, ...]
+    case: Concluded, gap: Gap, parameters: Mapping[str, Change], shapes: tuple[Shape, ...]
 ) -> VerdictSummary:
     """The verdict with its calibrated probability, the share of such verdicts that are
     right; if no effect on the mean is found, the effects on the noise."""
@@ -217,7 +215,7 @@ def _verdict(
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
             unlisted=unlisted,
-            looks_like=looks,
+            looks_like=shapes,
         ),
         sizes={
             effect: tuple(sizes_by_group(fit, atom, groups, case.widening, float(scale[atom])))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import logit, ndtr
 
 from tirefit.diagnosis.engine import FLAT, UNSEEN
-from tirefit.diagnosis.engine.decide import UNKNOWN, Status, Verdict
+from tirefit.diagnosis.engine.decide import UNKNOWN, Verdict
 from tirefit.diagnosis.engine.fit import Fit, without
 from tirefit.diagnosis.engine.search import Search, Weighed
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -204,12 +204,12 @@ def manoeuvres(search: Search, weighed: Weighed, verdict: Verdict) -> tuple[Next
 
 
 def next_measurements(
-    base: Base, search: Search, weighed: Weighed, verdict: Verdict, most: int = _FEW
-) -> tuple[tuple[NextMeasurement, ...], str | None]:
-    """Further measurements, of as many rows as the file has, that would distinguish
-    confused effects, the largest gain first; and the reason if there are none."""
+    base: Base, search: Search, weighed: Weighed, verdict: Verdict
+) -> tuple[NextMeasurement, ...]:
+    """At most three further measurements, of as many rows as the file has, that would distinguish
+    confused effects, the largest gain first."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
-    here, changes = _block(base, base.z), _changes(base.rows)
+    here, changes, considered = _block(base, base.z), _changes(base.rows), list[NextMeasurement]()
 
     @cache
     def added(name: str) -> _Block:
@@ -217,16 +217,14 @@ def next_measurements(
             return _with_moment(base, z)
         return _block(_changed(base, changes[name]), z)
 
-    considered = []
     for pair in _pairs(search, weighed, verdict, sizes):
-        one, two = (sizes[name] for name in pair)
-        now, names = _told_apart([here], one, two), list(changes)
-        by = {base.atoms[k].effect.told_apart_by for k, _ in (one, two)}
-        has_moment = "mz" in modelled(base.tire.model)
-        if "mz" in by and "mz" not in base.rows.has and has_moment:
+        first, second = (sizes[name] for name in pair)
+        now, names = _told_apart([here], first, second), list(changes)
+        by = {base.atoms[k].effect.told_apart_by for k, _ in (first, second)}
+        if "mz" in by and "mz" not in base.rows.has and "mz" in modelled(base.tire.model):
             names.append(_MOMENT)
-        for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:
-            after = _told_apart([here, added(name)], one, two)
+        for name in names:
+            after = _told_apart([here, added(name)], first, second)
             considered.append(NextMeasurement(name, pair, now, after))
     for effect, claim in verdict.each.items():
         if effect in verdict.key and _OPEN[0] <= claim.probability <= _OPEN[1]:
@@ -236,19 +234,7 @@ def next_measurements(
                 after = decided(claim.probability, distance)
                 considered.append(NextMeasurement(name, (effect, UNKNOWN), now, after))
     useful = [step for step in considered if step.p_after > step.p_now + _WORTHWHILE]
-    if useful:
-        ranked = sorted(useful, key=lambda s: s.p_now - s.p_after)
-        # One of them decides whether an effect is the cause, if any can.
-        first = [step for step in ranked if UNKNOWN in step.separates][:1]
-        return tuple(dict.fromkeys([*first, *ranked]))[:most], None
-    if not considered:
-        return (), "there is only one effect that these rows can be tested for"
-    _, (a, b), now, _ = considered[0]
-    if now > 1 - _WORTHWHILE:
-        apart = f"rows like these distinguish {a} from {b} with probability {now:.2f}"
-        if verdict.status == Status.CANNOT_TELL:
-            apart += ", but with their present noise they do not: repeat them"
-        return (), apart
-    best = max(step.p_after for step in considered if step.separates == (a, b))
-    apart = f"no further measurement known here would distinguish {a} from {b}"
-    return (), f"{apart}: the best one with probability {best:.2f} (now {now:.2f})"
+    ranked = sorted(useful, key=lambda step: step.p_now - step.p_after)
+    # One of them decides whether an effect is the cause, if any can.
+    deciding = [step for step in ranked if UNKNOWN in step.separates][:1]
+    return tuple(dict.fromkeys([*deciding, *ranked]))[:_FEW]

@@ -23,7 +23,7 @@ from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.rows.structure import Structure
 from tirefit.diagnosis.summary.case import Untestable
-from tirefit.diagnosis.summary.views import Comparison, DataSummary, Look, Region
+from tirefit.diagnosis.summary.views import Comparison, DataSummary, Region, Shape
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import MODELS
@@ -90,7 +90,7 @@ class Left(NamedTuple):
     rms: float
     share: float  # of the gap's energy
     unlisted: float  # probability that an unlisted effect is present
-    looks_like: tuple[Look, ...] = ()  # shapes it resembles, the most probable first
+    looks_like: tuple[Shape, ...] = ()  # shapes it resembles, the most probable first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,9 +256,9 @@ class Diagnosis(Record):
     is empty or None for a car.
     ``resolution`` is the rms [N] of the smallest unlisted remainder that would have been seen.
     ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
-    largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
-    compares the slip column with the slip of the wheel speed; None if that is not known. ``runs``
-    describes the differences of the runs, by kind of offset; empty for a single run.
+    largest gain first. ``slip_check`` compares the slip column with the slip of the wheel speed;
+    None if that is not known. ``runs`` describes the differences of the runs, by kind of offset;
+    empty for a single run.
     ``asked`` is a hash of data and settings, by which ``--resume`` recognises the result.
 
     ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if
@@ -290,7 +290,6 @@ class Diagnosis(Record):
     untestable: tuple[Untestable, ...]
     resolution: float
     next_measurement: tuple[NextMeasurement, ...]
-    next_measurement_reason: str | None = None
     slip_check: SlipCheck | None = None
     runs: Mapping[str, RunOffsets] = field(default_factory=dict)
     base_parameters: Mapping[str, float]

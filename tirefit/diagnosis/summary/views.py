@@ -1,8 +1,8 @@
 """Describe the file, locate the gap in regions of slip, load, speed, time and direction, and
-contents of the figures as arrays: both fits over the slip, and the shape of the remainder."""
+both fits over the slip as arrays, and the shape of the remainder."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +12,9 @@ from tirefit.data.rig.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.vehicle import said_of_motion
 from tirefit.diagnosis.engine import NONZERO
-from tirefit.diagnosis.engine.decide import NOT_WRITTEN, POLICY
+from tirefit.diagnosis.engine.decide import POLICY
 from tirefit.diagnosis.engine.discrepancy import Found
-from tirefit.diagnosis.rows.discrepancy import FULL_SLIDING, PARAMETERS, is_mirrored
+from tirefit.diagnosis.rows.discrepancy import FULL_SLIDING, PARAMETERS
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.case import Case
@@ -44,13 +44,8 @@ class Region(NamedTuple):
     p_value: float  # of its misfit, Benjamini-Yekutieli
 
 
-@dataclass(frozen=True, kw_only=True)
-class Look:
-    """A quantity as a function of a covariate, or as a wave over it, that fits the remainder.
-
-    ``x`` (k,) are places of the covariate, or of one period, ``change`` (k,) what the function
-    is there, in the units of ``size``, ``std`` (k,) its standard errors.
-    """
+class Shape(NamedTuple):
+    """A quantity as a function of a covariate, or as a wave over it, that fits the remainder."""
 
     parameter: str
     covariate: str
@@ -59,11 +54,6 @@ class Look:
     size: float  # largest change: relative (stiffness, friction), a slip, force over load
     probability: float  # among all such functions
     explains: float  # share of the mean square of the remainder
-    x: np.ndarray = field(metadata=NOT_WRITTEN)
-    change: np.ndarray = field(metadata=NOT_WRITTEN)
-    std: np.ndarray = field(metadata=NOT_WRITTEN)
-    is_mirrored: bool = field(metadata=NOT_WRITTEN)  # changes in the direction of the slip
-    at_settings: bool = field(metadata=NOT_WRITTEN)  # x are its only values
 
 
 SIGNIFICANT = 0.05  # rate of false discoveries among regions
@@ -97,7 +87,7 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         channels=base.rows.channels,
         assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
         set_aside=data.first_masked(),
-        motion=said_of_motion(base.rows, rig, base.forces(base.as_given, base.amplitudes())),
+        motion=said_of_motion(base.rows, rig),
     )
 
 
@@ -218,30 +208,20 @@ def compared(base: Base, parts: Mapping[str, np.ndarray], named: bool) -> Compar
     return Comparison(channel, slip_name, named, tuple(curves), center, *map(np.sqrt, squares))
 
 
-def looks_of(case: Case) -> tuple[Look, ...]:
+def shapes_of(case: Case) -> tuple[Shape, ...]:
     """The functions that the remainder of the verdict resembles, of a probability above .05, the
     likeliest first; empty if an unlisted effect is unlikely."""
     if case.verdict.unlisted <= POLICY.likely:
         return ()
-    shapes = case.base.discrepancy.found(case.chosen)
-    return tuple(_look(shape) for shape in shapes if shape.probability > 0.05)
+    likeliest = case.base.discrepancy.found(case.chosen)
+    return tuple(_shape(function) for function in likeliest if function.probability > 0.05)
 
 
-def _look(shape: Found) -> Look:
-    cell, usual = shape.cell, PARAMETERS[shape.cell.quantity][1]
-    change = usual * shape.value
+def _shape(function: Found) -> Shape:
+    """A function of the remainder, in the units of its quantity."""
+    cell = function.cell
+    change = PARAMETERS[cell.quantity][1] * function.value
     largest = int(np.argmax(np.abs(change)))
-    return Look(
-        parameter=cell.quantity,
-        covariate=cell.covariate,
-        is_wave=shape.is_wave,
-        at=float(cell.places[-1 if shape.is_wave else largest]),
-        size=float(change[largest]),
-        probability=shape.probability,
-        explains=shape.explains,
-        x=cell.places,
-        change=change,
-        std=usual * shape.std,
-        is_mirrored=is_mirrored(cell.quantity, cell.covariate),
-        at_settings=cell.settings,
-    )
+    at = float(cell.places[-1 if function.is_wave else largest])
+    sizes = float(change[largest]), function.probability, function.explains
+    return Shape(cell.quantity, cell.covariate, function.is_wave, at, *sizes)
