@@ -38,7 +38,7 @@ def saved(days, tmp_path_factory):
 def test_the_difference_of_two_days_is_found_with_its_error(days):
     found = tirefit.compare(days[:2], ["Monday", "Tuesday"])
     cpa2, mu = found.numbers
-    assert (mu.name, mu.differs, mu.far, cpa2.differs) == ("mu", True, "Tuesday", False)
+    assert (mu.name, mu.differs, mu.farthest, cpa2.differs) == ("mu", True, "Tuesday", False)
     first, second = (one.parameters["mu"] for one in days[:2])
     assert mu.difference == pytest.approx(second.value - first.value)
     assert mu.std == pytest.approx(np.hypot(first.std, second.std))
@@ -55,7 +55,7 @@ def test_of_three_days_the_one_apart_is_named(days):
     value = np.array([one.parameters["mu"].value for one in days])
     weight = np.array([one.parameters["mu"].std for one in days]) ** -2.0
     others = np.average(value[[0, 2]], weights=weight[[0, 2]])
-    assert mu.far == "B" and mu.difference == pytest.approx(value[1] - others)
+    assert mu.farthest == "B" and mu.difference == pytest.approx(value[1] - others)
     assert mu.std == pytest.approx(np.sqrt(1 / weight[1] + 1 / (weight[0] + weight[2])))
     middle = np.average(value, weights=weight)
     assert mu.p == pytest.approx(chi2.sf(weight @ (value - middle) ** 2, 2), abs=1e-12)

@@ -19,7 +19,7 @@ from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.effects.state import force_of_state, null_state
-from tirefit.diagnosis.engine.discrepancy import Cell, Found
+from tirefit.diagnosis.engine.discrepancy import Cell, Component
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
 from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, waves_within
@@ -104,7 +104,7 @@ def test_tangents_agree_with_central_differences(base):
         slope = (force(base.z + step, silent) - force(base.z - step, silent)) / 2e-5
         np.testing.assert_allclose(jacobian[:, i], slope, atol=1e-5 * abs(slope).max())
     for k, atom in enumerate(base.atoms):
-        if atom.effect.far:
+        if atom.effect.misleads:
             continue
         step = silent.copy()
         step[k] = 1e-4 * scale[k]
@@ -353,11 +353,10 @@ def test_shares_do_not_depend_on_the_order():
 
 
 def test_separability_is_right_for_known_directions():
-    columns = np.eye(4)[:, :2].copy()
-    assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.99766, abs=1e-4)
+    first, second = 4 * np.eye(4)[:2]
+    assert separability(first, second) == pytest.approx(0.99766, abs=1e-4)
     for size in (1, -1):  # an amplitude has either sign
-        columns[:, 1] = size * columns[:, 0]
-        assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.5)
+        assert separability(first, size * first) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("chance", "distance"), [(0.3, 2.0), (0.7, 2.0), (0.6, 0.5), (0.25, 4.0)])
@@ -660,7 +659,7 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
 
 def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
     cell = Cell("slip", "slip_fraction", 0, 3, np.array([0.0, 0.5, 1.0]), False)
-    found = Found(cell, 5.0, 0.8, 0.3, np.array([1.0, -4.0, 2.0]), np.array([0.5, 1.0, 1.5]))
+    found = Component(cell, 5.0, 0.8, 0.3, np.array([1.0, -4.0, 2.0]))
     shape = _shape(found)
     assert (shape.at, shape.size, shape.probability, shape.explains) == (0.5, -0.008, 0.8, 0.3)
     # Of a wave the period is stated.

@@ -51,7 +51,7 @@ def _difference(one: Apart) -> str:
     size = _by(one.difference, one.std, one.unit, one.errors)
     known = [name for name, x in one.values.items() if x.std is not None]
     if len(known) > 2:
-        return f"{one.far} less the mean of the others {size}"
+        return f"{one.farthest} less the mean of the others {size}"
     return f"{', '.join(f'{_cell(one, name)} in {name}' for name in known)}: difference {size}"
 
 
@@ -101,7 +101,7 @@ def _numbers_table(given: Sequence[Apart], names: Sequence[str], what: str) -> R
         cells = ["-"] * 2
         if one.p is not None and one.difference is not None:
             size = format_estimate(one.difference, one.std)
-            size += f" ({one.far})" * (len(one.values) > 2)
+            size += f" ({one.farthest})" * (len(one.values) > 2)
             cells = [size, f"{one.errors:.1f}" + ": differs" * one.differs]
         unit = f" [{one.unit}]" if one.unit not in ("", "-") else ""
         name = f"{one.name.removesuffix(': amplitude')}{unit}"

@@ -135,7 +135,7 @@ def where_bars(result: Diagnosis) -> list[Bar]:
     """The regions in which the gap is beyond the noise, at most six, and their shares [%] of its
     energy."""
     bars = []
-    for region in [one for one in result.where if one.p_value <= SIGNIFICANT][:6]:
+    for region in [part for part in result.where if part.p_value <= SIGNIFICANT][:6]:
         label = f"{words.covariate_text(region.covariate)} {words.range_text(region)}"
         share = 100 * region.share
         bars.append(Bar(label, 0.0, share, "effect", f"{share:.0f} %"))

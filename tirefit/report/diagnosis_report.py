@@ -55,7 +55,7 @@ def diagnosis_page(result: Diagnosis) -> str:
     from tirefit.report.diagnosis_figures import panels_of
 
     # The tables have the budget.
-    panels = [one for name, one in panels_of(result).items() if not name.startswith("budget")]
+    panels = [panel for name, panel in panels_of(result).items() if not name.startswith("budget")]
     sections = [
         Section("", pictures=images_of(panels)),
         *first_screen(result),
@@ -87,26 +87,26 @@ def _details(result: Diagnosis) -> list[Section]:
     where = [("quantity", "range", "share of energy", "p of noise")]
     where += [
         (
-            words.covariate_text(one.covariate),
-            words.range_text(one),
-            words.share_text(one.share),
-            words.p_text(one.p_value),
+            words.covariate_text(item.covariate),
+            words.range_text(item),
+            words.share_text(item.share),
+            words.p_text(item.p_value),
         )
-        for one in result.where
+        for item in result.where
     ]
     candidates = []
-    for one in result.candidates:
+    for item in result.candidates:
         sizes = (
             f"; {words.name_of(name.partition(': ')[0])} {words.amplitude_text(amplitude)}"
-            for name, amplitude in one.parameters.items()
+            for name, amplitude in item.parameters.items()
         )
-        if one.probability >= _LEAST:
+        if item.probability >= _LEAST:
             candidates.append(
-                f"{one.probability:.3f}  {words.set_name(one.effects)}{''.join(sizes)}"
+                f"{item.probability:.3f}  {words.set_name(item.effects)}{''.join(sizes)}"
             )
     title = "Candidates (probability of exactly this set, by the evidence)"
     return [
-        *(one._replace(title=f"{of_changed}{one.title}") for one in changed),
+        *(item._replace(title=f"{of_changed}{item.title}") for item in changed),
         Section("Gap on the rows fitted", gaps),
         Section("Runs (each fitted with its own offset)", list(_run_lines(result))),
         Section("Where the gap lies", (), where),
@@ -126,7 +126,7 @@ def _run_lines(result: Diagnosis) -> Iterator[str]:
             common = ""
         spread = words.amount_text(runs.spread, None, runs.unit, 2)
         low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
-        own = (
+        each_run = (
             f"{name} {format_estimate(factor * value, factor * std)}"
             for name, (value, std) in runs.values.items()
         )
@@ -134,7 +134,7 @@ def _run_lines(result: Diagnosis) -> Iterator[str]:
             f"{words.name_of(kind)}: {common}{len(runs.values)} runs, standard"
             f" deviation between runs {spread} [{low}, {high}], p"
             f" {words.p_text(runs.p_value)} of none;"
-            f" each run{f' [{unit}]' * bool(unit)}: {', '.join(own)}"
+            f" each run{f' [{unit}]' * bool(unit)}: {', '.join(each_run)}"
         )
 
 

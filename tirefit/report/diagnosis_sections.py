@@ -232,16 +232,17 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
     helping = verdict.helping or verdict.effects
     for effect in (*helping, *verdict.also_possible):
         named, means = effect in helping, words.words_on(effect, result.library)
-        amounts = words.sizes_of(result, effect)
-        sizes = [words.amplitude_text(x) + words.in_the_file(result, x) for x in amounts]
+        size = words.size_of(result, effect)
         name = words.name_of(effect) + f" ({effect})" * (words.name_of(effect) != effect)
-        tail = "; ".join(sizes) if named else "not named"
+        tail = "" if named else "not named"
+        if named and size:
+            tail = words.amplitude_text(size) + words.in_the_file(result, size)
         yield f"{name}: {tail}" if tail else name
         if (each := verdict.each.get(effect)) is not None:
             yield f"    {_each_text(each)}"
         if groups := verdict.sizes.get(effect):
             # Those by the covariate over which they are most unequal.
-            by, (factor, unit) = groups[0], words.said_unit(amounts[0].unit if amounts else "")
+            by, (factor, unit) = groups[0], words.said_unit(size.unit if size else "")
             pairs = zip(by.size, by.std, strict=True)
             each_size = ", ".join(format_estimate(factor * x, factor * std) for x, std in pairs)
             text = f"size by {words.covariate_text(by.covariate)}: {each_size} {unit}".rstrip()

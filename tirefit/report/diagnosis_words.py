@@ -7,7 +7,7 @@ from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.result import Amplitude, Diagnosis
+from tirefit.diagnosis.summary.result import Amplitude, Diagnosis, Estimate
 from tirefit.diagnosis.summary.views import Region, Shape
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.slip import CONVENTIONS
@@ -114,10 +114,10 @@ def range_text(region: Region) -> str:
     unit = CANONICAL.get(name, ("", ""))[0]
     tail = f" {unit}" if unit not in ("", "-") else ""
     # With hardly any friction on some rows, their slip is far beyond full sliding.
-    far = name in ("slip_fraction", "slip") and max(-low, high) > _FAR
-    if low == high and not far:
+    beyond = name in ("slip_fraction", "slip") and max(-low, high) > _FAR
+    if low == high and not beyond:
         return f"{format_number(low)}{tail}"
-    if not far:
+    if not beyond:
         return f"{_end(low, high)} to {_end(high, high)}{tail}"
     if min(-low, high) > _FAR:
         return "any"
@@ -180,11 +180,16 @@ def set_name(effects: Sequence[str]) -> str:
     return " + ".join(names) or "no effect"
 
 
-def sizes_of(result: Diagnosis, effect: str) -> list[Amplitude]:
-    """The amplitudes of an effect that helps; empty for another one."""
-    return [
-        amplitude for name, amplitude in result.amplitudes.items() if name.startswith(f"{effect}: ")
-    ]
+def size_of(result: Diagnosis, effect: str) -> Amplitude | None:
+    """The amplitude of an effect that helps; None for another one."""
+    sizes = result.amplitudes.items()
+    return next((size for name, size in sizes if name.startswith(f"{effect}: ")), None)
+
+
+def sized_name(effect: str, size: Amplitude | Estimate | None) -> str:
+    """``slip offset of 0.27 ± 0.03 m``; the name alone without a size."""
+    name = name_of(effect)
+    return f"{name} of {amount_text(size.value, size.std, size.unit)}" if size else name
 
 
 def amplitude_text(amplitude: Amplitude) -> str:

@@ -215,9 +215,9 @@ def slip_of_state(state: State, slip: Values | float) -> Any:
     return moved / jnp.maximum(1 - state.curvature * moved, 0.05)
 
 
-def with_offsets(found: Sequence[Values], state: State, mode: str) -> tuple[Values, Values, Values]:
+def with_offsets(pure: Sequence[Values], state: State, mode: str) -> tuple[Values, Values, Values]:
     """(fx, fy, mz) with what the state adds to the force that the slip drives."""
-    fx, fy, mz = found
+    fx, fy, mz = pure
     extra = (0.0, state.force) if mode == "y" else (state.force, 0.0)
     return fx + extra[0], fy + extra[1], mz + state.moment
 
@@ -245,20 +245,20 @@ def force_of_state(
     size = jnp.sqrt(along**2 + across**2 + _AT_REST)
     bare = reference is None
     if reference is None:
-        own = cast(Brush, base)
-        reference = own.cpa2, own.mu, own.half_length
+        plain = cast(Brush, base)
+        reference = plain.cpa2, plain.mu, plain.half_length
     stiffness, mu, arm = reference
     shape = _Shaped(state.skew, state.flat)
     friction = _TwoFrictions(excess=state.static, factor=state.kinetic)
     change, turn = Brush(stiffness, mu, arm, shape, friction).pure(size, inputs.fz, 0.0)
     if not bare:  # the change of the shape alone
-        plain = Brush(stiffness, mu, arm, Parabolic()).pure(size, inputs.fz, 0.0)
-        change, turn = change - plain[0], turn - plain[1]
+        unchanged = Brush(stiffness, mu, arm, Parabolic()).pure(size, inputs.fz, 0.0)
+        change, turn = change - unchanged[0], turn - unchanged[1]
     x, y = along / size, across / size
     added = x * change, y * change, arm * y * turn
     if bare:
         return tuple(state.friction * part for part in added)
     alpha = jnp.arctan(across / (1 + along))
-    found = base(inputs._replace(sigma_x=along, alpha=alpha))
-    forces = (0.0 if f is None else f for f in (found.fx, found.fy, found.mz))
+    whole = base(inputs._replace(sigma_x=along, alpha=alpha))
+    forces = (0.0 if f is None else f for f in (whole.fx, whole.fy, whole.mz))
     return tuple(state.friction * (o + a) for o, a in zip(forces, added, strict=True))

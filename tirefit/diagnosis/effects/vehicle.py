@@ -82,8 +82,8 @@ def _of_scale(prior: Prior, scale: float) -> Prior:
 
 def _narrowed(prior: Prior, scale: float) -> Prior:
     """The prior with at most this scale."""
-    own = _of_scale(prior, min(prior.scale, scale))
-    return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
+    narrow = _of_scale(prior, min(prior.scale, scale))
+    return narrow._replace(low=max(prior.low, narrow.low), high=min(prior.high, narrow.high))
 
 
 def _of_quantity(key: str, prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:

@@ -175,21 +175,20 @@ def held_out(
     scale = np.median(base.noise[main].std / rows.inputs.fz)
     steps, parts = fits_of(case, ladder), []
     sets = [(base.as_given, base.amplitudes())]
-    sets += [
-        (one.z, base.amplitudes(one.atoms, one.amplitude)) for one in (case.chosen, *steps.values())
-    ]
+    fits = case.chosen, *steps.values()
+    sets += [(fit.z, base.amplitudes(fit.atoms, fit.amplitude)) for fit in fits]
     for data in holdout:
         left_out, shown = prepare(data, rig, rows.channels), rows.shown
         if shown is not None and rows.scatter:  # only a part of the scatter is noise
             shown = min(shown, left_out.scatter)
         other = on_rows(base, prepare(data, rig, rows.channels, shown), rig)
-        missed = [other.rows.observed[main] - other.forces(*one)[main] for one in sets]
+        missed = [other.rows.observed[main] - other.forces(*numbers)[main] for numbers in sets]
         parts.append(((scale * other.rows.inputs.fz) ** 2, other.rows.run + runs, *missed))
         runs += len(data.runs)
     variance, run, before, after, *others = map(np.concatenate, zip(*parts, strict=True))
     left = {AS_GIVEN: before, **dict(zip(steps, others, strict=True))}
     closure = closure_of(before, after, variance, run, base.noise[main].inflation, generator)
-    return on_files(ladder, closure, left, variance, ", ".join(one.name for one in holdout))
+    return on_files(ladder, closure, left, variance, ", ".join(data.name for data in holdout))
 
 
 def fits_of(case: Concluded, ladder: Ladder) -> dict[Key, Fit]:
@@ -214,11 +213,13 @@ def on_files(
     """
     gap, steps = np.mean(next(iter(missed.values())) ** 2 - variance), []
     for step in ladder.steps:
-        own = missed.get(tuple(sorted(step.effects)))
-        if own is not None:
-            share = float(_closed(gap, max(np.mean(own**2 - variance), 0.0)))
-            closed, rms = share if closure.resolvable else None, float(np.sqrt(np.mean(own**2)))
-            step = step._replace(rms_held_out=rms, closed_held_out=closed)
+        residual = missed.get(tuple(sorted(step.effects)))
+        if residual is not None:
+            share = float(_closed(gap, max(np.mean(residual**2 - variance), 0.0)))
+            step = step._replace(
+                rms_held_out=float(np.sqrt(np.mean(residual**2))),
+                closed_held_out=share if closure.resolvable else None,
+            )
         steps.append(step)
     return HeldOut(**vars(closure), on=on), ladder._replace(steps=tuple(steps))
 
@@ -321,7 +322,7 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple[Any, ...], np.ndarr
         for subset, (z, amplitude) in fits.items()
     }
     return {
-        channel: {k: base.rows.observed[channel] - own[channel] for k, own in forces.items()}
+        channel: {k: base.rows.observed[channel] - x[channel] for k, x in forces.items()}
         for channel in base.rows.channels
     }
 
@@ -333,7 +334,7 @@ def parameter_changes(case: Case) -> Mapping[str, Change]:
     if simulator is None:
         return {}
     values = zip(layout.labels, layout.vector(simulator.z), *case.natural, strict=True)
-    return {name: changed(*map(float, one)) for name, *one in values}
+    return {name: changed(*map(float, numbers)) for name, *numbers in values}
 
 
 def changed(given: float, measured: float, error: float) -> Change:

@@ -33,18 +33,16 @@ largest one on measured logs."""
 _SAME_AGAIN, _MOMENT = "the same again", "the aligning moment M_z on lateral runs"
 
 
-def separability(columns: np.ndarray, a: int, b: int, size_a: float, size_b: float) -> float:
-    """Forecast probability of distinguishing effect a from b by the larger abs(z).
+def separability(first: np.ndarray, second: np.ndarray) -> float:
+    """Forecast probability of distinguishing two effects by the larger abs(z).
 
     Args:
-        columns: (m, K) directions of the effects, orthogonal to the base parameters.
-        size_a, size_b: amplitudes in units of the columns.
+        first, second: (m,) whitened changes by each, orthogonal to the base parameters.
     """
-    one, two = columns[:, a] * size_a, columns[:, b] * size_b
-    energy = float(one @ one), float(two @ two)
+    energy = float(first @ first), float(second @ second)
     if min(energy) < FLAT:
         return 0.5
-    correlation = one @ two / np.sqrt(energy[0] * energy[1])
+    correlation = first @ second / np.sqrt(energy[0] * energy[1])
     # Equal effects have a correlation of 1, which rounding may exceed.
     apart = max(1 - abs(correlation), 0.0)
     return float(ndtr(np.sqrt(min(energy) * apart / 2)))
@@ -113,16 +111,17 @@ def _with_moment(base: Base, z: np.ndarray) -> _Block:
     return np.column_stack([jacobian, length]), columns
 
 
-def _told_apart(blocks: Sequence[_Block], one: tuple[int, float], two: tuple[int, float]) -> float:
+def _told_apart(blocks: Sequence[_Block], *effects: tuple[int, float]) -> float:
     """Forecast probability of distinguishing two effects by all these measurements.
 
     Args:
-        one, two: (atom, amplitude in prior scales) of the effects.
+        effects: (atom, amplitude in prior scales) of each.
     """
     width = max(jacobian.shape[1] for jacobian, _ in blocks)
-    known = [np.pad(own, ((0, 0), (0, width - own.shape[1]))) for own, _ in blocks]
-    columns = np.concatenate([columns[:, [one[0], two[0]]] for _, columns in blocks])
-    return separability(without(columns, np.concatenate(known)), 0, 1, one[1], two[1])
+    known = [np.pad(x, ((0, 0), (0, width - x.shape[1]))) for x, _ in blocks]
+    atoms, sizes = zip(*effects, strict=True)
+    columns = np.concatenate([columns[:, atoms] for _, columns in blocks]) * sizes
+    return separability(*without(columns, np.concatenate(known)).T)
 
 
 def decided(chance: float, distance: float) -> float:
@@ -193,14 +192,14 @@ def _pairs(
 def manoeuvres(search: Search, weighed: Weighed, verdict: Verdict) -> tuple[NextMeasurement, ...]:
     """The measurement by which each pair of confused effects is told apart, as their records
     name it, and the probability of distinguishing them without it, the smallest first."""
-    sizes, found = _sizes(search, weighed), []
+    sizes, steps = _sizes(search, weighed), []
     for pair in _pairs(search, weighed, verdict, sizes):
-        (one, size), (two, other) = (sizes[name] for name in pair)
-        now = separability(search.projected, one, two, size, other)
-        add = search.subject.atoms[one].effect.told_apart_by
+        (first, size), (second, other) = (sizes[name] for name in pair)
+        now = separability(search.projected[:, first] * size, search.projected[:, second] * other)
+        add = search.subject.atoms[first].effect.told_apart_by
         if add and now <= 1 - _WORTHWHILE:
-            found.append(NextMeasurement(add, pair, now, np.nan))
-    return tuple(sorted(found, key=lambda step: step.p_now))
+            steps.append(NextMeasurement(add, pair, now, np.nan))
+    return tuple(sorted(steps, key=lambda step: step.p_now))
 
 
 def next_measurements(

@@ -386,11 +386,11 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
     for channel, parts in result.rows.items():
         header = data.source.columns.get(channel, channel)
         # A difference of forces is converted like a force, as their units have no offset.
-        own = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
+        columns = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
         # Only a simulator has forces as given and tuned.
-        shown = (x for x in ("sim", "tuned", "base", "extended", "gap") if x in own)
-        out |= {f"{name}_{channel}": own[name] for name in shown}
-        out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
+        shown = (x for x in ("sim", "tuned", "base", "extended", "gap") if x in columns)
+        out |= {f"{name}_{channel}": columns[name] for name in shown}
+        out[f"gap_{channel}_std"] = np.abs(columns["gap_std"])
     out["masked"] = (~data.used).astype(int)
     place = data.source.place
     return out if place is None else {name: x[np.argsort(place)] for name, x in out.items()}
@@ -413,7 +413,7 @@ def record_of(content: Mapping[str, Any], path: str = "") -> FileRecord:
     rows += [Row("gap", k, gap[k], unit=unit) for k in ("rms", "remaining_rms")]
     rows += [Row("gap", "closed", gap["closed"])]
     rows += [Row("gap", "probability", verdict["probability"])]
-    best = (one for one in content["candidates"] if set(one["effects"]) == helping - {UNKNOWN})
+    best = (x for x in content["candidates"] if {*x["effects"]} == helping - {UNKNOWN})
     sizes: Mapping[str, Any] = next(best, {"parameters": {}})["parameters"]
     rows += [Row("effect", k, x["value"], x["std"], unit=x["unit"]) for k, x in sizes.items()]
     status = ": ".join(filter(None, [verdict["status"], ", ".join(verdict["effects"])]))

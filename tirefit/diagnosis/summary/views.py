@@ -13,7 +13,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.vehicle import said_of_motion
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import POLICY
-from tirefit.diagnosis.engine.discrepancy import Found
+from tirefit.diagnosis.engine.discrepancy import Component
 from tirefit.diagnosis.rows.discrepancy import FULL_SLIDING, PARAMETERS
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base
@@ -77,15 +77,15 @@ def adjusted(p_values: np.ndarray) -> np.ndarray:
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
     """The file of a diagnosis: the table as it was read, with the fit to its rows."""
-    doubt = base.simulator.doubt if base.simulator else ""
-    doubts = (f"warning: {doubt}",) if doubt else ()
+    warning = base.simulator.doubt if base.simulator else ""
+    warnings = (f"warning: {warning}",) if warning else ()
     return DataSummary(
         name=data.name,
         path=data.source.path,
         sha256=data.source.sha256,
         convention=data.source.convention,
         channels=base.rows.channels,
-        assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
+        assumptions=(*warnings, *data.source.notes, *rig.notes, *rig.beside(data)),
         set_aside=data.first_masked(),
         motion=said_of_motion(base.rows, rig),
     )
@@ -213,11 +213,11 @@ def shapes_of(case: Case) -> tuple[Shape, ...]:
     likeliest first; empty if an unlisted effect is unlikely."""
     if case.verdict.unlisted <= POLICY.likely:
         return ()
-    likeliest = case.base.discrepancy.found(case.chosen)
+    likeliest = case.base.discrepancy.components(case.chosen)
     return tuple(_shape(function) for function in likeliest if function.probability > 0.05)
 
 
-def _shape(function: Found) -> Shape:
+def _shape(function: Component) -> Shape:
     """A function of the remainder, in the units of its quantity."""
     cell = function.cell
     change = PARAMETERS[cell.quantity][1] * function.value
