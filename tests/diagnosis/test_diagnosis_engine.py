@@ -58,8 +58,8 @@ def test_held_out_files_evaluate_each_step_of_the_ladder():
 def test_amplitudes_agree_with_the_truth(diagnosed):
     for name, key, truth in (
         ("slip_offset", "slip_offset: amplitude", 0.004),
-        ("load_friction", "load_friction: power", -0.1),
-        ("relaxation_length", "relaxation_length: length", 0.5),
+        ("load_friction", "load_friction: amplitude", -0.1),
+        ("relaxation_length", "relaxation_length: amplitude", 0.5),
     ):
         found, _ = diagnosed(name)
         value = found.candidates[0].parameters[key]

@@ -63,7 +63,7 @@ def document(base, atom, size, to, **known):
         },
         "candidates": [{
             "effects": [effect.id],
-            "parameters": {f"{effect.id}: {effect.parameter}": amplitude},
+            "parameters": {f"{effect.id}: amplitude": amplitude},
         }],
         "base_parameters": values, "extended_parameters": values,
         "extension": to._asdict(),

@@ -172,10 +172,8 @@ def _settings(result: Diagnosis) -> Iterator[str]:
     if result.slip_check is not None:
         yield words.slip_check_line(result.slip_check)
     if settings.rig is not None:
-        rig = {k: v for k, v in vars(settings.rig).items() if v}
-        rig |= {f"noise.{k}": v for k, v in rig.pop("noise", {}).items()}
-        known = ", ".join(f"{k} = {v}" for k, v in rig.items() if k != "notes")
-        yield f"known of the rig: {known or 'nothing'}"
+        known = {k: v for k, v in vars(settings.rig).items() if v and k != "notes"}
+        yield f"known of the rig: {', '.join(f'{k} = {v}' for k, v in known.items()) or 'nothing'}"
         out = [effect.id for effect in EFFECTS if effect.id not in settings.effects]
         if out:
             yield f"not looked for: {', '.join(out)}"

@@ -6,7 +6,7 @@ import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import Each, Status
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, Step
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.result import (
     UNITS,
@@ -36,8 +36,6 @@ _BEYOND = 1.5  # ratio of the noise to the stated noise above which it is report
 
 _HALF = 0.5  # smallest explained share of a mean square without a warning
 _MOST_NEEDS = 8  # largest number of missing columns that the first screen lists
-
-_CLOSED = "closed: removed share of the first row's rms beyond the noise, ± std"
 
 
 def subject(result: Diagnosis) -> str:
@@ -105,49 +103,36 @@ def _percent(share: float, std: float | None) -> str:
     return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
 
 
-def _held_out(step: Step) -> str:
-    """The rms of a step on the held-out files, and the share closed there."""
-    if step.rms_held_out is None:
-        return "-"
-    rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
-    return f"{rms} ({closed:.0%})" if closed else rms
-
-
 def _ladder(result: Diagnosis) -> Section:
-    ladder, unit = result.ladder, result.unit
+    ladder, unit, held_out = result.ladder, result.unit, bool(result.settings.holdout)
     on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
-    title = f"How far the gap shrinks on data left out{on}"
-    square = f"({unit})^2" if " " in unit else f"{unit}^2"
-    table = [("model", f"rms left out [{unit}]", "closed", f"gain [{square}]")]
-    table += [
-        (
-            step_label(result, k),
-            format_number(step.rms_left_out, 3),
-            _percent(step.closed, step.closed_std or None) if k else "-",
-            format_estimate(step.gain, step.gain_std) if k else "-",
+    head = ("model", f"rms left out [{unit}]", "closed", f"held out [{unit}]")
+    table = [head] if ladder.steps else []
+    for k, step in enumerate(ladder.steps):
+        rms, closed = step.rms_held_out, step.closed_held_out
+        there = (
+            "-" if rms is None else format_number(rms, 3) + f" ({closed or 0:.0%})" * bool(closed)
         )
-        for k, step in enumerate(ladder.steps)
-    ]
-    lines = [_CLOSED + "; gain: reduction of the mean square"]
-    if result.settings.holdout:
-        cells = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
-        # It replaces the gain, for which the line is too short.
-        table = [(*row[:3], cell) for row, cell in zip(table, cells, strict=True)]
-        lines = [_CLOSED + "; held out: rms on those files (share closed there)"]
-        for k in worse_steps(result):
-            old, new = (format_number(ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))
-            lines += [
-                f"{step_label(result, k)}: predicts the files held out worse ({old} to {new}"
-                f" {unit} rms): do not carry it over to other data"
-            ]
+        share = _percent(step.closed, step.closed_std or None) if k else "-"
+        table.append((step_label(result, k), format_number(step.rms_left_out, 3), share, there))
+    lines = ["closed: removed share of the first row's rms beyond the noise, ± std"]
     if not ladder.steps:
-        table, lines = [], ["no part of these rows can be left out"]
+        lines = ["no part of these rows can be left out"]
         lines += [gap_line(result, result.gap, "the rows fitted")]
-    if result.gap.holdout is not None and result.settings.holdout:
-        held = result.gap.holdout
+    if not held_out:
+        table = [row[:3] for row in table]
+    elif ladder.steps:
+        lines[0] += "; held out: rms on those files (share closed there)"
+    for k in worse_steps(result):
+        old, new = (format_number(ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))
+        lines += [
+            f"{step_label(result, k)}: predicts the files held out worse ({old} to {new}"
+            f" {unit} rms): do not carry it over to other data"
+        ]
+    if held_out and (held := result.gap.holdout) is not None:
         lines.append(gap_line(result, held, f"files held out ({held.on})"))
     # On the page the first panel has the ladder.
-    return Section(title, lines, table, folded=True)
+    return Section(f"How far the gap shrinks on data left out{on}", lines, table, folded=True)
 
 
 def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:

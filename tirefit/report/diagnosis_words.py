@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.rig import SlipCheck
@@ -67,7 +69,6 @@ _COVARIATES = {
     "distance": "distance travelled",
     "pressure": "inflation pressure",
 }
-_FAR = 100.0  # largest multiple of the slip of full sliding that is printed
 
 NAMED_VALUES = {
     "direction": {-1.0: "shrinking", 0.0: "steady", 1.0: "growing"},
@@ -111,19 +112,19 @@ def range_text(region: Region) -> str:
     if name in NAMED_VALUES:
         # The few steady rows among growing or shrinking ones do not determine the name.
         return NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
-    unit = CANONICAL.get(name, ("", ""))[0]
-    tail = f" {unit}" if unit not in ("", "-") else ""
+    unit = covariate_unit(name)
+    tail = f" {unit}" if unit else ""
     # With hardly any friction on some rows, their slip is far beyond full sliding.
-    beyond = name in ("slip_fraction", "slip") and max(-low, high) > _FAR
-    if low == high and not beyond:
-        return f"{format_number(low)}{tail}"
-    if not beyond:
-        return f"{_end(low, high)} to {_end(high, high)}{tail}"
-    if min(-low, high) > _FAR:
-        return "any"
-    if high > _FAR:
-        return f"{_end(min(low, _FAR), 1.0)} and more"
-    return f"{_end(max(high, -_FAR), 1.0)} and less"
+    reach = 100.0 if name in ("slip_fraction", "slip") else np.inf
+    largest = max(abs(low), abs(high))
+    least = 5e-4 * (largest if largest <= reach else 1.0)
+    clipped = np.clip((low, high), -reach, reach).tolist()
+    ends = [format_number(0.0 if abs(end) < least else end, 3) for end in clipped]
+    if high > reach:
+        return "any" if low < -reach else f"{ends[0]} and more"
+    if low < -reach:
+        return f"{ends[1]} and less"
+    return f"{format_number(low)}{tail}" if low == high else f"{' to '.join(ends)}{tail}"
 
 
 def covariate_unit(name: str) -> str:
@@ -146,11 +147,6 @@ def shape_text(shape: Shape) -> str:
     if shape.is_wave:
         return f"{shape.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
     return f"{shape.parameter} changes with {covariate}, by {size} at {at}"
-
-
-def _end(value: float, largest: float) -> str:
-    """An end of a range, rounded to three digits of the larger end."""
-    return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
 _OF_CAR = {"all": "the motion", "v_y": "lateral speed", "yaw_rate": "yaw rate"}

@@ -85,7 +85,6 @@ class Effect:
         unit: unit of the amplitude.
         formula, means, remedy, remedy_derived: for the report: the law, its meaning, what to
             do about it, and that in a file written by ``tirefit derive``, if another.
-        parameter: name of the amplitude.
         bounds: of the amplitude, one pair for all variants or one for each; physical,
             else about 20 scales.
         center: expected amplitude; not zero for mistakes of a known size.
@@ -117,7 +116,6 @@ class Effect:
     means: str = ""
     remedy: str = ""
     remedy_derived: str = ""
-    parameter: str = "amplitude"
     of: str = "tire"
     per: tuple[str, ...] = ("plain",)
     bounds: tuple[tuple[float, float], ...] = ((-float("inf"), float("inf")),)
@@ -146,38 +144,31 @@ class Effect:
         return self.singular or self.center != 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class NoiseEffect:
-    """A law of the noise, named if no effect on the mean is; fields as in :class:`Effect`."""
+class NoiseEffect(NamedTuple):
+    """A law of the noise, named if no effect on the mean is; fields as in :class:`Effect`, and
+    the ``flag`` of :class:`rows.noise.NoiseLevel` that names it, empty for none."""
 
     id: str
-    flag: str = ""  # of :class:`rows.noise.NoiseLevel` that names it; "": none
     means: str
     remedy: str
+    flag: str = ""
     family: str = "noise"
 
 
 NOISE_EFFECTS = (
     NoiseEffect(
-        id="outliers",
-        flag="outliers",
-        means="some rows lie far from all others",
-        remedy="set [noise] loss = 'huber'",
+        "outliers", "some rows lie far from all others", "set [noise] loss = 'huber'", "outliers"
     ),
     NoiseEffect(
-        id="noise_heteroscedastic",
-        means="the noise level differs over the range",
-        remedy="give fx_std row by row",
+        "noise_heteroscedastic", "the noise level differs over the range", "give fx_std row by row"
     ),
     NoiseEffect(
-        id="noise_autocorrelated",
-        flag="autocorrelated",
-        means="the noise of neighbouring rows is correlated",
-        remedy="none needed: the effective number of rows is used",
+        "noise_autocorrelated",
+        "the noise of neighbouring rows is correlated",
+        "none needed: the effective number of rows is used",
+        "autocorrelated",
     ),
-    NoiseEffect(
-        id="slip_noise", means="the slip is measured with noise", remedy="give sigma_x_std"
-    ),
+    NoiseEffect("slip_noise", "the slip is measured with noise", "give sigma_x_std"),
 )
 
 

@@ -51,7 +51,7 @@ class Source(NamedTuple):
         model: of the tire or the car.
         rows: identifies the rows that it was found from; empty if not known.
         numbers: parameters by name; ``derived`` those that follow from them.
-        effects: ``effect: parameter`` -> size of the effects that help.
+        effects: ``effect: amplitude`` -> size of the effects that help.
         standing: effect -> ``named``, ``acts like one``, ``possible`` or ``untestable``.
         tire: that gives forces; None without.
         content: of its document.

@@ -242,8 +242,8 @@ def _candidates(case: Concluded) -> tuple[Candidate, ...]:
         # However bad the fit, the error is at most that of the prior.
         sizes = amplitude * scale, np.minimum(spread, 1.0) * scale
         for atom, size, error in zip(atoms, *sizes, strict=True):
-            name, unit = f"{atom.effect.id}: {atom.effect.parameter}", atom.effect.unit
-            parameters[name] = Amplitude(float(size), float(error), unit, case.formula(atom))
+            numbers = float(size), float(error), atom.effect.unit
+            parameters[f"{atom.effect.id}: amplitude"] = Amplitude(*numbers, case.formula(atom))
         family = " + ".join(dict.fromkeys(atom.effect.family for atom in atoms))
         candidate = Candidate(
             effects=key, family=family, probability=total[key], parameters=parameters

@@ -216,7 +216,7 @@ class Candidate:
     effects: tuple[str, ...]
     family: str
     probability: float
-    # ``effect: parameter`` -> size
+    # ``effect: amplitude`` -> size
     parameters: Mapping[str, Amplitude] = field(default_factory=dict)
 
 
@@ -318,7 +318,7 @@ class Diagnosis(Record):
 
     @property
     def amplitudes(self) -> Mapping[str, Amplitude]:
-        """``effect: parameter`` -> amplitude in the fit of the effects that help."""
+        """``effect: amplitude`` -> its value in the fit of the effects that help."""
         helping = {*self.verdict.helping}
         return next(
             (
