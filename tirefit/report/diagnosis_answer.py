@@ -19,7 +19,6 @@ _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 
 _FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")  # parameters that limit the force
 
-_LIKELY = 0.5  # probability of an effect that the simulator's own forces show
 
 _MANY_TIMES = 3.0
 """Ratio of simulated to measured value above which its number says nothing: the rows hardly
@@ -196,7 +195,7 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         for s in both.structure
     ]
     simulated = both.simulator.effects if both.simulator else {}
-    likely = {e: x for e, x in simulated.items() if (x.probability or 0.0) >= _LIKELY}
+    likely = {e: x for e, x in simulated.items() if (x.probability or 0.0) >= 0.5}
     if likely := [words.sized_name(effect, x) for effect, x in likely.items()]:
         parts.append(f"The simulator's own forces show {words.listing(likely)}.")
     fitted = f"A {both.model} with effects, fitted to the measured rows, predicts rows left out to"

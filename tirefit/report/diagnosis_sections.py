@@ -32,11 +32,6 @@ _SHOWN = (
 """Texts that mark the notes to show: on signs, on a simulator, on findings of derive, and on
 the windows and tires of a car."""
 
-_BEYOND = 1.5  # ratio of the noise to the stated noise above which it is reported
-
-_HALF = 0.5  # smallest explained share of a mean square without a warning
-_MOST_NEEDS = 8  # largest number of missing columns that the first screen lists
-
 
 def subject(result: Diagnosis) -> str:
     """The file, and the model or the simulated forces with which it is compared."""
@@ -53,7 +48,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
         for name, level in noise.forces.items()
     )
     yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"
-    if noise.excess > _BEYOND:
+    if noise.excess > 1.5:
         yield f"the noise is {noise.excess:.2g} times what is stated"
     yield from (s for s in data.assumptions if any(part in s for part in _SHOWN))
     # A simulator with readings may be far from rows that are right.
@@ -61,7 +56,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
         force = np.asarray(result.table[channel]) if result.table else np.nan
         missed = np.nanmean((force - forces["base"]) ** 2)
         explained = 1 - missed / max(np.nanmean(force**2), NONZERO)
-        if explained < _HALF:
+        if explained < 0.5:
             yield (
                 f"warning: {result.model} explains {max(explained, 0.0):.0%} of the"
                 f" mean square of {words.channel_name(channel)}: check columns, units and"
@@ -192,11 +187,6 @@ def budget_section(result: Diagnosis, channel: str) -> Section:
     return Section(title, [first] if first else (), rows if budget else [])
 
 
-_ROUGH = 0.5
-"""Largest error of a stand-in over the gap for an accurate budget: of twelve simulators of other
-tires, four were diagnosed correctly with a brush, eleven with a tire that followed them."""
-
-
 def stand_in_line(result: Diagnosis) -> str:
     """A line on the error of the stand-in of a simulator; empty if there is none."""
     if result.simulator is None or result.simulator.surrogate.of_force <= 1e-6:
@@ -206,7 +196,9 @@ def stand_in_line(result: Diagnosis) -> str:
     line += f" {format_number(followed.rms, 3)} N rms,"
     line += f" {words.share_text(followed.of_force)} of its force"
     line += f" and {words.share_text(followed.of_gap)} of the gap" * resolvable
-    if resolvable and followed.of_gap > _ROUGH:
+    # Of twelve simulators of other tires, four were diagnosed correctly with a brush, eleven with a
+    # tire that followed them.
+    if resolvable and followed.of_gap > 0.5:
         line += "; the parts are rough: without --model, a tire that follows it more closely is"
         line += " chosen"
     return line
@@ -286,7 +278,7 @@ def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
         groups.setdefault(needs, []).append(words.name_of(item.effect))
     ranked = sorted(groups.items(), key=lambda group: -len(group[1]))
     lines = [f"{needs}: {', '.join(effects)}" for needs, effects in ranked]
-    return lines[:_MOST_NEEDS], lines[_MOST_NEEDS:]
+    return lines[:8], lines[8:]
 
 
 def both_described(result: Diagnosis) -> Readings | None:

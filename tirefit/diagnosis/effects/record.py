@@ -282,10 +282,6 @@ _STEP = 1e-5
 """Step of a numerical slope over the prior scale: the error of the parabola is its square,
 that of rounding 1e-16 over it, so both are about 1e-10 of the change by one scale."""
 
-_LEAST_NEXT = 0.9
-"""Smallest second step of a state over the first, from amplitude 0. It is below 1 by about
-the step unless the slope there is infinite, as that of a root."""
-
 Present = Sequence[tuple[int, float]]
 """Numbers and amplitudes, in their own units, of the atoms of a hypothesis."""
 
@@ -370,7 +366,8 @@ class States:
                 continue
             first, second = b - a, c - b
             slopes[field] = (3 * first - second) / (2 * step)
-            shrinks = _size(second) + ROUNDING * _size(b) < _LEAST_NEXT * _size(first)
+            # The second step is as large as the first unless the slope is infinite, as of a root.
+            shrinks = _size(second) + ROUNDING * _size(b) < 0.9 * _size(first)
             if shrinks and not amplitude:
                 slopes[field] = np.full_like(a, np.inf)
         return slopes

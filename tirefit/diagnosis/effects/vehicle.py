@@ -35,17 +35,7 @@ from tirefit.slip import GRAVITY
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.prepared import Prepared
 
-_CERTAIN = 30.0  # largest log odds: an error of one in 10^13, beyond which nothing changes
-
-_HEIGHT, _FAR = 0.4, 6.0
-"""Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
-bounds in standard deviations."""
-
-_NO_LENGTH = 1e-12
-"""A length below this share of a step counts as zero; the slope there is one-sided."""
-
-_FEW_WAYS = 1e-4  # steps over the length below which the response is the first term of its series
-
+_FAR = 6.0  # bounds of a prior in standard deviations
 
 _QUANTITIES = {
     # Errors over the arm of an axle (1 mm on a 1:10 car, 4 cm on a car) and over the
@@ -107,9 +97,9 @@ def of_a_known_position(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
 
 def odds_of_derive(prepared: "Prepared") -> float:
     """Prior log odds of an error of the tracked point: log likelihood ratio of the error that
-    ``tirefit derive`` found against no error; 0 without an estimate."""
+    ``tirefit derive`` found against no error, at most 30; 0 without an estimate."""
     known = error_of_point(prepared.data.source.constants)
-    return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, _CERTAIN)
+    return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, 30.0)
 
 
 def of_a_known_inertia(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
@@ -126,7 +116,8 @@ def of_a_known_height(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     if "a_x" not in prepared.data:
         return prior
     span = float(np.ptp(prepared.column("a_x"))) / GRAVITY
-    return _narrowed(prior, _HEIGHT * span)
+    # The height of the centre of gravity of a car is 0.3 to 0.6 of the arm of an axle.
+    return _narrowed(prior, 0.4 * span)
 
 
 def of_a_known_force(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
@@ -187,13 +178,14 @@ def lag(length: float, step: Values) -> Callable[..., Any]:
         length: of the response, in the unit of ``step``.
         step: (n,) of one of :data:`AGES`.
     """
-    # At a length of zero the slope is that of positive lengths.
-    length = xp.where(length < 0, 0.0, length) + _NO_LENGTH * step
+    # At a length of zero, here 1e-12 of a step, the slope is that of positive lengths.
+    length = xp.where(length < 0, 0.0, length) + 1e-12 * step
     ways = (step / length)[:, None] * np.diff(AGES[AHEAD:])[None]
     # Response to values that rise over the distance, and its remainder at the row.
     decay = xp.exp(-ways)
     since = xp.cumprod(decay, axis=1)
-    share = xp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
+    # Of short steps the first term of the series.
+    share = xp.where(ways < 1e-4, ways / 2, 1 - (1 - decay) / ways)
 
     def change(past: np.ndarray) -> np.ndarray:
         after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
@@ -255,13 +247,6 @@ _PAST: Code = {
 }
 
 
-_ALL_BUT, _DOUBLED = 0.95, -3.0
-"""Largest share of the friction that the other force uses, and that it adds: it then doubles."""
-
-_ALIKE, _ONE_LOAD = 0.9, 0.1
-"""Limits of an effect of speed or load: with a larger correlation of speed and slip, or a
-smaller standard deviation of log F_z, it is hardly separable from a constant one."""
-
 _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope of the ground; opposite ones have the opposite sign."""
 
@@ -281,7 +266,8 @@ def _ellipse(state: State, share: float, constants: Constants, rows: Covariates)
     """Factor on the friction, or on the whole force."""
     (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
-    left = xp.sqrt(1 - xp.clip(share * used**2, _DOUBLED, _ALL_BUT))
+    # The other force uses at most .95 of the friction; what it adds at most doubles it.
+    left = xp.sqrt(1 - xp.clip(share * used**2, -3.0, 0.95))
     stiffness = state.stiffness * (1 - whole * (1 - left))
     return state._replace(friction=state.friction * left, stiffness=stiffness)
 
@@ -290,13 +276,13 @@ def _one_speed_of_the_slip(prepared: "Prepared") -> float:
     """Log odds, smaller if the speed follows the slip, as slip then explains the same."""
     speed, slip = prepared.covariates.v, np.abs(prepared.slip)
     alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
-    return seldom(prepared) - 2 * float(alike > _ALIKE)
+    return seldom(prepared) - 2 * float(alike > 0.9)
 
 
 def _one_load(prepared: "Prepared") -> float:
     """Log odds, smaller if the load hardly varies, as a constant offset fits as well."""
     varies = float(np.std(np.log(prepared.inputs.fz)))
-    return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
+    return seldom(prepared) - 2 * float(varies < 0.1)
 
 
 def _slope(slope: float, constants: Constants, rows: Covariates) -> np.ndarray:

@@ -39,15 +39,6 @@ from tirefit.diagnosis.summary.result import (
 from tirefit.diagnosis.summary.views import Shape, compared, data_summary, regions, shapes_of
 from tirefit.fitting.problem.noise import effective_inflation
 
-_LISTED, _MENTIONED = 10, 1e-3
-"""Largest number of candidates; smallest probability of the unknown to be one."""
-
-_SEEN_ENERGY = 2.5
-"""Energy of a generic remainder that is detected four times in five, in standard deviations of
-that of noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
-
-_DIRECTIONS = 40  # largest number of smooth directions with noise; a force over slip has fewer
-
 
 def document_of(
     case: Case,
@@ -175,9 +166,11 @@ def of_any_subject(
     """
     main, base = next(iter(gaps)), case.base
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
-    # The smallest generic remainder that would be detected four times in five.
-    directions = min(base.discrepancy.columns.shape[1], _DIRECTIONS)
-    energy = _SEEN_ENERGY * np.sqrt(2 * directions) / len(scale)
+    # The smallest generic remainder that would be detected four times in five: 0.84 standard
+    # deviations of noise above 1.65, which noise exceeds once in 20 files. A force over slip has
+    # at most 40 smooth directions.
+    directions = min(base.discrepancy.columns.shape[1], 40)
+    energy = 2.5 * np.sqrt(2 * directions) / len(scale)
     return {
         "gap": gap,
         "budget": budgets[main],
@@ -230,7 +223,7 @@ def _candidates(case: Concluded) -> tuple[Candidate, ...]:
     total, verdict, base = _chances(case), case.verdict, case.base
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
     listed = []
-    for key in ranked[:_LISTED]:
+    for key in ranked[:10]:
         fit, parameters = case.weighed.best_of[key], {}
         amplitude, spread = fit.amplitude, fit.errors * np.sqrt(case.widening)
         if key == verdict.key:
@@ -250,7 +243,7 @@ def _candidates(case: Concluded) -> tuple[Candidate, ...]:
         )
         listed.append(candidate)
     alone = verdict.unlisted if not verdict.key else 0.0
-    if alone > _MENTIONED:
+    if alone > 1e-3:
         listed.append(Candidate(effects=(UNKNOWN,), family=UNKNOWN, probability=alone))
     return tuple(listed)
 

@@ -23,13 +23,6 @@ _FACTORS, _SMALL = (0.5, 2.0), 0.1
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
 _WORTHWHILE = 0.1
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
-_OPEN = (0.2, 0.8)  # probabilities of a cause between which a further measurement is to decide
-_STANDS_OFF = 0.5
-"""Change of the size of a stand-in under other conditions, over its size: on measured logs a
-quarter to once its size, that of a cause hardly any."""
-_VARIES = 0.15
-"""Standard deviation of the size of a cause between conditions, over its size: half of the
-largest one on measured logs."""
 _SAME_AGAIN, _MOMENT = "the same again", "the aligning moment M_z on lateral runs"
 
 
@@ -157,7 +150,9 @@ def size_apart(blocks: Sequence[_Block], fit: Fit, place: int) -> float:
     by_apart = np.array([1.0, -1.0])
     variance = by_apart @ np.linalg.solve(gram, by_apart) * max(float(np.mean(rest**2)), 1.0)
     relative = float(np.sqrt(variance)) / max(abs(float(fit.amplitude[place])), FLAT)
-    return _STANDS_OFF / float(np.hypot(relative, _VARIES))
+    # Under other conditions, on measured logs, the size of a stand-in changes by a quarter to once
+    # itself, that of a cause by up to .3: half of either.
+    return 0.5 / float(np.hypot(relative, 0.15))
 
 
 def _sizes(search: Search, weighed: Weighed) -> dict[str, tuple[int, float]]:
@@ -226,7 +221,7 @@ def next_measurements(
             after = _told_apart([here, added(name)], first, second)
             considered.append(NextMeasurement(name, pair, now, after))
     for effect, claim in verdict.each.items():
-        if effect in verdict.key and _OPEN[0] <= claim.probability <= _OPEN[1]:
+        if effect in verdict.key and 0.2 <= claim.probability <= 0.8:
             fit, now = weighed.best_of[verdict.key], max(claim.probability, 1 - claim.probability)
             for name in (name for name in changes if name != _SAME_AGAIN):
                 distance = size_apart([here, added(name)], fit, fit.effects.index(effect))
