@@ -87,23 +87,19 @@ def _details(result: Diagnosis) -> list[Section]:
     where = [("quantity", "range", "share of energy", "p of noise")]
     where += [
         (
-            words.covariate_text(item.covariate),
-            words.range_text(item),
-            words.share_text(item.share),
-            words.p_text(item.p_value),
+            words.covariate_text(region.covariate),
+            words.range_text(region),
+            words.share_text(region.share),
+            words.p_text(region.p_value),
         )
-        for item in result.where
+        for region in result.where
     ]
     candidates = []
-    for item in result.candidates:
-        sizes = (
-            f"; {words.name_of(name.partition(': ')[0])} {words.amplitude_text(amplitude)}"
-            for name, amplitude in item.parameters.items()
-        )
-        if item.probability >= _LEAST:
-            candidates.append(
-                f"{item.probability:.3f}  {words.set_name(item.effects)}{''.join(sizes)}"
-            )
+    for item in (x for x in result.candidates if x.probability >= _LEAST):
+        names = {name.partition(": ")[0]: size for name, size in item.parameters.items()}
+        sizes = (f"{words.name_of(k)} {words.amplitude_text(x)}" for k, x in names.items())
+        text = "; ".join([words.set_name(item.effects), *sizes])
+        candidates.append(f"{item.probability:.3f}  {text}")
     title = "Candidates (probability of exactly this set, by the evidence)"
     return [
         *(item._replace(title=f"{of_changed}{item.title}") for item in changed),
