@@ -132,13 +132,6 @@ class Effect:
     told_apart_by: str = ""
 
     @property
-    def sign(self) -> int:
-        """+1 or -1 where only that sign is physical for every variant, 0 otherwise."""
-        if all(low >= 0 for low, _ in self.bounds):
-            return 1
-        return -1 if all(high <= 0 for _, high in self.bounds) else 0
-
-    @property
     def misleads(self) -> bool:
         """Whether the tangent at zero is a poor approximation."""
         return self.singular or self.center != 0
