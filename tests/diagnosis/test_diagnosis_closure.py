@@ -5,8 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.engine.left_out import NOISE, SMOOTH, Ladder, Step
 from tirefit.diagnosis.summary.closure import closure_of, gaps_of, of_the_ladder
+from tirefit.diagnosis.summary.document import _gap
+from tirefit.diagnosis.summary.result import Shrinkage
 
 ROWS = 240
 ALONE = np.zeros(ROWS, int)
@@ -33,9 +36,9 @@ def test_closure_of_known_forces():
 
 
 def test_gaps_are_those_of_the_base_and_of_the_answer_on_the_rows_that_are_used():
-    """Two channels; an excluded row; one fitted number of two rows takes up half of the noise."""
+    """Two channels; an excluded row; one fitted number, with two rows for an independent one."""
     observed = {"fx": np.array([5.0, 1.0, 900.0]), "mz": np.array([2.0, 2.0, 2.0])}
-    level = SimpleNamespace(std=np.ones(3), inflation=1.0, outlier=np.array([False, False, True]))
+    level = SimpleNamespace(std=np.ones(3), inflation=2.0, outlier=np.array([False, False, True]))
     rows = SimpleNamespace(channels=("fx", "mz"), observed=observed, n=3, run=np.zeros(3, int))
     forces = {0.0: {"fx": np.zeros(3), "mz": np.zeros(3)}, 7.0: observed}
     base = SimpleNamespace(
@@ -44,9 +47,22 @@ def test_gaps_are_those_of_the_base_and_of_the_answer_on_the_rows_that_are_used(
     )  # fmt: skip
     chosen = SimpleNamespace(z=7.0, atoms=(), amplitude=(), pull=np.zeros(1))
     gaps = gaps_of(SimpleNamespace(base=base, chosen=chosen), np.random.default_rng(0))
-    noise = 1 - 1 / 3
+    noise = 1 - 2 / 3
     assert gaps["fx"].rms == pytest.approx(np.sqrt((25 + 1) / 2 - noise))
     assert gaps["mz"].rms == pytest.approx(np.sqrt(4 - noise)) and gaps["mz"].closed > 0.5
+
+
+def test_without_an_effect_the_gap_is_the_one_that_smooth_functions_locate():
+    verdict = SimpleNamespace(key=(), status=Status.UNKNOWN)
+    case = SimpleNamespace(verdict=verdict, base=SimpleNamespace(simulator=None))
+    gap = Shrinkage(rms=9.0, resolvable=True, closed=0.5, closed_ci=(0.4, 0.6), remaining_rms=4.5)
+    alone = _gap(case, gap, np.array([3.0, 4.0, 0.0, 0.0]))
+    assert (alone.rms, alone.remaining_rms) == (2.5, 2.5)
+    assert (alone.closed, alone.closed_ci, alone.resolvable) == (0.0, (0.0, 0.0), True)
+    verdict.status = Status.NONE
+    assert not _gap(case, gap, np.ones(4)).resolvable
+    verdict.key, verdict.status = ("slip_offset",), Status.NAMED
+    assert _gap(case, gap, np.ones(4)) == gap
 
 
 def test_closure_is_right_for_known_energies():
