@@ -222,8 +222,7 @@ def test_parallel_effects_have_separability_one_half(noise):
     """Rounding gives a correlation above 1, whose root would be NaN."""
     direction = np.random.default_rng(0).standard_normal((200, 50))
     for one in direction.T:
-        pair = np.column_stack([one, 0.1 * one + noise])
-        assert separability(pair, 0, 1, 1.0, 1.0) == pytest.approx(0.5, abs=1e-4)
+        assert separability(one, 0.1 * one + noise) == pytest.approx(0.5, abs=1e-4)
 
 
 def test_rows_have_the_values_and_convention_of_the_file(studied):

@@ -66,7 +66,7 @@ class Toy:
         self.observed, self.columns, self.slopes = observed, columns, tangents
         count, self.names = len(names), names
         self.atoms = tuple(
-            SimpleNamespace(effect=SimpleNamespace(id=name, family=name[0], far=False))
+            SimpleNamespace(effect=SimpleNamespace(id=name, family=name[0], misleads=False))
             for name in names
         )
         self.testable = tuple(range(count))

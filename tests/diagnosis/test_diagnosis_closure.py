@@ -1,175 +1,82 @@
-"""Closure against known truths: of draws, of the interval, and on held-out rows."""
+"""Closure against known truths: of energies, and of the interval."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest_diagnosis import Toy, log_normal, weighed_of
-from scipy.special import softmax
 
-from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, places_of
+from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.engine.left_out import NOISE, SMOOTH, Ladder, Step
-from tirefit.diagnosis.rows.forces import Design
-from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary import closure
-from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.closure import (
-    closure_elsewhere,
-    closure_on_rows,
-    of_the_ladder,
-    plausible_forces,
-)
+from tirefit.diagnosis.summary.closure import closure_of, gaps_of, of_the_ladder
+from tirefit.diagnosis.summary.document import _gap
+from tirefit.diagnosis.summary.result import Shrinkage
 
 ROWS = 240
 ALONE = np.zeros(ROWS, int)
 
 
-class Straight(Base):
-    """A base that is linear in its one parameter and in its one effect, fitted to rows
-    whose effect has another form; noise of one."""
-
-    def __init__(self, generator):
-        x = np.linspace(-1, 1, ROWS)
-        columns = np.stack([x, 0.3 * (x**2 - 0.2)], axis=1)
-        shapes, places = places_of(x, None, 12)
-        smooth = Discrepancy(shapes, (Cell("force", "slip", 0, 12, places, False),))
-        truth = columns @ [3.0, 12.0]
-        # Smooth functions with the prior of the discrepancy, of about the size of the noise.
-        truth = truth + 0.5 * smooth.additive @ generator.standard_normal(12)
-        observed = {"fx": truth + generator.standard_normal(ROWS)}
-        one = SimpleNamespace(effect=SimpleNamespace(id="one"))
-        nothing = Design(*[None] * len(Design._fields))
-        design = nothing._replace(scale={"fx": np.ones(ROWS)}, prior_scale=np.ones(1))
-        rows = SimpleNamespace(channels=("fx",), n=ROWS, observed=observed, covariates=None)
-        self.__dict__ |= {
-            "slopes": columns,
-            "truth": truth,
-            "atoms": (one,),
-            "rows": rows,
-            "design": design,
-            "plain_discrepancy": smooth,
-            "discrepancy": smooth,
-        }
-
-    measured = property(lambda self: self)
-
-    def forces(self, z, amplitudes):
-        return {"fx": self.slopes @ np.append(z, amplitudes)}
-
-    def columns_at(self, fit):
-        return self.slopes
-
-    def fitted(self):
-        """The least-squares fit, with a wide prior of the amplitude."""
-        toy = Toy(self.rows.observed["fx"], self.slopes, self.slopes[:, :0], ())
-        fit = toy.fit(())
-        return replace(fit, effects=("one",), atoms=(0,), z=fit.z[:1], amplitude=fit.z[1:])
-
-    def case(self):
-        """It is known that the effect is there and no other."""
-        key, case = ("one",), object.__new__(Case)
-        weighed = weighed_of({key: 1.0}, best_of={key: self.fitted()})
-        search = SimpleNamespace(subject=self)
-        case.__dict__.update(search=search, weighed=weighed)
-        return case
-
-
-def test_draws_of_the_force_agree_with_a_dense_gaussian(monkeypatch):
-    """Parameters are free; a smooth remainder has any of the sizes, by their evidence."""
-    monkeypatch.setattr(closure, "_UNDRAWN", 0.0)
-    base = Straight(np.random.default_rng(4))
-    drawn = plausible_forces(base.case(), np.random.default_rng(0))["fx"]
-    observed, flat, smooth = base.rows.observed["fx"], base.slopes, base.plain_discrepancy.additive
-    columns, logs, means, squares = np.concatenate([flat, smooth], axis=1), [], [], []
-    for size in closure._SIZES:
-        logs.append(log_normal(observed, np.eye(ROWS) + size**2 * smooth @ smooth.T, flat))
-        ridge = np.append(np.zeros(2), np.full(smooth.shape[1], size**-2.0))
-        covariance = np.linalg.inv(columns.T @ columns + np.diag(ridge))
-        means.append(columns @ covariance @ columns.T @ observed)
-        squares.append(np.einsum("mi,ij,mj->m", columns, covariance, columns) + means[-1] ** 2)
-    weight = softmax(logs)
-    mean = weight @ means
-    std = np.sqrt(weight @ squares - mean**2)
-    assert drawn.shape == (ROWS, closure.DRAWS)
-    # 400 draws: five standard errors of a mean, and 20 % of a standard deviation.
-    assert np.max(np.abs(drawn.mean(axis=1) - mean) / std) < 5 / np.sqrt(400)
-    np.testing.assert_allclose(drawn.std(axis=1), std, rtol=0.2)
-
-
-def test_draws_have_a_remainder_of_other_shapes():
-    """Beside the smooth one, with its median share; of no shape, so without neighbours."""
-    base = Straight(np.random.default_rng(4))
-    given = base.case(), np.random.default_rng(0)
-    drawn = plausible_forces(*given)["fx"]
-    rough = np.diff(drawn, n=2, axis=0) / np.sqrt(6)
-    smooth = drawn - base.slopes @ np.linalg.lstsq(base.slopes, drawn, rcond=None)[0]
-    share = np.sqrt(np.mean(rough**2, axis=0) / np.mean(smooth**2, axis=0))
-    assert 0.2 < np.median(share) < 0.5
-
-
-def rms(values):
-    return np.sqrt(np.mean(np.square(values)))
-
-
-def test_an_interval_of_closure_contains_the_truth_in_90_percent():
-    """An effect beside smooth functions below the noise, in 150 files."""
-    held, off = [], []
-    for seed in range(150):
-        generator = np.random.default_rng(seed)
-        base = Straight(generator)
-        best = base.fitted()
-        x = base.slopes[:, 0]
-        before = x * (x @ base.rows.observed["fx"] / (x @ x))
-        after = base.forces(best.z, best.amplitude)["fx"]
-        truth = plausible_forces(base.case(), generator)["fx"]
-        found = closure_on_rows(truth, before, after, np.ones(ROWS), ALONE, 1.0)
-        closed = 1 - rms(base.truth - after) / rms(base.truth - before)
-        held.append(found.closed_ci[0] <= closed <= found.closed_ci[1])
-        off.append(found.closed - closed)
-    assert 0.82 <= np.mean(held) <= 0.97
-    # A remainder of other shapes, which is not here, is allowed for: a bias of .025.
-    assert abs(np.mean(off)) < 0.04 and np.median(np.abs(off)) < 0.06
-
-
-def test_closure_of_draws_is_computed_from_their_forces():
+def test_closure_of_known_forces():
     generator = np.random.default_rng(0)
     gap = 40 * np.sin(np.arange(ROWS))
-    truth = gap[:, None] + generator.standard_normal((ROWS, 200))
+    noise = 10 * generator.standard_normal(ROWS)
     variance = np.full(ROWS, 100.0)
-    found = closure_on_rows(truth, 0 * gap, 0.8 * gap, variance, ALONE, 1.0)
-    assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
-    # The draws have unit noise: its energy adds to the remainder and to the gap.
-    expected = 1 - np.sqrt((0.2**2 * 800 + 1) / (800 + 1))
-    assert found.closed == pytest.approx(expected, abs=0.002)
-    assert found.closed_ci[0] < expected < found.closed_ci[1] and found.resolvable
-    assert found.remaining_rms == pytest.approx((1 - found.closed) * found.rms)
     # No more is claimed than that the gap is not doubled.
-    assert closure_on_rows(truth, 0 * gap, 9 * gap, variance, ALONE, 1.0).closed == -1
-    # A gap of twice the least energy is not resolved by a fifth of the independent rows.
-    steady = np.full((ROWS, 2), np.sqrt(2 * 3 * np.sqrt(2 / ROWS) * 100.0))
+    worst = closure_of(noise + gap, noise - 8 * gap, variance, ALONE, 1.0, generator)
+    assert worst.closed == -1 and worst.resolvable
+    # A gap of 1.2 times the least energy is not resolved by a fifth of the independent rows.
+    steady = np.full(ROWS, np.sqrt(1.2 * 3 * np.sqrt(2 / ROWS) * 100.0 + 100.0))
     for rows_each, seen in ((1.0, True), (5.0, False)):
-        tiny = closure_on_rows(steady, 0 * gap, 0 * gap, variance, ALONE, rows_each)
+        tiny = closure_of(steady, 0 * gap, variance, ALONE, rows_each, generator)
         assert tiny.resolvable is seen is (tiny.closed is not None)
     # Where one run is closed and another is not, both are all that is known.
     halves = np.repeat([0, 1], ROWS // 2)
-    mixed = np.where(halves == 0, gap, 0.2 * gap)
-    apart = closure_on_rows(truth, 0 * gap, mixed, variance, halves, 1.0)
+    mixed = np.where(halves == 0, 0.0, gap) + noise
+    apart = closure_of(gap + noise, mixed, variance, halves, 1.0, generator)
     assert apart.closed_ci[0] == -1 and apart.closed_ci[1] == 1
 
 
-def test_closure_elsewhere_is_right_for_known_energies():
+def test_gaps_are_those_of_the_base_and_of_the_answer_on_the_rows_that_are_used():
+    """Two channels; an excluded row; one fitted number, with two rows for an independent one."""
+    observed = {"fx": np.array([5.0, 1.0, 900.0]), "mz": np.array([2.0, 2.0, 2.0])}
+    level = SimpleNamespace(std=np.ones(3), inflation=2.0, outlier=np.array([False, False, True]))
+    rows = SimpleNamespace(channels=("fx", "mz"), observed=observed, n=3, run=np.zeros(3, int))
+    forces = {0.0: {"fx": np.zeros(3), "mz": np.zeros(3)}, 7.0: observed}
+    base = SimpleNamespace(
+        rows=rows, noise={"fx": level, "mz": level}, as_given=0.0,
+        amplitudes=lambda *_: None, forces=lambda z, _: forces[z],
+    )  # fmt: skip
+    chosen = SimpleNamespace(z=7.0, atoms=(), amplitude=(), pull=np.zeros(1))
+    gaps = gaps_of(SimpleNamespace(base=base, chosen=chosen), np.random.default_rng(0))
+    noise = 1 - 2 / 3
+    assert gaps["fx"].rms == pytest.approx(np.sqrt((25 + 1) / 2 - noise))
+    assert gaps["mz"].rms == pytest.approx(np.sqrt(4 - noise)) and gaps["mz"].closed > 0.5
+
+
+def test_without_an_effect_the_gap_is_the_one_that_smooth_functions_locate():
+    verdict = SimpleNamespace(key=(), status=Status.UNKNOWN)
+    case = SimpleNamespace(verdict=verdict, base=SimpleNamespace(simulator=None))
+    gap = Shrinkage(rms=9.0, resolvable=True, closed=0.5, closed_ci=(0.4, 0.6), remaining_rms=4.5)
+    alone = _gap(case, gap, np.array([3.0, 4.0, 0.0, 0.0]))
+    assert (alone.rms, alone.remaining_rms) == (2.5, 2.5)
+    assert (alone.closed, alone.closed_ci, alone.resolvable) == (0.0, (0.0, 0.0), True)
+    verdict.status = Status.NONE
+    assert not _gap(case, gap, np.ones(4)).resolvable
+    verdict.key, verdict.status = ("slip_offset",), Status.NAMED
+    assert _gap(case, gap, np.ones(4)) == gap
+
+
+def test_closure_is_right_for_known_energies():
     generator = np.random.default_rng(0)
     n = 4000
     noise, run = 10 * generator.standard_normal(n), np.zeros(4000, int)
     gap, variance = 40 * np.sin(np.arange(n)), np.full(n, 100.0)
-    found = closure_elsewhere(gap + noise, 0.2 * gap + noise, variance, run, 1.0, generator)
+    found = closure_of(gap + noise, 0.2 * gap + noise, variance, run, 1.0, generator)
     assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
     assert found.closed == pytest.approx(0.8, abs=0.02)
     assert found.closed_ci[0] < 0.8 < found.closed_ci[1]
-    tiny = closure_elsewhere(noise, noise, variance, run, 1.0, generator)
+    tiny = closure_of(noise, noise, variance, run, 1.0, generator)
     assert tiny.closed is None and not tiny.resolvable
-    worse = closure_elsewhere(gap + noise, 3 * gap + noise, variance, run, 1.0, generator)
+    worse = closure_of(gap + noise, 3 * gap + noise, variance, run, 1.0, generator)
     assert worse.closed == -1
 
 
@@ -192,7 +99,7 @@ def test_nine_rows_give_no_certain_closure(rows_each):
     generator = np.random.default_rng(2)
     gap, noise = 8 * np.cos(np.arange(9)), generator.standard_normal(9)
     before, after = gap + noise, 0.5 * noise
-    found = closure_elsewhere(before, after, np.ones(9), np.zeros(9, int), rows_each, generator)
+    found = closure_of(before, after, np.ones(9), np.zeros(9, int), rows_each, generator)
     left, error = np.mean(after**2) - 1, np.sqrt(2 * rows_each / 9)
     root = np.linspace(0, 6, 6001)
     below = np.cumsum(np.exp(-0.5 * ((root**2 - left) / error) ** 2))
@@ -201,7 +108,7 @@ def test_nine_rows_give_no_certain_closure(rows_each):
     np.testing.assert_allclose(found.closed_ci, closed, atol=0.01)
 
 
-def test_closure_elsewhere_contains_the_truth_in_90_percent():
+def test_closure_contains_the_truth_in_90_percent():
     """The remainder is below the noise or at its level: 200 files."""
     held, off = [], []
     for seed in range(200):
@@ -210,9 +117,7 @@ def test_closure_elsewhere_contains_the_truth_in_90_percent():
         other = np.sqrt(2) * np.cos(1.7 * np.arange(ROWS))
         share = 0.6 * generator.random()
         noise = generator.standard_normal(ROWS)
-        found = closure_elsewhere(
-            gap + noise, share * other + noise, np.ones(ROWS), ALONE, 1.0, generator
-        )
+        found = closure_of(gap + noise, share * other + noise, np.ones(ROWS), ALONE, 1.0, generator)
         held.append(found.closed_ci[0] <= 1 - share <= found.closed_ci[1])
         off.append(found.closed - (1 - share))
         # Nobody knows that nothing at all is left.

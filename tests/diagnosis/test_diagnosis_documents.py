@@ -25,11 +25,11 @@ SLACK = 0.1
 
 GAPS = ("none", "shift", "ripple", "late", "step", "kappa", "load", "half", "noise")
 OFTEN_NONE = {
-    "closed", "closed_ci", "z", "z_given_rivals", "holdout", "taken_for", "settings",
-    "path", "sha256", "given", "slip_check", "next_measurement_reason",
+    "closed", "closed_ci", "holdout", "settings",
+    "path", "sha256", "given", "slip_check",
     "simulator", "tests", "closed_left_out", "closed_left_out_std", "ladder",
 }  # fmt: skip
-"""Keys that may have no value: too small a gap to say, nothing that it is taken for."""
+"""Keys that may have no value: too small a gap to say."""
 
 
 def _slips(draw, n, order):

@@ -58,8 +58,8 @@ def test_held_out_files_evaluate_each_step_of_the_ladder():
 def test_amplitudes_agree_with_the_truth(diagnosed):
     for name, key, truth in (
         ("slip_offset", "slip_offset: amplitude", 0.004),
-        ("load_friction", "load_friction: power", -0.1),
-        ("relaxation_length", "relaxation_length: length", 0.5),
+        ("load_friction", "load_friction: amplitude", -0.1),
+        ("relaxation_length", "relaxation_length: amplitude", 0.5),
     ):
         found, _ = diagnosed(name)
         value = found.candidates[0].parameters[key]
@@ -161,13 +161,7 @@ def test_the_document_satisfies_the_schema(diagnosed):
         assert set(candidate["effects"]) <= known | {"unknown"}
     total = sum(candidate["probability"] for candidate in document["candidates"])
     assert total <= 1 + 1e-9
-    forecast = {record["effect"]: record for record in document["forecast"]}
-    assert forecast["slip_offset"]["seen"] > 0.99
-    assert forecast["slip_offset"]["recognised"] > 0.9
-    for chance in forecast.values():
-        assert 0 <= chance["recognised"] <= chance["seen"] <= 1
     missing = {item["effect"] for item in document["untestable"]}
-    assert not missing & set(forecast)
     assert {"friction_temperature", "camber_thrust", "combined_slip"} <= missing
 
 

@@ -104,14 +104,14 @@ def test_changes_are_slopes_in_addition_or_states_at_a_prior_scale():
         others = [p for p in present if p[0] != number]
         amplitude = dict(present).get(number, 0.0)
         if number in found.slopes:
-            assert not atom.effect.far
+            assert not atom.effect.misleads
             _, slopes = states.slopes([*others, (number, amplitude)])
             assert found.slopes[number].keys() == slopes[-1].keys()
             for field, right in slopes[-1].items():
                 np.testing.assert_array_equal(found.slopes[number][field], right)
         else:
             size = max(atom.effect.center / SCALE[number], 1.0)
-            assert atom.effect.far and found.sizes[number] == pytest.approx(size)
+            assert atom.effect.misleads and found.sizes[number] == pytest.approx(size)
             right = states.state([*others, (number, amplitude + size * SCALE[number])])
             np.testing.assert_allclose(found.ends[number], right)
 

@@ -9,10 +9,10 @@ from scipy.special import logsumexp
 from tirefit.diagnosis.engine.discrepancy import (
     LENGTHS,
     SIZES,
-    Beside,
     Cell,
     Discrepancy,
     Wave,
+    likeliest_beside,
     places_of,
 )
 from tirefit.diagnosis.engine.left_out import grouped, sizes_by_group
@@ -85,7 +85,7 @@ def test_evidence_of_a_cell_agrees_with_a_dense_gaussian_process(atoms):
         ]
         none = log_normal(subject.observed, plain, subject.columns)
         right.append(logsumexp(each) - np.log(len(each)) - none)
-    by_cell = {one.cell.quantity: one.log_evidence for one in found.found(fit)}
+    by_cell = {one.cell.quantity: one.log_evidence for one in found.components(fit)}
     by_cell = [by_cell[cell.quantity] for cell in found.cells]
     np.testing.assert_allclose(by_cell, right, atol=2e-3)
     assert right[0] > 5 > right[1]
@@ -104,24 +104,23 @@ def test_noise_gives_little_evidence_of_something_unlisted():
 
 
 def test_a_known_function_is_found_within_its_error():
-    """40 records of a smooth function of the slip: the right cell, and a value that misses
-    the truth by as much as the standard deviation says."""
-    scaled = []
+    """40 records of a smooth function of the slip: the right cell, and a value that misses the
+    truth by a third of its size."""
+    missed = []
     for seed in range(40):
         generator = np.random.default_rng(seed)
         truth = 2 * np.linalg.cholesky(matern(0.2) + 1e-9 * np.eye(9)) @ generator.normal(size=9)
         subject = Toy(SLOPE * (EVEN @ truth) + noise(seed + 100), X[:, None] ** 8, EVEN[:, :0], ())
-        first = discrepancy().found(subject.fit(()))[0]
+        first = discrepancy().components(subject.fit(()))[0]
         assert (first.cell.quantity, first.cell.covariate) == ("friction", "slip")
         assert first.probability > 0.9 and 0.2 < first.explains <= 1 and not first.is_wave
-        scaled.append((first.value - truth) / first.std)
-    # Nine values of 40 functions; the length and size are the best ones, not averaged.
-    assert np.sqrt(np.mean(np.square(scaled))) == pytest.approx(1.1, abs=0.25)
+        missed.append(np.linalg.norm(first.value - truth) / np.linalg.norm(truth))
+    assert np.median(missed) < 0.35
 
 
 def test_the_function_found_is_the_posterior_mean():
     subject = Toy(3 * noise(), X[:, None], EVEN[:, :0], ())
-    found = {one.cell.covariate: one for one in discrepancy().found(subject.fit(()))}
+    found = {one.cell.covariate: one for one in discrepancy().components(subject.fit(()))}
     free = np.eye(ROWS) - np.outer(X, X) / (X @ X)
     columns = free @ BY_LOAD
     rest = free @ subject.observed
@@ -129,7 +128,6 @@ def test_the_function_found_is_the_posterior_mean():
     means = {size: inverse @ (columns.T @ rest) for size, inverse in posterior.items()}
     best = min(SIZES, key=lambda size: np.abs(means[size] - found["fz"].value).max())
     np.testing.assert_allclose(found["fz"].value, means[best], rtol=1e-4)
-    np.testing.assert_allclose(found["fz"].std, np.sqrt(np.diag(posterior[best])), rtol=1e-4)
     explained = means[best] @ columns.T @ rest / (rest @ rest)
     assert found["fz"].explains == pytest.approx(explained, rel=1e-3)
 
@@ -178,7 +176,7 @@ def test_a_wave_is_found_with_period_size_and_phase(turns, phase):
     )
     observed = weight * wave + 0.2 * noise()[kept]
     subject = Toy(observed, X[kept, None], np.zeros((kept.sum(), 0)), ())
-    first = unlisted.found(subject.fit(()))[0]
+    first = unlisted.components(subject.fit(()))[0]
     assert first.is_wave and first.cell.quantity == "friction"
     assert first.cell.places[-1] == pytest.approx(period)
     right = 1.5 * np.cos(2 * np.pi * first.cell.places / period + phase)
@@ -200,20 +198,10 @@ def test_a_smooth_part_is_the_ridge_estimate_with_the_best_size():
     weight = np.linalg.inv(wide)
     weight -= weight @ flat @ np.linalg.solve(flat.T @ weight @ flat, flat.T @ weight)
     covariance = np.linalg.inv(columns.T @ weight @ columns + np.eye(5) / size**2)
-    beside = Beside(columns, fit)
-    value, root = beside.best()
-    np.testing.assert_allclose(np.diff(beside.log), np.diff(logs), atol=1e-3)
+    value, root = likeliest_beside(columns, fit)
     right = covariance @ columns.T @ weight @ subject.observed
     np.testing.assert_allclose(value, right, atol=1e-4)
     np.testing.assert_allclose(root @ root.T, covariance, atol=1e-4)
-    # Draws mix the sizes by their evidence: 20,000 draws, five standard errors.
-    weights = np.exp(logs - logsumexp(logs))
-    mean = np.zeros(5)
-    for share, s in zip(weights, SIZES, strict=True):
-        inverse = np.linalg.inv(columns.T @ weight @ columns + np.eye(5) / s**2)
-        mean += share * (inverse @ columns.T @ weight @ subject.observed)
-    drawn = beside.drawn(20_000, np.random.default_rng(0))
-    assert np.all(np.abs(drawn.mean(axis=1) - mean) < 5 * drawn.std(axis=1) / np.sqrt(20_000))
 
 
 def test_additive_columns_have_the_covariance_of_the_sum_of_all_cells():

@@ -225,7 +225,7 @@ def closed_by_hand(after, before, rows, floor):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gain_and_its_error_agree_with_a_loop_over_the_parts(seed):
     out, floor = drawn(seed)
-    gain = gained(out, 1, 0, floor)
+    gain = gained(out, out.effects[1], out.effects[0], floor)
     each = [out.whitened[f, 0] - out.whitened[f, 1] for f in range(6)]
     assert gain.gain == pytest.approx(sum(each))
     assert gain.std == pytest.approx(np.sqrt(6) * np.std(each, ddof=1))
@@ -239,7 +239,10 @@ def test_a_gain_and_its_error_agree_with_a_loop_over_the_parts(seed):
     assert gain.closed_std == pytest.approx(jackknife)
     # Each effect of a set against the set without it.
     gains = gains_of(out, ("a", "b"), floor)
-    assert gains == {"a": gained(out, 3, 2, floor), "b": gained(out, 3, 1, floor)}
+    assert gains == {
+        effect: gained(out, out.effects[3], out.effects[less], floor)
+        for effect, less in (("a", 2), ("b", 1))
+    }
 
 
 def test_the_ladder_descends_from_no_effect_to_the_noise():
@@ -289,11 +292,10 @@ def test_the_findings_come_from_the_fits_and_the_data_left_out(size):
     found = findings_of(search, posterior, out)
     best = next(iter(found.gains))
     assert best == posterior.best and best in found.features
-    at = {key: k for k, key in enumerate(out.effects)}
     fit, floor = posterior.best_of[best], floor_of(search.subject, out)
     for effect, gain in found.gains[best].items():
-        less = at[tuple(e for e in best if e != effect)]
-        assert gain == gained(out, at[best], less, floor)
+        less = tuple(e for e in best if e != effect)
+        assert gain == gained(out, best, less, floor)
         features = found.features[best][effect]
         place = fit.effects.index(effect)
         known = abs(fit.amplitude[place]) / fit.errors[place]

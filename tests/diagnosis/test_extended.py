@@ -63,7 +63,7 @@ def document(base, atom, size, to, **known):
         },
         "candidates": [{
             "effects": [effect.id],
-            "parameters": {f"{effect.id}: {effect.parameter}": amplitude},
+            "parameters": {f"{effect.id}: amplitude": amplitude},
         }],
         "base_parameters": values, "extended_parameters": values,
         "extension": to._asdict(),
@@ -106,7 +106,7 @@ def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model, expecte
             continue
         if atom.variant >= variants or (expected is OF_SHAPE and effect.id not in expected):
             continue
-        size = (-0.5 if effect.sign < 0 else 0.5) * scale
+        size = (-0.5 if max(high for _, high in effect.bounds) <= 0 else 0.5) * scale
         to = extension_of(base, only(base, k))
         found = extend(
             MODELS[model], model, document(base, atom, size, to, model=model), lambda tire: tire
@@ -128,7 +128,7 @@ def test_effects_of_measurement_vehicle_and_past_are_only_reported():
     every = {effect.id: effect for effect in EFFECTS}
     for id, words in (
         ("slip_offset", "of the measurement, not in the forces: slip_offset"),
-        ("relaxation_length", "not in the forces: relaxation_length length = 0.3 +-"),
+        ("relaxation_length", "not in the forces: relaxation_length amplitude = 0.3 +-"),
         ("speed_drag", "not in the forces, of the vehicle: speed_drag"),
         ("friction_drift", "not in the forces: friction_drift"),
     ):

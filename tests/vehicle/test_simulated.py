@@ -82,7 +82,7 @@ def test_a_fault_put_into_a_simulator_is_found_with_its_size(effect, car, tmp_pa
     found = found_of(car, tmp_path, effect, size)
     by_name = {one.name: one for one in found.effects}
     one = by_name.pop(f"{effect}: {quantity}")
-    assert one.differs and one.far == "car"
+    assert one.differs and one.farthest == "car"
     assert abs(one.difference - truth) < 3 * one.std + 0.03 * abs(truth)
     assert not any(other.differs for other in by_name.values())
     simulator, _ = found.sources

@@ -16,7 +16,6 @@ from tirefit.results import UsageError
 
 _NAMED = 6  # largest number of parameters that do not differ and are named
 _JUDGING = "diagnosis", "description"  # kinds of sources that name effects
-_ROUNDING = 1e-16  # smallest probability that is printed as a number
 
 
 def answer(result: Comparison) -> list[str]:
@@ -48,10 +47,6 @@ def _on_numbers(result: Comparison) -> Iterator[str]:
         more = f" and {len(same) - _NAMED} more" if len(same) > _NAMED else ""
         verb = "does" if len(same) == 1 else "do"
         yield f"{', '.join(same[:_NAMED])}{more} {verb} not differ beyond the errors"
-    if (joint := result.joint) and not any(number.differs for number in tested):
-        verb = "differ" if joint.differs else "do not differ"
-        text = f"all parameters together {verb}: chi-square {joint.chi2:.1f} of {joint.dof}"
-        yield f"{text}, {_chance(joint.p)}"
 
 
 def _difference(number: Apart) -> str:
@@ -60,7 +55,7 @@ def _difference(number: Apart) -> str:
     size = _by(number.difference, number.std, number.unit, number.errors)
     known = [name for name, x in number.values.items() if x.std is not None]
     if len(known) > 2:
-        return f"{number.far} less the mean of the others {size}"
+        return f"{number.farthest} less the mean of the others {size}"
     return f"{', '.join(f'{_cell(number, name)} in {name}' for name in known)}: difference {size}"
 
 
@@ -111,16 +106,12 @@ def _numbers_table(given: Sequence[Apart], names: Sequence[str], what: str) -> R
         cells = ["-"] * 2
         if number.p is not None and number.difference is not None:
             size = format_estimate(number.difference, number.std)
-            size += f" ({number.far})" * (len(number.values) > 2)
+            size += f" ({number.farthest})" * (len(number.values) > 2)
             cells = [size, f"{number.errors:.1f}" + ": differs" * number.differs]
         unit = f" [{number.unit}]" if number.unit not in ("", "-") else ""
         name = f"{number.name.removesuffix(': amplitude')}{unit}"
         rows.append((name, *(_cell(number, name) for name in names), *cells))
     return rows
-
-
-def _chance(p: float) -> str:
-    return f"p = {p:.2g}" if p > _ROUNDING else f"p < {_ROUNDING:.0e}"
 
 
 def _cell(number: Apart, name: str) -> str:
@@ -143,9 +134,6 @@ def sections_of(result: Comparison) -> list[Section]:
             f"'differs': at {100 * result.level:g} % false alarms over all rows of a table;"
             " by chi-square of the scatter between the sources"
         )
-    if result.joint:
-        text = f"all parameters together: chi-square {result.joint.chi2:.1f} of {result.joint.dof},"
-        notes.append(f"{text} {_chance(result.joint.p)}")
     right = range(1, 2 + len(names))
     numbers = _numbers_table(result.numbers, names, "parameter")
     sizes = _numbers_table(result.effects, names, "effect")

@@ -20,8 +20,6 @@ _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 
 _FRICTION = ("mu", "LMUX", "LMUY", "mu_peak")  # parameters that limit the force
 
-_LIKELY = 0.5  # probability of an effect that the simulator's own forces show
-_DIFFERS = 2.0  # standard errors beyond which parameters of two descriptions differ
 
 _MANY_TIMES = 3.0
 """Ratio of simulated to measured value above which its number says nothing: the rows hardly
@@ -35,10 +33,10 @@ def answer(result: Diagnosis) -> str:
     shares = {part.part: part.share for part in result.budget}
     sentences = [_on_effects(result, shares, "its parameters and " * bool(changes))]
     if changes:
-        own = shares.get(PARAMETERS, 0.0)
-        of_error = f", {words.share_text(own)} of its error" * (PARAMETERS in shares)
+        share = shares.get(PARAMETERS, 0.0)
+        of_error = f", {words.share_text(share)} of its error" * (PARAMETERS in shares)
         largest = max((shares.get(effect, 0.0) for effect in verdict.effects), default=0.0)
-        first = not verdict.names_an_effect or own >= largest
+        first = not verdict.names_an_effect or share >= largest
         sentences.insert(
             0 if first else 1, f"The simulator has {words.listing(changes)}{of_error}."
         )
@@ -85,7 +83,7 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
         return f"{text} of no effect, listed or unlisted.{tail}"
     parts = []
     for effect in carried(result, verdict.effects, shares):
-        each, text = verdict.each[effect], f"{words.name_of(effect)}{of_size(result, effect)}"
+        each, text = verdict.each[effect], words.sized_name(effect, words.size_of(result, effect))
         if each.twins:
             names = words.listing([words.name_of(twin) for twin in each.twins], "or")
             text += f" or {names}, which this data cannot tell apart"
@@ -101,14 +99,6 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
         beside = f"; an unlisted effect is likely as well ({verdict.left.unlisted:.2f})"
     part = " in part" if beside or like else ""
     return f"The gap comes{part} from {'; then from '.join(parts)}{beside}.{like}"
-
-
-def of_size(result: Diagnosis, effect: str) -> str:
-    """``of 0.27 ± 0.03 m``: the sizes of an effect that helps; empty if it has none."""
-    sizes = [
-        words.amount_text(one.value, one.std, one.unit) for one in words.sizes_of(result, effect)
-    ]
-    return f" of {words.listing(sizes)}" if sizes else ""
 
 
 def carried(result: Diagnosis, effects: Sequence[str], shares: Mapping[str, float]) -> list[str]:
@@ -133,7 +123,7 @@ def _acting(result: Diagnosis, shares: Mapping[str, float], what: str) -> str:
     parts = []
     for effect in carried(result, result.verdict.acts_like, shares):
         each = result.verdict.each[effect]
-        text = f"{words.name_of(effect)}{of_size(result, effect)}"
+        text = words.sized_name(effect, words.size_of(result, effect))
         text += f" ({each.probability:.2f} that this is the cause"
         if each.closed_left_out is not None:
             text += f"; it removes {words.share_text(each.closed_left_out)} on data left out"
@@ -147,7 +137,7 @@ def change_texts(result: Diagnosis) -> list[str]:
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
     both, meanings = result.readings, {**result.meanings, **_SHORT}
-    if both and any(one.id == "no_saturation" for one in both.structure):
+    if both and any(feature.id == "no_saturation" for feature in both.structure):
         wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
     used, texts = _used_friction(result) if wrong else 0.0, []
     for name, change in wrong:
@@ -204,15 +194,15 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         changed: the answer that the simulator with its parameters and effects changed gives.
     """
     unit = result.unit
-    own, of_it = (format_number(x, 3) for x in (both.measured.rms_left_out, both.rms_changed))
+    rms, of_it = (format_number(x, 3) for x in (both.measured.rms_left_out, both.rms_changed))
     parts = [
         f"The simulator's {words.channel_name(s.channel)} shows that {s.means}."
         for s in both.structure
     ]
-    own_effects = both.simulator.effects if both.simulator else {}
-    likely = [e for e, x in own_effects.items() if (x.probability or 0.0) >= _LIKELY]
+    simulated = both.simulator.effects if both.simulator else {}
+    likely = {e: x for e, x in simulated.items() if (x.probability or 0.0) >= 0.5}
     if likely:
-        shown = words.listing([_amount(e, own_effects[e]) for e in likely])
+        shown = words.listing([words.sized_name(effect, x) for effect, x in likely.items()])
         surplus = [words.name_of(e) for e in likely if e not in both.measured.effects]
         parts.append(f"The simulator's own forces show {shown}.")
         if surplus:
@@ -221,10 +211,10 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
                 " the simulator."
             )
     fitted = f"A {both.model} with effects, fitted to the measured rows, predicts rows left out to"
-    fitted += f" {own} {unit}"
+    fitted += f" {rms} {unit}"
     if both.first == "changed":
         parts.append(changed)
-        if own != of_it:
+        if rms != of_it:
             parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
     else:
         why = "So this model"
@@ -242,37 +232,33 @@ def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
     """Sentences on parameters that differ, and on effects of one side alone."""
     here, there = both.measured, both.simulator
     wrong = []
-    for name, own in here.parameters.items():
+    for name, measured in here.parameters.items():
         simulated = _simulated(both, name)
         if there is not None and name == SLOPE:
             continue  # it follows from the others
-        if simulated is None or min(own.value, simulated.value) <= 0:
+        if simulated is None or min(measured.value, simulated.value) <= 0:
             continue
-        ratio = simulated.value / own.value
-        error = ratio * np.hypot(own.std / own.value, simulated.std / simulated.value)
-        if abs(ratio - 1) > _DIFFERS * error:
+        ratio = simulated.value / measured.value
+        error = ratio * np.hypot(measured.std / measured.value, simulated.std / simulated.value)
+        if abs(ratio - 1) > 2.0 * error:
             used = _used_friction(result)
-            todo = _set_text(name, own.value)
+            todo = _set_text(name, measured.value)
             wrong.append(_ratio_text(name, _SHORT.get(name, name), ratio, float(error), todo, used))
     if wrong:
         yield f"The simulator has {words.listing(wrong)}."
     lacks = [
-        f"{_amount(effect, one)} ({one.probability:.2f} that this is the cause)"
-        for effect, one in here.effects.items()
+        f"{words.sized_name(effect, size)} ({size.probability:.2f} that this is the cause)"
+        for effect, size in here.effects.items()
         if there is None or effect not in there.effects
     ]
     if lacks:
         yield f"The measured forces act like {words.listing(lacks)}."
 
 
-def _amount(effect: str, one: Estimate) -> str:
-    return f"{words.name_of(effect)} of {words.amount_text(one.value, one.std, one.unit)}"
-
-
 def _simulated(both: Readings, name: str) -> Estimate | None:
     if both.simulator is not None:
         return both.simulator.parameters[name]
-    slopes = [one.slope for one in both.structure if one.slope is not None and name == SLOPE]
+    slopes = [x.slope for x in both.structure if x.slope is not None and name == SLOPE]
     return Estimate(slopes[0], 0.0, "") if slopes else None
 
 
@@ -280,12 +266,10 @@ def readings_section(both: Readings, unit: str) -> Section:
     """Both described by one model: parameters, effects that help, error on data left out."""
     table: list[tuple[str, ...]] = [(f"{both.model} with effects", "simulator", "measured")]
     sides = [dict(side.effects) if side else {} for side in (both.simulator, both.measured)]
-    each: list[tuple[str, tuple[Estimate | None, ...]]] = []
-    each += [
-        (k, (_simulated(both, k), parameter)) for k, parameter in both.measured.parameters.items()
-    ]
-    each += [(words.name_of(k), tuple(side.get(k) for side in sides)) for k in sides[0] | sides[1]]
-    for name, pair in each:
+    pairs: dict[str, tuple[Estimate | None, ...]] = {}
+    pairs |= {name: (_simulated(both, name), x) for name, x in both.measured.parameters.items()}
+    pairs |= {words.name_of(k): tuple(x.get(k) for x in sides) for k in sides[0] | sides[1]}
+    for name, pair in pairs.items():
         said = words.said_unit(next(filter(None, pair[::-1])).unit)[1]
         table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
     left = (format_number(s.rms_left_out, 3) if s else "-" for s in (both.simulator, both.measured))
@@ -294,17 +278,17 @@ def readings_section(both: Readings, unit: str) -> Section:
     if any(sides):
         lines += ["in brackets: probability of an effect to be the cause"]
         lines += [f"parameters: of the {both.model} alone that is nearest to it with its effects"]
-    for one in both.structure:
-        lines += [f"{words.channel_name(one.channel)} of the simulator: {one.means}"]
-        lines += [f"    to do: {one.remedy}"]
+    for feature in both.structure:
+        lines += [f"{words.channel_name(feature.channel)} of the simulator: {feature.means}"]
+        lines += [f"    to do: {feature.remedy}"]
     if both.simulator is None and not both.structure:
         lines.append("the model cannot be fitted to the simulator's forces")
     return Section("Both described by one model", lines, table)
 
 
-def _cell(one: Estimate | None) -> str:
-    if one is None:
+def _cell(number: Estimate | None) -> str:
+    if number is None:
         return "-"
-    factor = words.said_unit(one.unit)[0]
-    text = format_estimate(factor * one.value, factor * one.std or None)
-    return text if one.probability is None else f"{text} ({one.probability:.2f})"
+    factor = words.said_unit(number.unit)[0]
+    text = format_estimate(factor * number.value, factor * number.std or None)
+    return text if number.probability is None else f"{text} ({number.probability:.2f})"

@@ -1,19 +1,17 @@
-"""The figures of a diagnosis: ladder, before and after, location of the gap, remainder, budget."""
+"""The figures of a diagnosis: ladder, before and after, location of the gap, budget."""
 
 import math
-import textwrap
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis
-from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
+from tirefit.diagnosis.summary.views import SIGNIFICANT, Comparison
 from tirefit.params import check_names
 from tirefit.report import diagnosis_words as words
 from tirefit.report.canvas import (
@@ -133,39 +131,15 @@ def _range(low: float, high: float) -> str:
     return f"{format_number(float(low), 3)}-{format_number(float(high), 3)}"
 
 
-def _with_unit(covariate: str, more: str = "") -> str:
-    unit = words.covariate_unit(covariate)
-    return words.covariate_text(covariate) + more + f" [{unit}]" * bool(unit)
-
-
-def draw_where(figure: Any, panel: ResidualMap, base: str = "base fit") -> None:
-    """Draw mean residuals in cells, with a dot if they are significant.
-
-    Args:
-        base: what the residuals are of.
-    """
-    axes = figure.subplots()
-    rows, _ = panel.mean.shape
-    reach = float(np.nanmax(np.abs(panel.mean), initial=1e-3))
-    colors = mpl.colormaps["RdBu_r"].with_extremes(bad="#eeeeee")
-    style = {"cmap": colors, "vmin": -reach, "vmax": reach, "edgecolors": "white"}
-    mean = np.ma.masked_invalid(panel.mean)
-    image = axes.pcolormesh(panel.edges, np.arange(rows + 1) - 0.5, mean, lw=0.4, **style)
-    axes.set_facecolor("#eeeeee")
-    center = (panel.edges[:-1] + panel.edges[1:]) / 2
-    row, column = np.nonzero(panel.beyond)
-    axes.plot(center[column], row, "o", ms=3.5, mfc=DARK, mec="white", mew=0.6)
-    tidy(axes, "slip / slip of full sliding", _with_unit(panel.covariate))
-    named = words.NAMED_VALUES.get(panel.covariate, {})
-    axes.set_yticks(
-        range(rows), [named.get(low) or _range(low, high) for low, high in panel.levels]
-    )
-    bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=30)
-    bar.ax.tick_params(labelsize=7.5, length=3)
-    bar.set_label("% of $F_z$", fontsize=8)
-    bar.outline.set_visible(False)
-    note = "dot: beyond the noise (5 % false)"
-    panel_title(axes, f"Where: measured {panel.channel.capitalize()} minus {base}", note)
+def where_bars(result: Diagnosis) -> list[Bar]:
+    """The regions in which the gap is beyond the noise, at most six, and their shares [%] of its
+    energy."""
+    bars = []
+    for region in [part for part in result.where if part.p_value <= SIGNIFICANT][:6]:
+        label = f"{words.covariate_text(region.covariate)} {words.range_text(region)}"
+        share = 100 * region.share
+        bars.append(Bar(label, 0.0, share, "effect", f"{share:.0f} %"))
+    return bars
 
 
 def after_label(result: Diagnosis) -> str:
@@ -212,45 +186,6 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
     bottom.legend(**beside)
 
 
-_CHANGES = {
-    "stiffness": "change of stiffness [%]",
-    "friction": "change of friction [%]",
-    "slip": "added slip [-]",
-    "force": "added force [% of $F_z$]",
-}
-_ALONG = {
-    "slip": "added slip, in its own direction [-]",
-    "force": "added force, towards the slip [% of $F_z$]",
-}
-_LETTERS = 52  # largest number of characters in a line of the title
-
-
-def draw_look(figure: Any, panel: LookCurve, beside: str) -> None:
-    """Draw the change of a parameter over a covariate ± standard error.
-
-    Args:
-        beside: the model to which the change is added.
-    """
-    axes, look = figure.subplots(), panel.look
-    scale = 1.0 if look.parameter == "slip" else 100.0
-    change, std = scale * panel.change, scale * panel.std
-    axes.axhline(0.0, color=GREY, lw=0.8, zorder=1)
-    if panel.at_settings:
-        # There are no measurements between settings.
-        axes.errorbar(panel.x, change, std, fmt="o", ms=4, color=BLUE, ecolor=GREY, zorder=3)
-        axes.set_xticks(panel.x)
-    else:
-        axes.fill_between(panel.x, change - std, change + std, color=BLUE, alpha=0.2, lw=0)
-        axes.plot(panel.x, change, color=BLUE, lw=1.6, zorder=2)
-    labels = _ALONG if panel.is_mirrored else _CHANGES
-    tidy(
-        axes, _with_unit(look.covariate, ", within a period" * look.is_wave), labels[look.parameter]
-    )
-    title = f"What is left: {words.look_text(look)}".replace(" %", "\u00a0%")
-    title = textwrap.fill(title, _LETTERS)
-    panel_title(axes, title, f"most probable function ± standard error; on top of {beside}")
-
-
 def panels_of(result: Diagnosis) -> dict[str, Panel]:
     """Name of a panel -> the panel."""
     base = "simulator" if result.simulator else "base fit"
@@ -267,15 +202,11 @@ def panels_of(result: Diagnosis) -> dict[str, Panel]:
         text = "Force over slip and residuals, of the base fit and after it"
         draw = partial(draw_comparison, panel=compared, after=after, base=base)
         panels["before and after"] = Panel(draw, text, (WIDE, 4.4))
-    if result.residual_map is not None:
-        text = "Map of measured minus fitted force over slip and another quantity"
-        draw = partial(draw_where, panel=result.residual_map, base=base)
-        panels["where"] = Panel(draw, text, _SIZE)
-    if result.look is not None:
-        beside = after if compared and compared.named else "the base fit"
-        text = "Remainder: change of a parameter over the quantity that it depends on"
-        draw = partial(draw_look, panel=result.look, beside=beside)
-        panels["what is left"] = Panel(draw, text, _SIZE)
+    if regions := where_bars(result):
+        titles = {"x_label": "share of the gap's energy [%]", "title": "Where the gap lies"}
+        titles |= {"note": f"measured minus {base}: regions beyond the noise (5 % false)"}
+        text = "Regions of load, speed, slip or time with their shares of the gap"
+        panels["where"] = Panel(partial(draw_bars, bars=regions, **titles), text, _SIZE)
     for channel in result.budgets if result.simulator else ():
         of = f" of {words.channel_name(channel)}" * (len(result.budgets) > 1)
         titles = {"title": f"Budget{of}: from the simulator's error to noise"}

@@ -27,7 +27,6 @@ from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, fragment, image_of, page, report_text, verdict_of, wrapped
 
 _LEAST = 0.005  # smallest probability of a candidate that is listed
-_SEEN = 0.5  # an effect with a lower probability of detection may be present unseen
 
 
 def diagnosis_text(result: Diagnosis, full: bool = False) -> str:
@@ -56,7 +55,7 @@ def diagnosis_page(result: Diagnosis) -> str:
     from tirefit.report.diagnosis_figures import panels_of
 
     # The tables have the budget.
-    panels = [one for name, one in panels_of(result).items() if not name.startswith("budget")]
+    panels = [panel for name, panel in panels_of(result).items() if not name.startswith("budget")]
     sections = [
         Section("", pictures=images_of(panels)),
         *first_screen(result),
@@ -83,39 +82,32 @@ def diagnosis_fragment(result: Diagnosis) -> str:
 def _details(result: Diagnosis) -> list[Section]:
     """Sections on the gap, where it lies, all candidates, forecast, noise, settings."""
     gaps = [gap_line(result, result.gap, f"the {result.n} rows fitted")]
-    if result.gap.holdout is not None:
-        gaps.append(gap_line(result, result.gap.holdout, result.gap.holdout.on))
     of_changed = "The simulator, changed: " if both_described(result) else ""
     changed = of_effects(result) if of_changed else []
     where = [("quantity", "range", "share of energy", "p of noise")]
     where += [
         (
-            words.covariate_text(one.covariate),
-            words.range_text(one),
-            words.share_text(one.share),
-            words.p_text(one.p_value),
+            words.covariate_text(region.covariate),
+            words.range_text(region),
+            words.share_text(region.share),
+            words.p_text(region.p_value),
         )
-        for one in result.where
+        for region in result.where
     ]
     candidates = []
-    for one in result.candidates:
-        sizes = (
-            f"; {words.name_of(name.partition(': ')[0])} {words.amplitude_text(amplitude)}"
-            for name, amplitude in one.parameters.items()
-        )
-        if one.probability >= _LEAST:
-            candidates.append(
-                f"{one.probability:.3f}  {words.set_name(one.effects)}{''.join(sizes)}"
-            )
+    for item in (x for x in result.candidates if x.probability >= _LEAST):
+        names = {name.partition(": ")[0]: size for name, size in item.parameters.items()}
+        sizes = (f"{words.name_of(k)} {words.amplitude_text(x)}" for k, x in names.items())
+        text = "; ".join([words.set_name(item.effects), *sizes])
+        candidates.append(f"{item.probability:.3f}  {text}")
     title = "Candidates (probability of exactly this set, by the evidence)"
     return [
-        *(one._replace(title=f"{of_changed}{one.title}") for one in changed),
+        *(item._replace(title=f"{of_changed}{item.title}") for item in changed),
         Section("Gap on the rows fitted", gaps),
         Section("Runs (each fitted with its own offset)", list(_run_lines(result))),
         Section("Where the gap lies", (), where),
         Section(title, candidates),
         Section(f"{of_changed}Parameters", (), _parameters(result)),
-        Section("Hard to tell on this data (forecast)", confused_lines(result)),
         Section("Also not testable", missing_lines(result)[1]),
         Section("Data and settings", list(_settings(result))),
     ]
@@ -130,7 +122,7 @@ def _run_lines(result: Diagnosis) -> Iterator[str]:
             common = ""
         spread = words.amount_text(runs.spread, None, runs.unit, 2)
         low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
-        own = (
+        each_run = (
             f"{name} {format_estimate(factor * value, factor * std)}"
             for name, (value, std) in runs.values.items()
         )
@@ -138,7 +130,7 @@ def _run_lines(result: Diagnosis) -> Iterator[str]:
             f"{words.name_of(kind)}: {common}{len(runs.values)} runs, standard"
             f" deviation between runs {spread} [{low}, {high}], p"
             f" {words.p_text(runs.p_value)} of none;"
-            f" each run{f' [{unit}]' * bool(unit)}: {', '.join(own)}"
+            f" each run{f' [{unit}]' * bool(unit)}: {', '.join(each_run)}"
         )
 
 
@@ -161,26 +153,6 @@ def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
     return rows
 
 
-def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
-    """Sentences on effects that these rows would confuse with others, and on effects
-    that they would not detect at their usual amplitude."""
-    lines = [
-        f"{words.name_of(chance.effect)} of"
-        f" {words.amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
-        f" probability {chance.recognised:.2f}, else taken for"
-        f" {words.name_of(chance.taken_for)}"
-        for chance in sorted(result.forecast, key=lambda one: one.recognised)
-        if chance.taken_for and chance.seen >= max(_SEEN, chance.recognised / 0.75)
-    ]
-    unseen = [
-        words.name_of(chance.effect)
-        for chance in result.forecast
-        if chance.seen < _SEEN and chance.effect not in result.verdict.effects
-    ]
-    at_usual_size = f"not seen here at their usual size: {', '.join(unseen)}"
-    return lines[:most] + [at_usual_size] * bool(unseen)
-
-
 def _settings(result: Diagnosis) -> Iterator[str]:
     data, settings, noise = result.data, result.settings, result.noise
     yield f"data: {data.path or data.name}, sha256 {data.sha256 or '-'}"
@@ -196,10 +168,8 @@ def _settings(result: Diagnosis) -> Iterator[str]:
     if result.slip_check is not None:
         yield words.slip_check_line(result.slip_check)
     if settings.rig is not None:
-        rig = {k: v for k, v in vars(settings.rig).items() if v}
-        rig |= {f"noise.{k}": v for k, v in rig.pop("noise", {}).items()}
-        known = ", ".join(f"{k} = {v}" for k, v in rig.items() if k != "notes")
-        yield f"known of the rig: {known or 'nothing'}"
+        known = {k: v for k, v in vars(settings.rig).items() if v and k != "notes"}
+        yield f"known of the rig: {', '.join(f'{k} = {v}' for k, v in known.items()) or 'nothing'}"
         out = [effect.id for effect in EFFECTS if effect.id not in settings.effects]
         if out:
             yield f"not looked for: {', '.join(out)}"

@@ -6,7 +6,7 @@ import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import Each, Status
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH, Step
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.result import (
     UNITS,
@@ -32,18 +32,6 @@ _SHOWN = (
 """Texts that mark the notes to show: on signs, on a simulator, on findings of derive, and on
 the windows and tires of a car."""
 
-_BEYOND = 1.5  # ratio of the noise to the stated noise above which it is reported
-
-_HALF = 0.5  # smallest explained share of a mean square without a warning
-_MOST_STEPS = 3  # largest number of measurements that the short report proposes
-_MOST_NEEDS = 8  # largest number of missing columns that the first screen lists
-
-_TELLS_MORE = 0.1
-"""Smallest gain in the probability of distinguishing two effects for which a measurement
-is proposed."""
-
-_CLOSED = "closed: removed share of the first row's rms beyond the noise, ± std"
-
 
 def subject(result: Diagnosis) -> str:
     """The file, and the model or the simulated forces with which it is compared."""
@@ -60,7 +48,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
         for name, level in noise.forces.items()
     )
     yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"
-    if noise.excess > _BEYOND:
+    if noise.excess > 1.5:
         yield f"the noise is {noise.excess:.2g} times what is stated"
     yield from (s for s in data.assumptions if any(part in s for part in _SHOWN))
     # A simulator with readings may be far from rows that are right.
@@ -68,7 +56,7 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
         force = np.asarray(result.table[channel]) if result.table else np.nan
         missed = np.nanmean((force - forces["base"]) ** 2)
         explained = 1 - missed / max(np.nanmean(force**2), NONZERO)
-        if explained < _HALF:
+        if explained < 0.5:
             yield (
                 f"warning: {result.model} explains {max(explained, 0.0):.0%} of the"
                 f" mean square of {words.channel_name(channel)}: check columns, units and"
@@ -110,49 +98,36 @@ def _percent(share: float, std: float | None) -> str:
     return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
 
 
-def _held_out(step: Step) -> str:
-    """The rms of a step on the held-out files, and the share closed there."""
-    if step.rms_held_out is None:
-        return "-"
-    rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
-    return f"{rms} ({closed:.0%})" if closed else rms
-
-
 def _ladder(result: Diagnosis) -> Section:
-    ladder, unit = result.ladder, result.unit
+    ladder, unit, held_out = result.ladder, result.unit, bool(result.settings.holdout)
     on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
-    title = f"How far the gap shrinks on data left out{on}"
-    square = f"({unit})^2" if " " in unit else f"{unit}^2"
-    table = [("model", f"rms left out [{unit}]", "closed", f"gain [{square}]")]
-    table += [
-        (
-            step_label(result, k),
-            format_number(step.rms_left_out, 3),
-            _percent(step.closed, step.closed_std or None) if k else "-",
-            format_estimate(step.gain, step.gain_std) if k else "-",
+    head = ("model", f"rms left out [{unit}]", "closed", f"held out [{unit}]")
+    table = [head] if ladder.steps else []
+    for k, step in enumerate(ladder.steps):
+        rms, closed = step.rms_held_out, step.closed_held_out
+        there = (
+            "-" if rms is None else format_number(rms, 3) + f" ({closed or 0:.0%})" * bool(closed)
         )
-        for k, step in enumerate(ladder.steps)
-    ]
-    lines = [_CLOSED + "; gain: reduction of the mean square"]
-    if result.settings.holdout:
-        cells = [f"held out [{unit}]", *map(_held_out, ladder.steps)]
-        # It replaces the gain, for which the line is too short.
-        table = [(*row[:3], cell) for row, cell in zip(table, cells, strict=True)]
-        lines = [_CLOSED + "; held out: rms on those files (share closed there)"]
-        for k in worse_steps(result):
-            old, new = (format_number(ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))
-            lines += [
-                f"{step_label(result, k)}: predicts the files held out worse ({old} to {new}"
-                f" {unit} rms): do not carry it over to other data"
-            ]
+        share = _percent(step.closed, step.closed_std or None) if k else "-"
+        table.append((step_label(result, k), format_number(step.rms_left_out, 3), share, there))
+    lines = ["closed: removed share of the first row's rms beyond the noise, ± std"]
     if not ladder.steps:
-        table, lines = [], ["no part of these rows can be left out"]
+        lines = ["no part of these rows can be left out"]
         lines += [gap_line(result, result.gap, "the rows fitted")]
-    if result.gap.holdout is not None and result.settings.holdout:
-        held = result.gap.holdout
+    if not held_out:
+        table = [row[:3] for row in table]
+    elif ladder.steps:
+        lines[0] += "; held out: rms on those files (share closed there)"
+    for k in worse_steps(result):
+        old, new = (format_number(ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))
+        lines += [
+            f"{step_label(result, k)}: predicts the files held out worse ({old} to {new}"
+            f" {unit} rms): do not carry it over to other data"
+        ]
+    if held_out and (held := result.gap.holdout) is not None:
         lines.append(gap_line(result, held, f"files held out ({held.on})"))
     # On the page the first panel has the ladder.
-    return Section(title, lines, table, folded=True)
+    return Section(f"How far the gap shrinks on data left out{on}", lines, table, folded=True)
 
 
 def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
@@ -165,13 +140,12 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
         return f"{format_number(force, 3)} {unit}{tail}"
 
     line = f"{where}: gap of {size(gap.rms)} rms beyond the noise"
-    closed = gap.net_closed
     if not (result.verdict.helping or result.simulator):
         return line
-    if not gap.resolvable or closed is None:
+    if not gap.resolvable or gap.closed is None:
         return f"{line}, too uncertain to say how much of it closes"
-    more = " or more" * (closed <= WORST)
-    share = words.closed_text(closed, gap.closed_ci, gap.energy_closed)
+    more = " or more" * (gap.closed <= WORST)
+    share = words.closed_text(gap.closed, gap.closed_ci)
     return (
         f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 % interval]: {share}"
     )
@@ -213,11 +187,6 @@ def budget_section(result: Diagnosis, channel: str) -> Section:
     return Section(title, [first] if first else (), rows if budget else [])
 
 
-_ROUGH = 0.5
-"""Largest error of a stand-in over the gap for an accurate budget: of twelve simulators of other
-tires, four were diagnosed correctly with a brush, eleven with a tire that followed them."""
-
-
 def stand_in_line(result: Diagnosis) -> str:
     """A line on the error of the stand-in of a simulator; empty if there is none."""
     if result.simulator is None or result.simulator.surrogate.of_force <= 1e-6:
@@ -227,7 +196,9 @@ def stand_in_line(result: Diagnosis) -> str:
     line += f" {format_number(followed.rms, 3)} N rms,"
     line += f" {words.share_text(followed.of_force)} of its force"
     line += f" and {words.share_text(followed.of_gap)} of the gap" * resolvable
-    if resolvable and followed.of_gap > _ROUGH:
+    # Of twelve simulators of other tires, four were diagnosed correctly with a brush, eleven with a
+    # tire that followed them.
+    if resolvable and followed.of_gap > 0.5:
         line += "; the parts are rough: without --model, a tire that follows it more closely is"
         line += " chosen"
     return line
@@ -238,16 +209,17 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
     helping = verdict.helping or verdict.effects
     for effect in (*helping, *verdict.also_possible):
         named, means = effect in helping, words.words_on(effect, result.library)
-        amounts = words.sizes_of(result, effect)
-        sizes = [words.amplitude_text(x) + words.in_the_file(result, x) for x in amounts]
+        size = words.size_of(result, effect)
         name = words.name_of(effect) + f" ({effect})" * (words.name_of(effect) != effect)
-        tail = "; ".join(sizes) if named else "not named"
+        tail = "" if named else "not named"
+        if named and size:
+            tail = words.amplitude_text(size) + words.in_the_file(result, size)
         yield f"{name}: {tail}" if tail else name
         if (each := verdict.each.get(effect)) is not None:
             yield f"    {_each_text(each)}"
         if groups := verdict.sizes.get(effect):
             # Those by the covariate over which they are most unequal.
-            by, (factor, unit) = groups[0], words.said_unit(amounts[0].unit if amounts else "")
+            by, (factor, unit) = groups[0], words.said_unit(size.unit if size else "")
             pairs = zip(by.size, by.std, strict=True)
             each_size = ", ".join(format_estimate(factor * x, factor * std) for x, std in pairs)
             text = f"size by {words.covariate_text(by.covariate)}: {each_size} {unit}".rstrip()
@@ -278,44 +250,23 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
         f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
         f" {left.unlisted:.2f} of an unlisted effect"
     )
-    for look in left.looks_like[:1]:
+    for shape in left.looks_like[:1]:
         yield (
-            f"it resembles this: {words.look_text(look)} (probability"
-            f" {look.probability:.2f} among such functions; explains"
-            f" {100 * look.explains:.0f} % of its mean square)"
+            f"it resembles this: {words.shape_text(shape)} (probability"
+            f" {shape.probability:.2f} among such functions; explains"
+            f" {100 * shape.explains:.0f} % of its mean square)"
         )
     if not result.verdict.names_an_effect:
         smallest = format_number(result.resolution, 3)
         yield f"smallest unlisted effect that would be detected: {smallest} {unit} rms"
 
 
-def step_lines(result: Diagnosis) -> list[str]:
-    """Next measurements with their reasons; if none decides, the best one or the reason
-    why there is none."""
-    why, steps = result.next_measurement_reason, result.next_measurement
-    if not steps:
-        if result.verdict.status != Status.CANNOT_TELL or why is None:
-            return []
-        for effect in (*result.verdict.helping, *result.verdict.also_possible):
-            why = why.replace(effect, words.name_of(effect))
-        return [why]
-    # Without a forecast (NaN) every measurement is listed.
-    worth = [step for step in steps if not step.p_after - step.p_now < _TELLS_MORE]
-    if not worth:
-        best = max(steps, key=lambda step: step.p_after - step.p_now)
-        return [
-            f"no single listed measurement would decide it: at best {best.add},"
-            f" which {_tells_apart(best)}"
-        ]
-    return [f"measure {step.add}: it {_tells_apart(step)}" for step in worth]
-
-
-def _tells_apart(step: NextMeasurement) -> str:
-    one, other = (words.set_name([effect]) for effect in step.separates)
+def _step_text(step: NextMeasurement) -> str:
+    first, second = (words.set_name([effect]) for effect in step.separates)
     forecast = f"with probability {step.p_after:.2f}, instead of {step.p_now:.2f} now"
     if np.isnan(step.p_after):
         forecast = f"(these rows: with probability {step.p_now:.2f})"
-    return f"separates {one} from {other} {forecast}"
+    return f"measure {step.add}: it separates {first} from {second} {forecast}"
 
 
 def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
@@ -327,7 +278,7 @@ def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
         groups.setdefault(needs, []).append(words.name_of(item.effect))
     ranked = sorted(groups.items(), key=lambda group: -len(group[1]))
     lines = [f"{needs}: {', '.join(effects)}" for needs, effects in ranked]
-    return lines[:_MOST_NEEDS], lines[_MOST_NEEDS:]
+    return lines[:8], lines[8:]
 
 
 def both_described(result: Diagnosis) -> Readings | None:
@@ -359,13 +310,13 @@ def of_effects(result: Diagnosis) -> list[Section]:
     sections = []
     if result.simulator or result.verdict.helping:
         sections += [budget_section(result, channel) for channel in result.budgets]
-    steps = step_lines(result) if result.verdict.status != Status.NONE else []
+    steps = result.next_measurement if result.verdict.status != Status.NONE else ()
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)
     return [
         *sections,
         Section("Effects", list(_effect_lines(result))),
         Section("What is left", list(left_lines(result))),
-        Section("Next measurement", steps[:_MOST_STEPS]),
+        Section("Next measurement", [_step_text(step) for step in steps[:3]]),
         Section("Not testable on this data (missing: effects that need it)", missing),
     ]

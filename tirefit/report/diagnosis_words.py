@@ -3,12 +3,14 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.rig import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.result import Amplitude, Diagnosis
-from tirefit.diagnosis.summary.views import Look, Region
+from tirefit.diagnosis.summary.result import Amplitude, Diagnosis, Estimate
+from tirefit.diagnosis.summary.views import Region, Shape
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.slip import CONVENTIONS
 
@@ -17,7 +19,6 @@ _NEEDS = {
     "speeds": "more than one speed",
     "signs": "slips of both signs",
     "sweeps": "slow sweeps of slip with time",
-    "time": "time",
     "v": "speed v",
     "omega": "wheel speed omega",
     "rolling_radius": "rolling_radius in rig.toml, or v with omega",
@@ -28,18 +29,14 @@ _NEEDS = {
     "other force": "the force of the other slip",
     "pressure": "an inflation pressure that varies",
     "work": "speed v with time: the work of sliding",
-    "yaw_rate": "yaw_rate",
     "a_x": "acceleration a_x",
     "a_y": "acceleration a_y",
-    "yaw_acceleration": "yaw_acceleration",
     "heading": "a heading that turns",
     "steering": "a road wheel angle of this axle that varies",
     "derived force": "a force derived from a_y and yaw_acceleration (tirefit derive)",
     "doubted point": "a stated tracked point that tirefit derive does not confirm",
     "runs": "several runs (a column run)",
     "mz": "the aligning moment mz",
-    "fx": "fx",
-    "fy": "fy",
 }
 _BY_DERIVE = {
     "other force": "driven",
@@ -67,7 +64,6 @@ _COVARIATES = {
     "distance": "distance travelled",
     "pressure": "inflation pressure",
 }
-_FAR = 100.0  # largest multiple of the slip of full sliding that is printed
 
 NAMED_VALUES = {
     "direction": {-1.0: "shrinking", 0.0: "steady", 1.0: "growing"},
@@ -111,19 +107,19 @@ def range_text(region: Region) -> str:
     if name in NAMED_VALUES:
         # The few steady rows among growing or shrinking ones do not determine the name.
         return NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
-    unit = CANONICAL.get(name, ("", ""))[0]
-    tail = f" {unit}" if unit not in ("", "-") else ""
+    unit = covariate_unit(name)
+    tail = f" {unit}" if unit else ""
     # With hardly any friction on some rows, their slip is far beyond full sliding.
-    far = name in ("slip_fraction", "slip") and max(-low, high) > _FAR
-    if low == high and not far:
-        return f"{format_number(low)}{tail}"
-    if not far:
-        return f"{_end(low, high)} to {_end(high, high)}{tail}"
-    if min(-low, high) > _FAR:
-        return "any"
-    if high > _FAR:
-        return f"{_end(min(low, _FAR), 1.0)} and more"
-    return f"{_end(max(high, -_FAR), 1.0)} and less"
+    reach = 100.0 if name in ("slip_fraction", "slip") else np.inf
+    largest = max(abs(low), abs(high))
+    least = 5e-4 * (largest if largest <= reach else 1.0)
+    clipped = np.clip((low, high), -reach, reach).tolist()
+    ends = [format_number(0.0 if abs(end) < least else end, 3) for end in clipped]
+    if high > reach:
+        return "any" if low < -reach else f"{ends[0]} and more"
+    if low < -reach:
+        return f"{ends[1]} and less"
+    return f"{format_number(low)}{tail}" if low == high else f"{' to '.join(ends)}{tail}"
 
 
 def covariate_unit(name: str) -> str:
@@ -134,23 +130,18 @@ def covariate_unit(name: str) -> str:
     return "" if unit == "-" else unit
 
 
-def look_text(look: Look) -> str:
+def shape_text(shape: Shape) -> str:
     """What a remainder resembles: ``friction changes with time, by -7 % at 60 s``."""
-    covariate = covariate_text(look.covariate)
+    covariate = covariate_text(shape.covariate)
     # The place of the largest change, or the period of a wave.
-    at = f"{format_number(look.at, 3)} {covariate_unit(look.covariate)}".rstrip()
-    at = NAMED_VALUES.get(look.covariate, {}).get(round(look.at), at)
-    size = f"{format_number(100 * look.size, 2)} %{' of F_z' * (look.parameter == 'force')}"
-    if look.parameter == "slip":
-        size = format_number(look.size, 2)
-    if look.is_wave:
-        return f"{look.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
-    return f"{look.parameter} changes with {covariate}, by {size} at {at}"
-
-
-def _end(value: float, largest: float) -> str:
-    """An end of a range, rounded to three digits of the larger end."""
-    return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
+    at = f"{format_number(shape.at, 3)} {covariate_unit(shape.covariate)}".rstrip()
+    at = NAMED_VALUES.get(shape.covariate, {}).get(round(shape.at), at)
+    size = f"{format_number(100 * shape.size, 2)} %{' of F_z' * (shape.parameter == 'force')}"
+    if shape.parameter == "slip":
+        size = format_number(shape.size, 2)
+    if shape.is_wave:
+        return f"{shape.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
+    return f"{shape.parameter} changes with {covariate}, by {size} at {at}"
 
 
 _OF_CAR = {"all": "the motion", "v_y": "lateral speed", "yaw_rate": "yaw rate"}
@@ -180,11 +171,16 @@ def set_name(effects: Sequence[str]) -> str:
     return " + ".join(names) or "no effect"
 
 
-def sizes_of(result: Diagnosis, effect: str) -> list[Amplitude]:
-    """The amplitudes of an effect that helps; empty for another one."""
-    return [
-        amplitude for name, amplitude in result.amplitudes.items() if name.startswith(f"{effect}: ")
-    ]
+def size_of(result: Diagnosis, effect: str) -> Amplitude | None:
+    """The amplitude of an effect that helps; None for another one."""
+    sizes = result.amplitudes.items()
+    return next((size for name, size in sizes if name.startswith(f"{effect}: ")), None)
+
+
+def sized_name(effect: str, size: Amplitude | Estimate | None) -> str:
+    """``slip offset of 0.27 ± 0.03 m``; the name alone without a size."""
+    name = name_of(effect)
+    return f"{name} of {amount_text(size.value, size.std, size.unit)}" if size else name
 
 
 def amplitude_text(amplitude: Amplitude) -> str:
@@ -241,22 +237,15 @@ def share_text(share: float | None, ends: tuple[float | None, float | None] | No
     return f"{100 * share:.0f} % [{tail}]"
 
 
-def closed_text(
-    closed: float | None,
-    ends: tuple[float | None, float | None] | None = None,
-    energy: float | None = None,
-) -> str:
-    """The closed share of a gap with its interval, and that of its energy; ``-100 % or
-    worse`` if the effects double the gap or more."""
-    if closed is None:
-        return "-"
-    known = [closed, *(ends if ends and None not in ends else ())]
-    worse = [" or worse" * (share <= WORST) for share in known]
-    message, *more = (share_text(x) + tail for x, tail in zip(known, worse, strict=True))
-    message += f" [{', '.join(more)}]" * bool(more)
-    if energy is not None:
-        message += f", {100 * energy:.0f} %{worse[0]} of its energy"
-    return message
+def closed_text(closed: float, ends: tuple[float | None, float | None]) -> str:
+    """The closed share of a gap with its interval; ``-100 % or worse`` if the effects double the
+    gap or more."""
+    message, *more = (
+        share_text(share) + " or worse" * (share <= WORST)
+        for share in (closed, *ends)
+        if share is not None
+    )
+    return f"{message} [{', '.join(more)}]" if more else message
 
 
 def p_text(p: float, least: float = 1e-12) -> str:

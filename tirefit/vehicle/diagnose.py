@@ -21,7 +21,6 @@ from pydantic import PositiveFloat
 from tirefit.data.merged import merged
 from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.diagnosis.effects import Effect, atoms_of
-from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder
 from tirefit.diagnosis.engine.search import Effort, Search, searched
 from tirefit.diagnosis.summary.case import Concluded
@@ -29,7 +28,7 @@ from tirefit.diagnosis.summary.closure import (
     PARAMETERS,
     budget,
     changed,
-    closure_elsewhere,
+    closure_of,
     fits_of,
     of_the_ladder,
     on_files,
@@ -274,11 +273,10 @@ def _document_of(
     if others is not None:
         held, ladder = _held_out(case, ladder, *others, generator)
     z, spread = case.parameters
-
-    def closed(channel: str, fit: Fit) -> Shrinkage:
-        return _closure(base, channel, base.given_residual, fit.residual, generator)
-
-    gaps = {channel: closed(channel, case.chosen) for channel in _channels(base)}
+    gaps = {
+        channel: _closure(base, channel, base.given_residual, case.chosen.residual, generator)
+        for channel in _channels(base)
+    }
     each = zip(FACTORS, np.exp(z).tolist(), (np.exp(z) * spread).tolist(), strict=True)
     budgets = _budgets(case, ladder, generator)
     rows, names = base.cut.data.v_x.size, CHANNELS[base.model.channels]
@@ -292,7 +290,6 @@ def _document_of(
             budgets,
             ladder,
             {name: changed(1.0, factor, error) for name, factor, error in each},
-            partial(closed, ALL),
             base.unit,
         ),
         data=DataSummary(
@@ -349,7 +346,7 @@ def _closure(
     before, after = (unit * base.over_noise(x)[:, own].ravel() for x in (before, after))
     run = np.repeat(base.cut.log, before.size // len(base.cut.log))
     variance = np.full(before.size, unit**2)
-    return closure_elsewhere(before, after, variance, run, base.inflation, generator)
+    return closure_of(before, after, variance, run, base.inflation, generator)
 
 
 def _held_out(

@@ -332,7 +332,7 @@ def _described(
     for k, atom in enumerate(fit.atoms):
         effect, scale = base.atoms[atom].effect, float(base.priors.scale[atom])
         size, std = float(fit.amplitude[k]) * scale, float(errors[TIRES + k]) * scale
-        key, unit, slope = f"{effect.id}: {effect.parameter}", effect.unit, 1.0
+        key, unit, slope = f"{effect.id}: amplitude", effect.unit, 1.0
         if effect.id in _STATED:
             quantity, unit, of = _STATED[effect.id]
             key, (size, slope) = f"{effect.id}: {quantity}", of(vehicle, size)

@@ -25,22 +25,13 @@ from tirefit.params import Values
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.prepared import Prepared
 
-_FINE = 5e-4  # standard error of a slip offset below which an offset of zero is evidence against it
-
-_INERTIA_STATED = 0.3
-"""Relative standard deviation of a stated inertia, as hub, disc and shaft turn too."""
-
-_CORNERING = 10.0
-"""Usual cornering stiffness over load [1/rad], so that both camber forms share a scale."""
-
-_WARMING = 0.2  # time constant of a zero that settles while its amplifier warms up, over the record
-
 
 def _of_this_wheel(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     """The prior: a force computed from the torque lacks the inertia that the rig states."""
     if not (known := rig.wheel_inertia):
         return prior
-    return Prior(_INERTIA_STATED * known, known, prior.low, max(prior.high, 2 * known))
+    # Hub, disc and shaft turn too.
+    return Prior(0.3 * known, known, prior.low, max(prior.high, 2 * known))
 
 
 def _definition_odds(prepared: "Prepared") -> float:
@@ -69,18 +60,21 @@ def _offset_odds(prepared: "Prepared") -> float:
         return 0.0
     if check.shifted:
         return BESIDE
-    return AGAINST if check.agrees and check.offset_std < _FINE else 0.0
+    # An offset of zero is evidence against it if it is known to 5e-4.
+    return AGAINST if check.agrees and check.offset_std < 5e-4 else 0.0
 
 
 def _camber(state: State, share: float, constants: Constants, rows: Covariates) -> State:
     shift = state.shift + constants[0] * share * rows.gamma
-    thrust = constants[1] * _CORNERING * share * rows.gamma * rows.fz * rows.load
+    # A usual cornering stiffness of 10 loads per radian, so that both forms share a scale.
+    thrust = constants[1] * 10.0 * share * rows.gamma * rows.fz * rows.load
     return state._replace(shift=shift, force=state.force + thrust)
 
 
 def _settled(rows: Covariates, constants: Constants) -> Values | float:
-    """A drift that is linear over the record, or faster at first; zero at the middle."""
-    late = 0.5 - xp.exp(-(rows.time + 0.5) / _WARMING)
+    """A drift that is linear over the record, or faster at first, with a fifth of the record as
+    time constant, while an amplifier warms up; zero at the middle."""
+    late = 0.5 - xp.exp(-(rows.time + 0.5) / 0.2)
     return blend(constants, rows.time, late)
 
 

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 class _Arrays:
     def __getattr__(self, name: str) -> Callable[..., Any]:
-        def function(*given: np.ndarray | float, **options: Any) -> np.ndarray:
-            traced = any(isinstance(one, jax.Array) for one in given)
-            return getattr(jnp if traced else np, name)(*given, **options)
+        def function(*values: np.ndarray | float, **options: Any) -> np.ndarray:
+            traced = any(isinstance(value, jax.Array) for value in values)
+            return getattr(jnp if traced else np, name)(*values, **options)
 
         setattr(self, name, function)
         return function
@@ -85,7 +85,6 @@ class Effect:
         unit: unit of the amplitude.
         formula, means, remedy, remedy_derived: for the report: the law, its meaning, what to
             do about it, and that in a file written by ``tirefit derive``, if another.
-        parameter: name of the amplitude.
         bounds: of the amplitude, one pair for all variants or one for each; physical,
             else about 20 scales.
         center: expected amplitude; not zero for mistakes of a known size.
@@ -101,7 +100,7 @@ class Effect:
         told_apart_by: the measurement that separates it from them.
 
     Example:
-        >>> effect = next(one for one in EFFECTS if one.id == "load_friction")
+        >>> effect = next(effect for effect in EFFECTS if effect.id == "load_friction")
         >>> effect.of, effect.unit, effect.looks_like
         ('tire', '-', ('friction_drift', 'force_offset'))
     """
@@ -115,7 +114,6 @@ class Effect:
     means: str = ""
     remedy: str = ""
     remedy_derived: str = ""
-    parameter: str = "amplitude"
     of: str = "tire"
     per: tuple[str, ...] = ("plain",)
     bounds: tuple[tuple[float, float], ...] = ((-float("inf"), float("inf")),)
@@ -131,50 +129,36 @@ class Effect:
     told_apart_by: str = ""
 
     @property
-    def sign(self) -> int:
-        """+1 or -1 where only that sign is physical for every variant, 0 otherwise."""
-        if all(low >= 0 for low, _ in self.bounds):
-            return 1
-        return -1 if all(high <= 0 for _, high in self.bounds) else 0
-
-    @property
-    def far(self) -> bool:
+    def misleads(self) -> bool:
         """Whether the tangent at zero is a poor approximation."""
         return self.singular or self.center != 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class NoiseEffect:
-    """A law of the noise, named if no effect on the mean is; fields as in :class:`Effect`."""
+class NoiseEffect(NamedTuple):
+    """A law of the noise, named if no effect on the mean is; fields as in :class:`Effect`, and
+    the ``flag`` of :class:`rows.noise.NoiseLevel` that names it, empty for none."""
 
     id: str
-    flag: str = ""  # of :class:`rows.noise.NoiseLevel` that names it; "": none
     means: str
     remedy: str
+    flag: str = ""
     family: str = "noise"
 
 
 NOISE_EFFECTS = (
     NoiseEffect(
-        id="outliers",
-        flag="outliers",
-        means="some rows lie far from all others",
-        remedy="set [noise] loss = 'huber'",
+        "outliers", "some rows lie far from all others", "set [noise] loss = 'huber'", "outliers"
     ),
     NoiseEffect(
-        id="noise_heteroscedastic",
-        means="the noise level differs over the range",
-        remedy="give fx_std row by row",
+        "noise_heteroscedastic", "the noise level differs over the range", "give fx_std row by row"
     ),
     NoiseEffect(
-        id="noise_autocorrelated",
-        flag="autocorrelated",
-        means="the noise of neighbouring rows is correlated",
-        remedy="none needed: the effective number of rows is used",
+        "noise_autocorrelated",
+        "the noise of neighbouring rows is correlated",
+        "none needed: the effective number of rows is used",
+        "autocorrelated",
     ),
-    NoiseEffect(
-        id="slip_noise", means="the slip is measured with noise", remedy="give sigma_x_std"
-    ),
+    NoiseEffect("slip_noise", "the slip is measured with noise", "give sigma_x_std"),
 )
 
 
@@ -267,17 +251,17 @@ and ``Samples`` in the place of ``State`` and ``Covariates``."""
 def library(package: str, codes: Code) -> tuple[Effect, ...]:
     """The effects of ``effects.toml`` in a package, each with its code."""
     tables = tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8"))
-    found = []
+    effects = []
     for id, table in tables.items():
-        own = codes[id]
+        code = codes[id]
         fields = {key: _tuples(value) for key, value in table.items()}
-        fields |= own if isinstance(own, dict) else {"change": own}
+        fields |= code if isinstance(code, dict) else {"change": code}
         if fields.pop("seldom", False):
             fields["odds"] = seldom
         if isinstance(count := fields.get("variants"), int):  # blended one formula each
             fields["variants"] = tuple(tuple(np.eye(count)[k].tolist()) for k in range(count))
-        found.append(Effect(id=id, **fields))
-    return tuple(found)
+        effects.append(Effect(id=id, **fields))
+    return tuple(effects)
 
 
 def _tuples(value: Any) -> Any:
@@ -287,10 +271,6 @@ def _tuples(value: Any) -> Any:
 _STEP = 1e-5
 """Step of a numerical slope over the prior scale: the error of the parabola is its square,
 that of rounding 1e-16 over it, so both are about 1e-10 of the change by one scale."""
-
-_LEAST_NEXT = 0.9
-"""Smallest second step of a state over the first, from amplitude 0. It is below 1 by about
-the step unless the slope there is infinite, as that of a root."""
 
 Present = Sequence[tuple[int, float]]
 """Numbers and amplitudes, in their own units, of the atoms of a hypothesis."""
@@ -327,11 +307,11 @@ class States:
     def slopes(self, present: Present) -> tuple[np.ndarray, list[Slopes]]:
         """The state with every atom, and its slopes by each of their amplitudes."""
         before = [self._null]
-        for one in present:
-            before.append(self._after(before[-1], [one]))
+        for added in present:
+            before.append(self._after(before[-1], [added]))
         slopes = [
-            self._slope(before[k], one, present[k + 1 :], before[-1])
-            for k, one in enumerate(present)
+            self._slope(before[k], added, present[k + 1 :], before[-1])
+            for k, added in enumerate(present)
         ]
         return np.array(before[-1]), slopes
 
@@ -339,43 +319,48 @@ class States:
         """Changes by each atom in addition to those present. ``center`` are the expected
         amplitudes (K,) in prior scales."""
         whole, amplitudes = self._after(self._null, present), dict(present)
-        found = Changes({}, {}, {})
+        changes = Changes({}, {}, {})
         for number, atom in enumerate(self._atoms):
             others, amplitude = whole, amplitudes.get(number, 0.0)
             if number in amplitudes:
                 others = self._after(self._null, [p for p in present if p[0] != number])
-            if atom.effect.far:
+            if atom.effect.misleads:
                 expected = float(center[number])
                 size = max(abs(expected), 1.0) * (-1.0 if expected < 0 else 1.0)
-                far = amplitude + size * float(self._scale[number])
-                found.ends[number] = np.array(self._after(others, [(number, far)]))
-                found.sizes[number] = size
+                end = amplitude + size * float(self._scale[number])
+                changes.ends[number] = np.array(self._after(others, [(number, end)]))
+                changes.sizes[number] = size
             else:
-                one = number, amplitude
-                found.slopes[number] = self._slope(others, one, [], self._after(others, [one]))
-        return found
+                added = number, amplitude
+                here = self._after(others, [added])
+                changes.slopes[number] = self._slope(others, added, [], here)
+        return changes
 
     @np.errstate(all="ignore")  # the engine refuses slopes that are not finite
-    def _slope(self, before: State, one: tuple[int, float], later: Present, here: State) -> Slopes:
+    def _slope(
+        self, before: State, added: tuple[int, float], later: Present, here: State
+    ) -> Slopes:
         """Slopes by the amplitude of an atom between those before it and later ones, by the
         parabola through three points; ``here`` is the state with all of them.
 
         The points lie towards zero, from zero on the positive side: amplitudes on a bound
         stay within it, and a lag, which has no negative length, has its slope at zero.
         """
-        number, amplitude = one
+        number, amplitude = added
         step = -np.copysign(_STEP * float(self._scale[number]), amplitude or -1.0)
-        near, far = (self._after(before, [(number, amplitude + k * step), *later]) for k in (1, 2))
-        found = {}
-        for field, (a, b, c) in enumerate(zip(here, near, far, strict=True)):
+        at = amplitude + step, amplitude + 2 * step
+        ahead = (self._after(before, [(number, end), *later]) for end in at)
+        slopes = {}
+        for field, (a, b, c) in enumerate(zip(here, *ahead, strict=True)):
             if a is c or np.array_equal(a, c):
                 continue
             first, second = b - a, c - b
-            found[field] = (3 * first - second) / (2 * step)
-            shrinks = _size(second) + ROUNDING * _size(b) < _LEAST_NEXT * _size(first)
+            slopes[field] = (3 * first - second) / (2 * step)
+            # The second step is as large as the first unless the slope is infinite, as of a root.
+            shrinks = _size(second) + ROUNDING * _size(b) < 0.9 * _size(first)
             if shrinks and not amplitude:
-                found[field] = np.full_like(a, np.inf)
-        return found
+                slopes[field] = np.full_like(a, np.inf)
+        return slopes
 
     @np.errstate(all="ignore")
     def _after(self, state: State, present: Present) -> State:

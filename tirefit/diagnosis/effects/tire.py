@@ -33,8 +33,6 @@ that are tried: exponential, S(37), and with exponent 0 by log(1 + v_s / v_st)."
 STEPS = tuple(float(t) for t in np.linspace(-0.45, 0.45, 25))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
 
-_NO_END = 1.0  # end, outside the record, of a change that lasts
-
 _STRETCHES = tuple(
     (begin / 20, (begin + length) / 20)
     for length, begins in ((3, range(-8, 8, 2)), (7, range(-8, 4, 2)))
@@ -42,19 +40,13 @@ _STRETCHES = tuple(
 )
 """Begin and end of a stretch of another road, in the same unit: 1/7 and 1/3 of the record."""
 
-_OF_FRICTION = 0.62
-"""Stiffness times slip over friction at the slip of half the largest force; a brush has
-3 (1 - 2^(-1/3))."""
-
-_LEAST_KINETIC = 1e-3  # smallest kinetic friction over its usual value
-
 
 def _skewed(state: State, change: Values | float) -> State:
     return state._replace(skew=xp.clip(state.skew + change, *_SKEWS))
 
 
 def _kinetic_times(state: State, factor: Values | float) -> State:
-    return state._replace(kinetic=state.kinetic * xp.maximum(factor, _LEAST_KINETIC))
+    return state._replace(kinetic=state.kinetic * xp.maximum(factor, 1e-3))
 
 
 def _linear_loss(state: State, loss: float, constants: Constants, rows: Covariates) -> State:
@@ -132,7 +124,8 @@ def _other(state: State, share: float, constants: Constants, rows: Covariates) -
     """Both slips share the friction in the patch, or the force is multiplied by a weight
     that falls with the other slip, cos(arctan B alpha), Pacejka 4.3.2."""
     shared, weighted = constants
-    taken = share * _OF_FRICTION * rows.other / (rows.rise * rows.fz)
+    # Stiffness times slip is 3 (1 - 2^(-1/3)) of the friction at half the force of a brush.
+    taken = share * 0.62 * rows.other / (rows.rise * rows.fz)
     factor = 1 - weighted * (1 - 1 / xp.sqrt(1 + taken**2))
     state = state._replace(other=state.other + shared * share * rows.other)
     return scaled(scaled(state, "friction", factor), "stiffness", factor)
@@ -182,7 +175,8 @@ CODE: Code = {
     "friction_step": dict(
         change=multiplies("friction", _step),
         which=_which_step,
-        variants=(*((at, _NO_END) for at in STEPS), *_STRETCHES),
+        # A change that lasts ends outside the record.
+        variants=(*((at, 1.0) for at in STEPS), *_STRETCHES),
     ),
     "friction_hysteresis": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
     "drive_brake_asymmetry": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),

@@ -6,7 +6,7 @@ acceleration may fit any remainder, also on held-out data. The prior of such an 
 therefore the error of a measured quantity if the file states it (``tirefit derive`` copies it
 from vehicle.toml), else the error of a guess."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,17 +35,7 @@ from tirefit.slip import GRAVITY
 if TYPE_CHECKING:
     from tirefit.diagnosis.rows.prepared import Prepared
 
-_CERTAIN = 30.0  # largest log odds: an error of one in 10^13, beyond which nothing changes
-
-_HEIGHT, _FAR = 0.4, 6.0
-"""Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
-bounds in standard deviations."""
-
-_NO_LENGTH = 1e-12
-"""A length below this share of a step counts as zero; the slope there is one-sided."""
-
-_FEW_WAYS = 1e-4  # steps over the length below which the response is the first term of its series
-
+_FAR = 6.0  # bounds of a prior in standard deviations
 
 _QUANTITIES = {
     # Errors over the arm of an axle (1 mm on a 1:10 car, 4 cm on a car) and over the
@@ -82,8 +72,8 @@ def _of_scale(prior: Prior, scale: float) -> Prior:
 
 def _narrowed(prior: Prior, scale: float) -> Prior:
     """The prior with at most this scale."""
-    own = _of_scale(prior, min(prior.scale, scale))
-    return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
+    narrow = _of_scale(prior, min(prior.scale, scale))
+    return narrow._replace(low=max(prior.low, narrow.low), high=min(prior.high, narrow.high))
 
 
 def _of_quantity(key: str, prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
@@ -107,9 +97,9 @@ def of_a_known_position(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
 
 def odds_of_derive(prepared: "Prepared") -> float:
     """Prior log odds of an error of the tracked point: log likelihood ratio of the error that
-    ``tirefit derive`` found against no error; 0 without an estimate."""
+    ``tirefit derive`` found against no error, at most 30; 0 without an estimate."""
     known = error_of_point(prepared.data.source.constants)
-    return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, _CERTAIN)
+    return 0.0 if known is None else min((known[0] / known[1]) ** 2 / 2, 30.0)
 
 
 def of_a_known_inertia(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
@@ -126,7 +116,8 @@ def of_a_known_height(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     if "a_x" not in prepared.data:
         return prior
     span = float(np.ptp(prepared.column("a_x"))) / GRAVITY
-    return _narrowed(prior, _HEIGHT * span)
+    # The height of the centre of gravity of a car is 0.3 to 0.6 of the arm of an axle.
+    return _narrowed(prior, 0.4 * span)
 
 
 def of_a_known_force(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
@@ -146,21 +137,13 @@ def _within_the_past(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
-def said_of_motion(rows: "Prepared", rig: Rig, force: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """A sentence about a force if it was derived from the motion; ``force`` is the base's."""
+def said_of_motion(rows: "Prepared", rig: Rig) -> tuple[str, ...]:
+    """A sentence about a force if it was derived from the motion."""
     derived = rows.derived
     if derived is None:
         return ()
-    observed = rows.observed["fy"]
     message = f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
     message += " it shares its channels with the slip, and so does held-out data"
-    if "yaw_rate" in rows.has and derived.mass is not None:
-        on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
-        message += (
-            "; without any tire model, mass x v x yaw_rate differs from it by"
-            f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
-            f" {_rms(observed - force['fy']):.3g} N"
-        )
     if unstated := [of[0] for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
         message += f"; vehicle.toml does not state {', '.join(unstated)}: measure them"
     return (message,)
@@ -195,13 +178,14 @@ def lag(length: float, step: Values) -> Callable[..., Any]:
         length: of the response, in the unit of ``step``.
         step: (n,) of one of :data:`AGES`.
     """
-    # At a length of zero the slope is that of positive lengths.
-    length = xp.where(length < 0, 0.0, length) + _NO_LENGTH * step
+    # At a length of zero, here 1e-12 of a step, the slope is that of positive lengths.
+    length = xp.where(length < 0, 0.0, length) + 1e-12 * step
     ways = (step / length)[:, None] * np.diff(AGES[AHEAD:])[None]
     # Response to values that rise over the distance, and its remainder at the row.
     decay = xp.exp(-ways)
     since = xp.cumprod(decay, axis=1)
-    share = xp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
+    # Of short steps the first term of the series.
+    share = xp.where(ways < 1e-4, ways / 2, 1 - (1 - decay) / ways)
 
     def change(past: np.ndarray) -> np.ndarray:
         after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
@@ -263,13 +247,6 @@ _PAST: Code = {
 }
 
 
-_ALL_BUT, _DOUBLED = 0.95, -3.0
-"""Largest share of the friction that the other force uses, and that it adds: it then doubles."""
-
-_ALIKE, _ONE_LOAD = 0.9, 0.1
-"""Limits of an effect of speed or load: with a larger correlation of speed and slip, or a
-smaller standard deviation of log F_z, it is hardly separable from a constant one."""
-
 _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope of the ground; opposite ones have the opposite sign."""
 
@@ -289,7 +266,8 @@ def _ellipse(state: State, share: float, constants: Constants, rows: Covariates)
     """Factor on the friction, or on the whole force."""
     (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
-    left = xp.sqrt(1 - xp.clip(share * used**2, _DOUBLED, _ALL_BUT))
+    # The other force uses at most .95 of the friction; what it adds at most doubles it.
+    left = xp.sqrt(1 - xp.clip(share * used**2, -3.0, 0.95))
     stiffness = state.stiffness * (1 - whole * (1 - left))
     return state._replace(friction=state.friction * left, stiffness=stiffness)
 
@@ -298,13 +276,13 @@ def _one_speed_of_the_slip(prepared: "Prepared") -> float:
     """Log odds, smaller if the speed follows the slip, as slip then explains the same."""
     speed, slip = prepared.covariates.v, np.abs(prepared.slip)
     alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
-    return seldom(prepared) - 2 * float(alike > _ALIKE)
+    return seldom(prepared) - 2 * float(alike > 0.9)
 
 
 def _one_load(prepared: "Prepared") -> float:
     """Log odds, smaller if the load hardly varies, as a constant offset fits as well."""
     varies = float(np.std(np.log(prepared.inputs.fz)))
-    return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
+    return seldom(prepared) - 2 * float(varies < 0.1)
 
 
 def _slope(slope: float, constants: Constants, rows: Covariates) -> np.ndarray:

@@ -28,6 +28,9 @@ from tirefit.results import Outcome
 UNKNOWN = "unknown"
 """The id of an effect that the library does not list."""
 
+NOT_WRITTEN = {"written": False}
+"""Metadata of a field that is not in the document."""
+
 
 class Status(StrEnum):
     """The conclusion of a diagnosis. It follows from two answers: which effects are
@@ -146,11 +149,11 @@ class Verdict:
     status: Status
     effects: tuple[str, ...] = ()
     acts_like: tuple[str, ...] = ()
-    key: Key = field(default=(), metadata={"written": False})
+    key: Key = field(default=(), metadata=NOT_WRITTEN)
     probability: float
     each: Mapping[str, Each] = field(default_factory=dict)
     also_possible: tuple[str, ...] = ()
-    unlisted: float
+    unlisted: float = field(metadata=NOT_WRITTEN)
 
 
 class Learned(NamedTuple):
@@ -189,18 +192,18 @@ def calibration() -> Learned:
 
 def predictions(search: Search) -> tuple[Weighed, Predicted]:
     """The posterior, and the predictions of data left out by the leading sets and their subsets."""
-    found, known = weighed(search), len(search.fits)
-    search.refit_parts(found.best_of[found.best_beside])
-    if len(search.fits) > known:
-        found = weighed(search)
-    ranked = found.ranked
+    posterior, count = weighed(search), len(search.fits)
+    search.refit_parts(posterior.best_of[posterior.best_beside])
+    if len(search.fits) > count:
+        posterior = weighed(search)
+    ranked = posterior.ranked
     singles = [k for k in ranked if len(k) == 1]
     # The six most probable sets and single effects, and subsets of the leading ones.
     wanted = [(), *ranked[:6], *singles[:6]]
-    wanted += [part for key in (*ranked[:2], found.best_beside) for part in parts_of(key)]
-    sets = [found.best_of[key] for key in dict.fromkeys(wanted) if key in found.best_of]
-    folds = search.subject.folds(found.best)
-    return found, predicted(search.subject, sets, search.null, folds)
+    wanted += [part for key in (*ranked[:2], posterior.best_beside) for part in parts_of(key)]
+    sets = [posterior.best_of[key] for key in dict.fromkeys(wanted) if key in posterior.best_of]
+    folds = search.subject.folds(posterior.best)
+    return posterior, predicted(search.subject, sets, search.null, folds)
 
 
 def floor_of(subject: Forward, out: Predicted) -> float:
@@ -211,42 +214,44 @@ def floor_of(subject: Forward, out: Predicted) -> float:
 
 
 def findings_of(
-    search: Search, found: Weighed, out: Predicted, policy: Policy = POLICY
+    search: Search, posterior: Weighed, out: Predicted, policy: Policy = POLICY
 ) -> Findings:
     """The findings of the search and of the data left out."""
-    subject, unlisted = search.subject, found.unlisted
+    subject, unlisted = search.subject, posterior.unlisted
     if subject.is_covered:
         # Nothing unlisted is claimed where smooth functions predict no better, but for what
         # no other part could predict, such as a gust.
-        better = out.whitened[:, out.effects.index(found.best)] - out.smooth_whitened
+        better = out.whitened[:, out.effects.index(posterior.best)] - out.smooth_whitened
         error = max(np.sqrt(len(better)) * np.std(better, ddof=1), NONZERO)
         predicts = float(stdtr(len(better) - 1, better.sum() / error))
-        local = subject.discrepancy.local_share(found.best_of[found.best])
+        local = subject.discrepancy.local_share(posterior.best_of[posterior.best])
         unlisted = max(min(unlisted, predicts), local * unlisted)
     # Evidence of sets alone takes the noise for all that is left.
-    first = found.best_beside if unlisted > policy.likely else found.best
-    wholes = [] if no_gap_shows(found, policy) else [*dict.fromkeys((first, found.best))]
+    first = posterior.best_beside if unlisted > policy.likely else posterior.best
+    wholes = [] if no_gap_shows(posterior, policy) else [*dict.fromkeys((first, posterior.best))]
     # Smooth functions may take the place of a listed effect; data left out tell.
     wholes.sort(key=lambda whole: out.whitened[:, out.effects.index(whole)].sum())
     floor, gains = floor_of(subject, out), dict[Key, dict[str, Gain]]()
     for whole in wholes:
         parts = [part for part in parts_of(whole) if part in out.effects]
-        for part in sorted(parts, key=lambda k: (-len(k), -found.log_weight[k])):
+        for part in sorted(parts, key=lambda k: (-len(k), -posterior.log_weight[k])):
             each = gains_of(out, part, floor)
             if len(each) == len(part):
                 gains.setdefault(part, each)
     features = {
-        part: _features(subject, found, part, each, unlisted) for part, each in gains.items()
+        part: _features(subject, posterior, part, each, unlisted) for part, each in gains.items()
     }
     swaps = swaps_of(out, next(iter(gains), ()), floor)
-    return Findings(weighed=found, gains=gains, features=features, swaps=swaps, unlisted=unlisted)
+    return Findings(
+        weighed=posterior, gains=gains, features=features, swaps=swaps, unlisted=unlisted
+    )
 
 
 def _features(
-    subject: Forward, found: Weighed, key: Key, gains: Mapping[str, Gain], unlisted: float
+    subject: Forward, posterior: Weighed, key: Key, gains: Mapping[str, Gain], unlisted: float
 ) -> dict[str, Features]:
     """The features of each effect of a set."""
-    fit, groups = found.best_of[key], subject.groups()
+    fit, groups = posterior.best_of[key], subject.groups()
     rest = fit.remainder()
     left = max(float(rest @ rest) / len(fit.residual), NONZERO)
     each = {}
@@ -256,9 +261,9 @@ def _features(
         each[effect] = Features(
             # A spread of .05 is as good as none, above 3 none is distinguished.
             spread=math.log(min(float(spread), 3.0) + 0.05),
-            unequal=math.sqrt(max((one.explains for one in sizes), default=0.0)),
-            listed=_odds(found.holding((effect,))),
-            beside=_odds(found.holding((effect,), beside=True)),
+            unequal=math.sqrt(max((size.explains for size in sizes), default=0.0)),
+            listed=_odds(posterior.holding((effect,))),
+            beside=_odds(posterior.holding((effect,), beside=True)),
             unlisted=_odds(unlisted),
             closed=float(np.clip(gains[effect].closed, -1.0, 1.0)),
             known=math.log(max(abs(fit.amplitude[place]) / fit.errors[place], NONZERO)),
@@ -276,31 +281,30 @@ def _odds(probability: float) -> float:
 
 def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
     """The gain of each effect of a set in addition to the others."""
-    at, gains = {one: k for k, one in enumerate(out.effects)}, {}
-    for effect in key:
-        less = tuple(sorted(set(key) - {effect}))
-        if key in at and less in at:
-            gains[effect] = gained(out, at[key], at[less], floor)
-    return gains
+    rest = {effect: tuple(sorted({*key} - {effect})) for effect in key}
+    return {
+        effect: gained(out, key, less, floor)
+        for effect, less in rest.items()
+        if {key, less} <= {*out.effects}
+    }
 
 
 def swaps_of(out: Predicted, key: Key, floor: float) -> dict[str, dict[str, Gain]]:
     """The gain of a set over each set with another effect in the place of one of its own."""
-    at, swaps = {one: k for k, one in enumerate(out.effects)}, dict[str, dict[str, Gain]]()
+    swaps = dict[str, dict[str, Gain]]()
     for other in out.effects:
         new, old = set(other) - set(key), set(key) - set(other)
         if len(new) == len(old) == 1:
-            gain = gained(out, at[key], at[other], floor)
-            swaps.setdefault(old.pop(), {})[new.pop()] = gain
+            swaps.setdefault(old.pop(), {})[new.pop()] = gained(out, key, other, floor)
     return swaps
 
 
-def no_gap_shows(found: Weighed, policy: Policy = POLICY) -> bool:
+def no_gap_shows(posterior: Weighed, policy: Policy = POLICY) -> bool:
     """Whether the residuals of the model without effects may be noise."""
-    return found.nothing_shown > policy.likely >= found.unlisted or not found.best
+    return posterior.nothing_shown > policy.likely >= posterior.unlisted or not posterior.best
 
 
-def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = None) -> Verdict:
+def decide(findings: Findings, policy: Policy = POLICY, learned: Learned | None = None) -> Verdict:
     """The verdict that the findings support.
 
     The first set of ``gains`` helps whose every effect predicts data left out better. Its
@@ -310,27 +314,27 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
         learned: the calibration; None for that of the package.
     """
     learned = learned or calibration()
-    sets, unlisted = found.weighed, learned.often("unlisted", found.unlisted)
+    sets, unlisted = findings.weighed, learned.often("unlisted", findings.unlisted)
     more = unlisted > policy.likely
 
     def verdict(status: Status, probability: float, **answers: Any) -> Verdict:
         return Verdict(status=status, probability=probability, unlisted=unlisted, **answers)
 
-    key = helping(found, policy)
-    best = next(iter(found.gains), ())
-    rivals = _rivals(found, best, policy, more) if best else {}
+    key = helping(findings, policy)
+    best = next(iter(findings.gains), ())
+    rivals = _rivals(findings, best, policy, more) if best else {}
     also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
-    gains, each = found.gains.get(key, {}), {}
+    gains, each = findings.gains.get(key, {}), {}
     for e in sorted(key, key=lambda e: -gains[e].gain):
         # A twin in its place is the same claim, so their probabilities count together.
         twins = rivals.get(e, ())
         alike = (e, *twins)
-        features = found.features[key][e]._replace(
-            listed=_odds(min(sum(sets.holding((one,)) for one in alike), 1.0)),
-            beside=_odds(min(sum(sets.holding((one,), beside=True) for one in alike), 1.0)),
+        features = findings.features[key][e]._replace(
+            listed=_odds(min(sum(sets.holding((x,)) for x in alike), 1.0)),
+            beside=_odds(min(sum(sets.holding((x,), beside=True) for x in alike), 1.0)),
         )
         each[e] = Each(learned.cause(features), gains[e].closed, gains[e].closed_std, twins)
-    effects = tuple(e for e, one in each.items() if one.probability > policy.likely)
+    effects = tuple(e for e, claim in each.items() if claim.probability > policy.likely)
     also = tuple(e for e in also if e not in each)
     answers: dict[str, Any] = {"key": key, "each": each, "also_possible": also}
     answers["acts_like"] = tuple(e for e in each if e not in effects)
@@ -347,9 +351,9 @@ def decide(found: Findings, policy: Policy = POLICY, learned: Learned | None = N
     return verdict(status, exact * (1 - unlisted), effects=effects, **answers)
 
 
-def helping(found: Findings, policy: Policy = POLICY) -> Key:
+def helping(findings: Findings, policy: Policy = POLICY) -> Key:
     """The first set of ``gains`` whose every effect predicts data left out better."""
-    every = found.gains.items()
+    every = findings.gains.items()
     return next((k for k, gains in every if all(_helps(x, policy) for x in gains.values())), ())
 
 
@@ -367,7 +371,7 @@ def _rivals(
     Args:
         more: whether an unlisted effect is likely.
     """
-    sets, found = findings.weighed, dict[str, list[str]]()
+    sets, rivals = findings.weighed, dict[str, list[str]]()
     least = policy.perhaps * sets.listed[sets.best]
     ranked = sorted(sets.listed, key=sets.listed.__getitem__, reverse=True)
     for key in ranked:
@@ -376,16 +380,16 @@ def _rivals(
         new, old = set(key) - set(best), set(best) - set(key)
         if len(key) <= len(best) or not old:
             place = min(old) if len(old) == len(new) == 1 else ""
-            found.setdefault(place, []).extend(sorted(new))
+            rivals.setdefault(place, []).extend(sorted(new))
     for effect, swapped in findings.swaps.items():
-        own = findings.gains[best][effect]
-        if not _helps(own, policy):  # nothing is told of it
+        gain = findings.gains[best][effect]
+        if not _helps(gain, policy):  # it is not named
             continue
-        lacks = policy.alike * own.gain * more
-        for other, swap in sorted(swapped.items(), key=lambda one: one[1].gain):
+        lacks = policy.alike * gain.gain * more
+        for other, swap in sorted(swapped.items(), key=lambda pair: pair[1].gain):
             key = tuple(sorted({*best, other} - {effect}))
             # What is known beside these rows, such as a wheel speed, may exclude it.
             possible = math.exp(sets.odds.get(key, 0.0) - sets.odds.get(best, 0.0))
             if possible >= policy.perhaps and swap.gain < max(policy.gain * swap.std, lacks):
-                found.setdefault(effect, []).append(other)
-    return {place: tuple(dict.fromkeys(of)) for place, of in found.items()}
+                rivals.setdefault(effect, []).append(other)
+    return {place: tuple(dict.fromkeys(of)) for place, of in rivals.items()}

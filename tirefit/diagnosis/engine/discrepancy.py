@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 
@@ -50,18 +50,16 @@ class Wave(NamedTuple):
     tick: float
 
 
-class Found(NamedTuple):
+class Component(NamedTuple):
     """A cell in the remainder of a fit: its log evidence, its probability among all, the
-    share of the mean square of the remainder that it explains, the function with its
-    standard deviation at the places of the cell, in usual changes of its quantity. The
-    places of a wave are within its period."""
+    share of the mean square of the remainder that it explains, and the function at the places of
+    the cell, in usual changes of its quantity. The places of a wave are within its period."""
 
     cell: Cell
     log_evidence: float
     probability: float
     explains: float
     value: np.ndarray
-    std: np.ndarray
     is_wave: bool = False
 
 
@@ -116,8 +114,8 @@ class Discrepancy:
         # Products (cells, k, k) and scores (cells, k) of each cell.
         grams, scores = np.zeros((len(self.cells), most, most)), np.zeros((len(self.cells), most))
         for k, (cell, gram) in enumerate(zip(self.cells, self._grams, strict=True)):
-            own, size = used[cell.first : cell.end], len(cell.places)
-            grams[k, :size, :size] = gram - own @ own.T
+            inside, size = used[cell.first : cell.end], len(cell.places)
+            grams[k, :size, :size] = gram - inside @ inside.T
             scores[k, :size] = score[cell.first : cell.end]
         turned = np.swapaxes(roots, 2, 3) @ grams[:, None] @ roots
         values, vectors = np.linalg.eigh(turned)
@@ -135,24 +133,24 @@ class Discrepancy:
     def log_evidence(self, fit: "Fit") -> float:
         """Log evidence of an unlisted effect beside a fit, over none: each cell, and each
         quantity as a wave, is equally likely."""
-        waves = [one.log_evidence for one in self._of_waves(fit)]
+        waves = [wave.log_evidence for wave in self._of_waves(fit)]
         each = [*_averaged(self._gains(fit)[0], (1, 2)), *waves]
         return float(_averaged(np.array(each), 0)) if each else -np.inf
 
-    def _of_waves(self, fit: "Fit") -> list[Found]:
+    def _of_waves(self, fit: "Fit") -> list[Component]:
         """The most probable wave of each quantity, with the evidence of all of them."""
         rest = fit.remainder()
-        return [found for wave in self.waves if (found := wave_in(rest, wave)) is not None]
+        return [best for wave in self.waves if (best := wave_in(rest, wave)) is not None]
 
     def local_share(self, fit: "Fit") -> float:
         """Share of the evidence beside a fit that local cells have."""
-        found = self.found(fit, len(self.cells) + len(self.waves))
-        return sum(one.probability for one in found if one.cell.is_local)
+        components = self.components(fit, len(self.cells) + len(self.waves))
+        return sum(part.probability for part in components if part.cell.is_local)
 
-    def found(self, fit: "Fit", most: int = 3) -> list[Found]:
+    def components(self, fit: "Fit", most: int = 3) -> list[Component]:
         """The most probable functions and waves in the remainder of a fit, the first one first."""
         gains, parts = self._gains(fit)
-        rest, found = fit.remainder(), self._of_waves(fit)
+        rest, components = fit.remainder(), self._of_waves(fit)
         energy = max(float(rest @ rest), ROUNDING)
         for k, (cell, log) in enumerate(zip(self.cells, _averaged(gains, (1, 2)), strict=True)):
             size = len(cell.places)
@@ -161,13 +159,12 @@ class Discrepancy:
             t = SIZES[s] ** 2
             shrunk = t / (1 + t * values[0])
             value = (ways @ (shrunk * along))[:size]
-            std = np.sqrt(np.maximum((ways**2 @ shrunk)[:size], 0.0))
             explains = min(float(np.sum(shrunk * along**2)) / energy, 1.0)
-            found.append(Found(cell, float(log), 0.0, explains, value, std))
-        logs = np.array([one.log_evidence for one in found])
-        chances = np.exp(logs - logsumexp(logs)) if found else logs
+            components.append(Component(cell, float(log), 0.0, explains, value))
+        logs = np.array([part.log_evidence for part in components])
+        chances = np.exp(logs - logsumexp(logs)) if components else logs
         ranked = np.argsort(-logs, kind="stable")[:most]
-        return [found[k]._replace(probability=float(chances[k])) for k in ranked]
+        return [components[k]._replace(probability=float(chances[k])) for k in ranked]
 
     @cached_property
     def additive(self) -> np.ndarray:
@@ -180,7 +177,7 @@ class Discrepancy:
         return np.concatenate([self.columns[:, :0], *parts], axis=1) / many
 
 
-def wave_in(rest: np.ndarray, wave: Wave) -> Found | None:
+def wave_in(rest: np.ndarray, wave: Wave) -> Component | None:
     """The most probable wave in a whitened remainder, whose first rows are those of the wave: from
     three half turns over a record of 16 places and more, with the evidence of all, averaged over
     frequency and size."""
@@ -188,8 +185,8 @@ def wave_in(rest: np.ndarray, wave: Wave) -> Found | None:
     if count < 16:
         return None
     there = wave.clock >= 0
-    own = (weight * rest[: len(weight)])[there]
-    sums = np.fft.rfft(np.bincount(wave.clock[there], own, count), 2 * count)[least:]
+    weighted = (weight * rest[: len(weight)])[there]
+    sums = np.fft.rfft(np.bincount(wave.clock[there], weighted, count), 2 * count)[least:]
     # Sine and cosine of unit size share the square of the weights.
     half = max(0.5 * float(weight @ weight), NONZERO)
     t = SIZES[:, None] ** 2
@@ -201,8 +198,7 @@ def wave_in(rest: np.ndarray, wave: Wave) -> Found | None:
     value = size * np.cos(2 * np.pi * at / period + angle)
     explains = min(size**2 * half / max(float(rest @ rest), ROUNDING), 1.0)
     cell = Cell(wave.quantity, wave.covariate, 0, 0, at, False)
-    std = np.full(len(at), half**-0.5)
-    return Found(cell, float(_averaged(logs, 0)), 0.0, explains, value, std, True)
+    return Component(cell, float(_averaged(logs, 0)), 0.0, explains, value, True)
 
 
 def _averaged(logs: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
@@ -214,27 +210,14 @@ def _averaged(logs: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
     return logsumexp(logs, axis=axis) - np.log(count)
 
 
-class Beside:
-    """Further columns (m, q) beside a fit, whose coefficients have a normal prior of a common
-    size: the evidence of each size and the coefficients there."""
-
-    def __init__(self, columns: np.ndarray, fit: "Fit", sizes: np.ndarray = SIZES) -> None:
-        left = fit.remainder(columns)
-        values, self.ways = np.linalg.eigh(left.T @ left)
-        self.along = self.ways.T @ (left.T @ fit.remainder())
-        t = sizes[:, None] ** 2
-        curved = 1 + t * np.maximum(values, 0.0)
-        self.shrunk = t / curved  # variance (sizes, q) of each direction
-        self.log = 0.5 * np.sum(self.shrunk * self.along**2 - np.log(curved), axis=1)
-
-    def best(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (q,) and root (q, q) of their covariance, at the likeliest size."""
-        shrunk = self.shrunk[int(np.argmax(self.log))]
-        return self.ways @ (shrunk * self.along), self.ways * np.sqrt(shrunk)
-
-    def drawn(self, count: int, generator: np.random.Generator) -> np.ndarray:
-        """Draws (q, count) of the coefficients, of a size by its evidence each."""
-        sizes = generator.choice(len(self.log), count, p=softmax(self.log))
-        shrunk = self.shrunk[sizes].T
-        unit = generator.standard_normal(shrunk.shape)
-        return self.ways @ (shrunk * self.along[:, None] + np.sqrt(shrunk) * unit)
+def likeliest_beside(columns: np.ndarray, fit: "Fit") -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (q,) of further columns (m, q) beside a fit, and root (q, q) of their
+    covariance, for a normal prior of the likeliest of ``SIZES``."""
+    left = fit.remainder(columns)
+    values, ways = np.linalg.eigh(left.T @ left)
+    along = ways.T @ (left.T @ fit.remainder())
+    curved = 1 + SIZES[:, None] ** 2 * np.maximum(values, 0.0)
+    variances = SIZES[:, None] ** 2 / curved  # (sizes, q) of each direction
+    logs = 0.5 * np.sum(variances * along**2 - np.log(curved), axis=1)
+    variance = variances[int(np.argmax(logs))]
+    return ways @ (variance * along), ways * np.sqrt(variance)

@@ -105,7 +105,9 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
 
     def mean_squares(left: Sequence[np.ndarray]) -> np.ndarray:
         """Of the first channel, for residuals (m,) of each part left out."""
-        return np.array([np.mean((x * unit)[own] ** 2) for x, own in zip(left, first, strict=True)])
+        return np.array(
+            [np.mean((x * unit)[rows] ** 2) for x, rows in zip(left, first, strict=True)]
+        )
 
     def squares(left: Sequence[np.ndarray]) -> np.ndarray:
         return np.array([np.sum(x[out] ** 2) for x, out in zip(left, outs, strict=True)])
@@ -114,7 +116,7 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     parameters, sizes = [], []
     for s, fit in enumerate(sets):
         moved = np.array([fit.without(out) for out in outs])
-        left = [fit.residual - fit.columns @ one for one in moved]
+        left = [fit.residual - fit.columns @ step for step in moved]
         loss[:, s], whitened[:, s] = mean_squares(left), squares(left)
         parameters.append(fit.z + moved[:, : len(fit.z)])
         sizes.append(fit.amplitude + moved[:, len(fit.z) :])
@@ -124,7 +126,7 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
         tuple(fit.key for fit in sets),
         loss,
         whitened,
-        np.array([own.sum() for own in first]),
+        np.array([rows.sum() for rows in first]),
         tuple(parameters),
         tuple(sizes),
         mean_squares(smooth),
@@ -148,10 +150,10 @@ def _smooth(subject: Forward, null: Fit, outs: Sequence[np.ndarray]) -> list[np.
         gram, score, logs, fits = others[:-1, :-1], others[:-1, -1], [], []
         for ridge in ridges:
             factor = cho_factor(gram + np.diag(ridge), lower=True, check_finite=False)
-            found = cho_solve(factor, score, check_finite=False)
+            fitted = cho_solve(factor, score, check_finite=False)
             curvature = 2 * np.sum(np.log(np.diag(factor[0])))
-            logs.append(0.5 * (score @ found - curvature + np.sum(np.log(ridge[p:]))))
-            fits.append(found)
+            logs.append(0.5 * (score @ fitted - curvature + np.sum(np.log(ridge[p:]))))
+            fits.append(fitted)
         left.append(null.residual - columns @ (softmax(logs) @ np.array(fits)))
     return left
 
@@ -161,14 +163,15 @@ def _error(parts: np.ndarray) -> float:
     return float(np.sqrt(len(parts)) * np.std(parts, ddof=1))
 
 
-def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
+def gained(out: Predicted, new: Key, old: Key, floor: float) -> Gain:
     """The gain of set ``new`` over set ``old``.
 
     Args:
         floor: mean square of the noise of the first channel.
     """
-    parts = out.whitened[:, old] - out.whitened[:, new]
-    closed, error = closed_share(out.rows, out.loss[:, new], out.loss[:, old], floor)
+    after, before = out.effects.index(new), out.effects.index(old)
+    parts = out.whitened[:, before] - out.whitened[:, after]
+    closed, error = closed_share(out.rows, out.loss[:, after], out.loss[:, before], floor)
     return Gain(float(parts.sum()), _error(parts), closed, error)
 
 
@@ -272,16 +275,16 @@ def sizes_by_group(
         unit: prior scale of the amplitude in its own unit.
     """
     place, every = fit.atoms.index(atom), groups.items()
-    found = [_sizes(fit, place, name, values, noise, unit) for name, values in every]
-    return sorted((one for one in found if one is not None), key=lambda one: -one.spread)
+    sizes = [_sizes(fit, place, name, values, noise, unit) for name, values in every]
+    return sorted((size for size in sizes if size is not None), key=lambda size: -size.spread)
 
 
 def _sizes(
     fit: Fit, place: int, name: str, values: np.ndarray, noise: float, unit: float
 ) -> SizeByGroup | None:
     """:func:`sizes_by_group` for one covariate; None for a single group."""
-    code, own = grouped(values), len(fit.z) + place
-    whole, amplitude = fit.columns[:, own], float(fit.amplitude[place])
+    code, column = grouped(values), len(fit.z) + place
+    whole, amplitude = fit.columns[:, column], float(fit.amplitude[place])
     felt = np.bincount(code, whole**2) > UNSEEN * float(whole @ whole)
     groups = np.flatnonzero(felt)
     if len(groups) < 2:
@@ -292,8 +295,8 @@ def _sizes(
     score = left.T @ rest
     gained = score @ np.linalg.pinv(left.T @ left, hermitian=True, rcond=UNSEEN) @ score
     # Each size, beside the others of the set.
-    pull = np.delete(fit.pull, own)
-    others = np.concatenate([np.delete(fit.columns, own, axis=1), np.diag(pull)])
+    pull = np.delete(fit.pull, column)
+    others = np.concatenate([np.delete(fit.columns, column, axis=1), np.diag(pull)])
     target = np.concatenate([fit.residual + whole * amplitude, np.zeros(len(pull))])
     split = without(np.concatenate([split, np.zeros((len(pull), len(groups)))]), others)
     inverse = np.linalg.inv(split.T @ split + ROUNDING * np.eye(len(groups)))

@@ -64,16 +64,16 @@ def log_bayes(
     """Log Bayes factors (s,) of Gaussian amplitudes, prior scale 1, on the columns of
     each of the sets (s, k), all of one size."""
     index = np.asarray(sets)
-    own = np.arange(index.shape[1])
+    along = np.arange(index.shape[1])
     g, m = gram[index[:, :, None], index[:, None, :]], center[index]
     gm = np.einsum("sij,sj->si", g, m)
     shifted = score[index] - gm
-    a = g + np.eye(len(own))
+    a = g + np.eye(len(along))
     # Solve instead of inverting, which loses most digits for similar effects.
     solved = np.linalg.solve(a, shifted[:, :, None])[:, :, 0]
     value = np.sum((score[index] - 0.5 * gm) * m + 0.5 * shifted * solved, axis=1)
     value -= 0.5 * np.linalg.slogdet(a)[1]
-    z = (m + solved) / np.sqrt(np.linalg.inv(a)[:, own, own])
+    z = (m + solved) / np.sqrt(np.linalg.inv(a)[:, along, along])
     one_sided = np.log(2) + log_ndtr(sign[index] * z)
     # Round, as identical variants differ in last digits; only units of evidence count.
     return np.round(value + np.sum(np.where(sign[index] != 0, one_sided, 0.0), axis=1), 6)
@@ -100,17 +100,6 @@ class Search:
     def null(self) -> Fit:
         """The fit without effects."""
         return self.fits[()]
-
-    @cached_property
-    def score(self) -> dict[str, float]:
-        """Score of each effect at the base fit in standard errors: the largest one of its
-        variants."""
-        largest: dict[str, float] = {}
-        for k in self.subject.testable:
-            if self.gram[k, k] > UNSEEN:
-                z = float(self.scores[k] / np.sqrt(self.gram[k, k]))
-                largest[self.ids[k]] = max(largest.get(self.ids[k], 0.0), z, key=abs)
-        return largest
 
     def further(self, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Products, scores and columns of all atoms beside a fit."""
@@ -157,11 +146,11 @@ class Search:
         open_to = [
             k for k in self.subject.testable if gram[k, k] >= UNSEEN and self.ids[k] not in inside
         ]
-        found: dict[str, list[tuple[float, int]]] = {}
+        variants: dict[str, list[tuple[float, int]]] = {}
         values = self._screened(gram, score, [(k,) for k in open_to])
         for value, k in zip(values, open_to, strict=True):
-            found.setdefault(self.ids[k], []).append((value, k))
-        return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
+            variants.setdefault(self.ids[k], []).append((value, k))
+        return sorted((sorted(v, reverse=True) for v in variants.values()), reverse=True)
 
     def _screened(
         self, gram: np.ndarray, score: np.ndarray, sets: Sequence[tuple[int, ...]]
@@ -188,7 +177,7 @@ class Search:
         if self.sign[k]:  # a start at zero would stay there
             first = self.sign[k] * max(self.sign[k] * first, 0.1)
         atoms, sizes = tuple(sorted((*fit.atoms, k))), [first]
-        if any(self.effects[j].far for j in atoms):
+        if any(self.effects[j].misleads for j in atoms):
             sizes.append(center or _SMALL * (self.sign[k] or -1.0))
         return atoms, [self._start(fit, (k,), np.array([size])) for size in sizes]
 
@@ -197,7 +186,7 @@ class Search:
         ranked, starts = self.best_variants(self.gram, self.scores), {}
         for rank, variants in enumerate(ranked):
             near = variants[0][0] > ranked[0][0][0] - self.effort.near
-            if rank < self.effort.singles or near or self.effects[variants[0][1]].far:
+            if rank < self.effort.singles or near or self.effects[variants[0][1]].misleads:
                 for _, k in variants[: self.effort.variants]:
                     atoms, begin = self._with(self.null, k, self.gram, self.scores)
                     starts[atoms] = begin

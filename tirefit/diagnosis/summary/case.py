@@ -21,7 +21,7 @@ from tirefit.diagnosis.engine.decide import (
     floor_of,
     predictions,
 )
-from tirefit.diagnosis.engine.discrepancy import Beside
+from tirefit.diagnosis.engine.discrepancy import likeliest_beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Search, Weighed
@@ -98,19 +98,19 @@ class Concluded:
         parameter are averages over these fits: an effect that only acts like a cause may have
         taken a part of either."""
         each, weighed = self.verdict.each, self.weighed
-        stands_for = {name: e for e, one in each.items() for name in (e, *one.twins)}
+        stands_for = {name: e for e, x in each.items() for name in (e, *x.twins)}
         sets: dict[frozenset[str | None], list[Key]] = {}
         for key in weighed.best_of:
             claim = frozenset(stands_for.get(effect) for effect in key)
             if None not in claim and len(claim) == len(key):
                 sets.setdefault(claim, []).append(key)
-        found: dict[Key, float] = {}
+        chances_of: dict[Key, float] = {}
         for claim, keys in sets.items():
             chances = (p.probability if e in claim else 1 - p.probability for e, p in each.items())
             shares = softmax([weighed.log_weight[key] for key in keys])
-            found |= dict(zip(keys, (math.prod(chances) * shares).tolist(), strict=True))
-        whole = max(sum(found.values()), NONZERO)
-        return {key: value / whole for key, value in found.items()}
+            chances_of |= dict(zip(keys, (math.prod(chances) * shares).tolist(), strict=True))
+        whole = max(sum(chances_of.values()), NONZERO)
+        return {key: value / whole for key, value in chances_of.items()}
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +120,7 @@ class Concluded:
         one has the size with which it helps, and the error covers its sizes in the parts. The
         errors are at least those of the jackknife over the data left out.
         """
-        found = []
+        sizes = []
         for effect, whole in zip(self.chosen.effects, self.chosen.amplitude, strict=True):
             fits = {k: self.weighed.best_of[k] for k in self.parts if effect in k}
             at = {k: fit.effects.index(effect) for k, fit in fits.items()}
@@ -128,8 +128,8 @@ class Concluded:
             errors = np.array([fit.errors[at[k]] for k, fit in fits.items()])
             chances = np.array([self.parts[k] for k in fits])
             center = None if effect in self.verdict.effects else whole
-            found.append(averaged(values, self.widening * errors**2, chances, center))
-        value, std = np.reshape(found, (-1, 2)).T
+            sizes.append(averaged(values, self.widening * errors**2, chances, center))
+        value, std = np.reshape(sizes, (-1, 2)).T
         out = self.predicted
         return value, np.maximum(std, jackknife_error(out.amplitude[self._place]))
 
@@ -272,8 +272,11 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     variance = np.einsum("mi,ij,mj->m", moved, fit.covariance[first:, first:], moved)
     smooth = np.zeros(len(variance))  # whitened; zero if the verdict explains all
     if case.verdict.unlisted > POLICY.likely or not case.verdict.key:
-        value, root = Beside(base.discrepancy.additive, fit).best()
-        shapes = beside(base, fit)
+        additive = base.discrepancy.additive
+        value, root = likeliest_beside(additive, fit)
+        # Less the part that parameters and amplitudes take over.
+        taken = fit.covariance @ (fit.columns.T @ additive)
+        shapes = base.plain_discrepancy.additive - columns @ taken
         smooth = shapes @ value
         variance = variance + np.sum((shapes @ root) ** 2, axis=1)
     deviation, forces = np.sqrt(np.maximum(variance, 0)), _both(case, at)
@@ -282,13 +285,6 @@ def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         gap = parts["extended"] - parts["base"] + smooth[part] * scale
         parts |= {"gap": gap, "gap_std": deviation[part] * scale}
     return forces
-
-
-def beside(base: Base, fit: Fit) -> np.ndarray:
-    """Whitened forces (m, q) of the smooth functions, less the part that the parameters and
-    amplitudes of a fit take over."""
-    taken = fit.covariance @ (fit.columns.T @ base.discrepancy.additive)
-    return base.plain_discrepancy.additive - base.columns_at(fit) @ taken
 
 
 def all_rows(

@@ -1,73 +1,28 @@
-"""Closure of the gap, and its parts. On the fitted rows the closure is computed from draws of
-the true force, as a remaining gap may be below the noise; on data not used, from the
-energies there. The parts are parameters of a simulator, effects, an unexplained part, and
-noise; their squares add up."""
+"""Closure of the gap beyond the noise, and its parts: parameters of a simulator, effects, an
+unexplained part, and noise, whose squares add up. Both follow from energies of residuals, on the
+fitted rows, on files held out, and for a car alike."""
 
-from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
-from math import comb
+from collections.abc import Mapping, Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
 from scipy.special import softmax, stdtrit
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
-from tirefit.diagnosis.engine.discrepancy import Beside
 from tirefit.diagnosis.engine.fit import Fit, Key
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, jackknife_error
+from tirefit.diagnosis.engine.search import parts_of
 from tirefit.diagnosis.rows.fits import refit
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base, on_rows
-from tirefit.diagnosis.summary.case import Case, Concluded, beside
+from tirefit.diagnosis.summary.case import Case, Concluded
 from tirefit.diagnosis.summary.result import Change, HeldOut, Part, Shrinkage
 
 DRAWS = 400  # number of draws and bootstrap samples; 20 are beyond each end of 90 %
 INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
-_RESOLVED = 3.0  # a gap is resolved if its energy exceeds noise by this many standard deviations
 WORST = -1.0  # lower limit of the closure: the gap has doubled
-_BLOCKS = 60  # largest number of blocks of a record
-_SETS = 3  # number of the most probable sets of effects in the draws
-_SIZES = np.geomspace(0.03, 30, 16)  # of a smooth remainder, in usual changes, equally likely
-_UNDRAWN, _FACTOR = 0.4, 1.5
-"""Remainder of other shapes, over the smooth one: median, and standard deviation of the
-logarithm. Development trials have .2 to .6."""
-_FAR = 6.0  # range of an energy, in standard errors
-_NINETY = 1.645  # standard errors on both sides of a 90 % interval
-
-
-def plausible_forces(case: Case, generator: np.random.Generator) -> dict[str, np.ndarray]:
-    """Draws of the true force of every used row at its measured slip: (n, draws) by
-    channel. Each is of one set of effects, by its probability in a ``Case``, with an
-    error of its parameters and a smooth remainder."""
-    base, weighed, channels = case.base, case.weighed, case.base.rows.channels
-    total = {k: alone + weighed.beside.get(k, 0.0) for k, alone in weighed.sets.items()}
-    likely = sorted(total, key=lambda key: -total[key])[:_SETS]
-    chances = np.array([total[key] for key in likely])
-    counts, drawn = generator.multinomial(DRAWS, chances / chances.sum()), []
-    for key, count in zip(likely, counts, strict=True):
-        if count:
-            fit = weighed.best_of[key]
-            force = base.measured.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-            off = np.split(_off(base, fit, count, generator), len(channels))
-            scales = (np.asarray(base.design.scale[c])[: base.rows.n, None] for c in channels)
-            pairs = zip(channels, scales, off, strict=True)
-            drawn.append([force[c][:, None] + scale * own for c, scale, own in pairs])
-    return {c: np.concatenate(x, axis=1) for c, *x in zip(channels, *drawn, strict=True)}
-
-
-def _off(base: Base, fit: Fit, count: int, generator: np.random.Generator) -> np.ndarray:
-    """Draws (m, count) of the error of a fit, whitened: of its parameters and amplitudes, of
-    a smooth remainder, and of one of other shapes."""
-    values, vectors = np.linalg.eigh(fit.covariance)
-    # A symmetric root, so that the signs of eigenvectors do not change the draws.
-    spread = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    own = base.columns_at(fit) @ (spread @ generator.standard_normal((len(spread), count)))
-    smooth = Beside(base.discrepancy.additive, fit, _SIZES).drawn(count, generator)
-    discrepancy = beside(base, fit) @ smooth
-    share = _UNDRAWN * np.exp(_FACTOR * generator.standard_normal(count))
-    rms = share * np.sqrt(np.mean(discrepancy**2, axis=0))
-    return own + discrepancy + rms * generator.standard_normal(discrepancy.shape)
 
 
 def _closed(gap: Any, left: Any) -> np.ndarray:
@@ -76,21 +31,47 @@ def _closed(gap: Any, left: Any) -> np.ndarray:
     return np.maximum(1 - np.sqrt(ratio), WORST)
 
 
-def _shrinkage(
-    energy: float,
-    closed: np.ndarray,
-    fewer: Sequence[float],
-    least: float,
+def closure_of(
+    before: np.ndarray,
+    after: np.ndarray,
     variance: np.ndarray,
+    run: np.ndarray,
     inflation: float,
+    generator: np.random.Generator,
 ) -> Shrinkage:
-    """From the mean square [N^2] of the gap, its closure in draws (d,), the median closure
-    with each run left out (R,), and the ``least`` energy by which the gap is resolved."""
-    effective = max(len(variance) / inflation, 1.0)
-    resolvable = bool(least >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
-    middle, (low, high) = float(np.median(closed)), np.quantile(closed, INTERVAL)
-    if len(fewer):
-        low, high = of_so_few_runs(middle, low, high, np.asarray(fewer))
+    """Closure of a gap. The remaining energy, that of the residuals minus that of the noise, has
+    a normal error; its root is >= 0, with a flat prior. The gap is resolvable if its energy is
+    three standard deviations of that of the noise.
+
+    Args:
+        before, after: (n,) residuals [N] of the base and of the extension.
+        variance: (n,) noise variance [N^2], less the part that fitted numbers take up.
+        run: (n,) runs; blocks of the bootstrap are within a run.
+        inflation: rows per independent row.
+    """
+    terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
+    gained, left = terms.mean(axis=0)
+    means = block_means(terms, run, inflation, generator)
+    evenly = np.linspace(0, 1, DRAWS + 2)[1:-1]
+    independent = max(len(variance) / inflation, 1.0)
+    # One or two blocks give no error from their spread; noise causes at least this much.
+    of_noise = np.sqrt(2 * np.mean(variance**2) / independent)
+    error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
+
+    def closed(gains: np.ndarray, value: float) -> np.ndarray:
+        # An energy is within six standard errors.
+        root = np.sqrt(np.maximum(value, 0.0) + 6.0 * error) * evenly
+        below = np.cumsum(softmax(-0.5 * ((root**2 - value) / error) ** 2))
+        lefts = np.interp(evenly, below, root) ** 2
+        return _closed(np.maximum(gains + lefts, 0.0), lefts)
+
+    # The gain varies with the remaining energy as it does between bootstrap samples.
+    drawn = closed(means[np.argsort(means[:, 1]), 0], left)
+    middle, (low, high) = float(np.median(drawn)), np.quantile(drawn, INTERVAL)
+    if fewer := [np.median(closed(*less)) for less in without_each(terms, run)]:
+        low, high = of_so_few_runs(middle, low, high, np.array(fewer))
+    energy = gained + left
+    resolvable = bool(energy >= 3.0 * np.sqrt(2 / independent) * np.mean(variance))
     rms = float(np.sqrt(max(energy, 0.0)))
     return Shrinkage(
         rms=rms,
@@ -101,73 +82,32 @@ def _shrinkage(
     )
 
 
-def closure_on_rows(
-    truth: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
-    variance: np.ndarray,
-    run: np.ndarray,
-    inflation: float,
-) -> Shrinkage:
-    """Closure on the fitted rows: median and interval of its draws. The gap is resolvable if at
-    most one draw in twenty is below 3 sqrt(2 / n_effective) of the energy of the noise.
-
-    Args:
-        truth: (n, draws) of :func:`plausible_forces` [N].
-        before, after: (n,) forces [N] of the base and of the extension.
-        variance: (n,) noise variance [N^2].
-        run: (n,) runs.
-        inflation: rows per independent row.
-    """
-    gaps, rests = (truth - before[:, None]) ** 2, (truth - after[:, None]) ** 2
-    gap = gaps.mean(axis=0)
-    one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
-    fewer = [np.median(_closed(*means)) for means in one_less]
-    least, closed = float(np.quantile(gap, INTERVAL[0])), _closed(gap, rests.mean(axis=0))
-    return _shrinkage(float(np.median(gap)), closed, fewer, least, variance, inflation)
+def _fitted_rows(case: Case, channel: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Whether each row (n,) is used for a channel; the variance of the noise of those that are,
+    less the part that fitted numbers take up, and their runs; rows per independent row."""
+    noise = case.base.noise[channel]
+    used, fitted = ~noise.outlier, len(case.chosen.pull) * noise.inflation / case.base.rows.n
+    variance = max(1 - fitted, 0.0) * noise.std[used] ** 2
+    return used, variance, case.base.rows.run[used], noise.inflation
 
 
-def closure_elsewhere(
-    before: np.ndarray,
-    after: np.ndarray,
-    variance: np.ndarray,
-    run: np.ndarray,
-    inflation: float,
-    generator: np.random.Generator,
-) -> Shrinkage:
-    """Closure on rows that neither fit used. The remaining energy, that of the residuals
-    minus that of the noise, has a normal error; its root is >= 0, with a flat prior.
-
-    Args:
-        before, after: (n,) residuals [N] of the base and of the extension.
-        variance, inflation: as in :func:`closure_on_rows`.
-        run: (n,) runs; blocks of the bootstrap are within a run.
-    """
-    terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
-    gained, left = terms.mean(axis=0)
-    means = block_means(terms, run, inflation, generator)
-    evenly = np.linspace(0, 1, DRAWS + 2)[1:-1]
-    # One or two blocks give no error from their spread; noise causes at least this much.
-    of_noise = np.sqrt(2 * np.mean(variance**2) * inflation / len(variance))
-    error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
-
-    def closed(gains: np.ndarray, value: float) -> np.ndarray:
-        root = np.sqrt(np.maximum(value, 0.0) + _FAR * error) * evenly
-        below = np.cumsum(softmax(-0.5 * ((root**2 - value) / error) ** 2))
-        lefts = np.interp(evenly, below, root) ** 2
-        return _closed(np.maximum(gains + lefts, 0.0), lefts)
-
-    # The gain varies with the remaining energy as it does between bootstrap samples.
-    drawn = closed(means[np.argsort(means[:, 1]), 0], left)
-    fewer = [np.median(closed(*means)) for means in without_each(terms, run)]
-    return _shrinkage(gained + left, drawn, fewer, gained + left, variance, inflation)
+def gaps_of(case: Case, generator: np.random.Generator) -> dict[str, Shrinkage]:
+    """Closure of the gap of every channel on the fitted rows."""
+    base, fit, gaps = case.base, case.chosen, {}
+    fits = (base.as_given, base.amplitudes()), (fit.z, base.amplitudes(fit.atoms, fit.amplitude))
+    forces = [base.forces(*numbers) for numbers in fits]
+    for channel in base.rows.channels:
+        used, *noise = _fitted_rows(case, channel)
+        missed = ((base.rows.observed[channel] - force[channel])[used] for force in forces)
+        gaps[channel] = closure_of(*missed, *noise, generator)
+    return gaps
 
 
 def block_means(
     terms: np.ndarray, run: np.ndarray, inflation: float, generator: np.random.Generator
 ) -> np.ndarray:
     """Means of terms (n, k) over rows resampled in blocks: (draws, k)."""
-    length = int(max(2 * inflation, len(terms) // _BLOCKS))
+    length = int(max(2 * inflation, len(terms) // 60))  # at most 60 blocks of a record
     blocks = []
     for code in np.unique(run):
         rows = np.flatnonzero(run == code)
@@ -207,7 +147,7 @@ def of_the_ladder(ladder: Ladder) -> HeldOut | None:
         return None
     base, floor = steps[0].rms_left_out, ladder.steps[-1].rms_left_out
     rms, closed = float(np.sqrt(max(base**2 - floor**2, 0.0))), steps[-1].closed
-    reach = _NINETY * steps[-1].closed_std
+    reach = 1.645 * steps[-1].closed_std  # 90 %
     return HeldOut(
         rms=rms,
         resolvable=True,
@@ -235,21 +175,20 @@ def held_out(
     scale = np.median(base.noise[main].std / rows.inputs.fz)
     steps, parts = fits_of(case, ladder), []
     sets = [(base.as_given, base.amplitudes())]
-    sets += [
-        (one.z, base.amplitudes(one.atoms, one.amplitude)) for one in (case.chosen, *steps.values())
-    ]
+    fits = case.chosen, *steps.values()
+    sets += [(fit.z, base.amplitudes(fit.atoms, fit.amplitude)) for fit in fits]
     for data in holdout:
         left_out, shown = prepare(data, rig, rows.channels), rows.shown
         if shown is not None and rows.scatter:  # only a part of the scatter is noise
             shown = min(shown, left_out.scatter)
         other = on_rows(base, prepare(data, rig, rows.channels, shown), rig)
-        missed = [other.rows.observed[main] - other.forces(*one)[main] for one in sets]
+        missed = [other.rows.observed[main] - other.forces(*numbers)[main] for numbers in sets]
         parts.append(((scale * other.rows.inputs.fz) ** 2, other.rows.run + runs, *missed))
         runs += len(data.runs)
     variance, run, before, after, *others = map(np.concatenate, zip(*parts, strict=True))
     left = {AS_GIVEN: before, **dict(zip(steps, others, strict=True))}
-    closure = closure_elsewhere(before, after, variance, run, base.noise[main].inflation, generator)
-    return on_files(ladder, closure, left, variance, ", ".join(one.name for one in holdout))
+    closure = closure_of(before, after, variance, run, base.noise[main].inflation, generator)
+    return on_files(ladder, closure, left, variance, ", ".join(data.name for data in holdout))
 
 
 def fits_of(case: Concluded, ladder: Ladder) -> dict[Key, Fit]:
@@ -274,56 +213,48 @@ def on_files(
     """
     gap, steps = np.mean(next(iter(missed.values())) ** 2 - variance), []
     for step in ladder.steps:
-        own = missed.get(tuple(sorted(step.effects)))
-        if own is not None:
-            share = float(_closed(gap, max(np.mean(own**2 - variance), 0.0)))
-            closed, rms = share if closure.resolvable else None, float(np.sqrt(np.mean(own**2)))
-            step = step._replace(rms_held_out=rms, closed_held_out=closed)
+        residual = missed.get(tuple(sorted(step.effects)))
+        if residual is not None:
+            share = float(_closed(gap, max(np.mean(residual**2 - variance), 0.0)))
+            step = step._replace(
+                rms_held_out=float(np.sqrt(np.mean(residual**2))),
+                closed_held_out=share if closure.resolvable else None,
+            )
         steps.append(step)
     return HeldOut(**vars(closure), on=on), ladder._replace(steps=tuple(steps))
 
 
 PARAMETERS = "parameters"
-_DIFFERS = 2.0  # standard errors from which a parameter of a simulator counts as different
-_HELD = 1e4  # stiffness that holds parameters z: they move by 1e-8 of the gradient
 
 
-def subsets(players: tuple[Any, ...]) -> list[tuple[Any, ...]]:
-    """All subsets of the players, the empty one first, each in the order of players."""
-    return [x for size in range(len(players) + 1) for x in combinations(players, size)]
-
-
-def shapley(players: tuple[Any, ...], worth: Callable[[tuple[Any, ...]], float]) -> dict[Any, Any]:
-    """Shapley value of every player: its mean gain over all orders. ``worth`` takes
-    each of the :func:`subsets`."""
-    count, known = len(players), {chosen: worth(chosen) for chosen in subsets(players)}
-    values = dict.fromkeys(players, 0.0)
-    for player in players:
-        for without in (chosen for chosen in known if player not in chosen):
-            joined = tuple(p for p in players if p in (*without, player))
-            # Share of the orders in which exactly this subset precedes the player.
-            share = 1 / (count * comb(count - 1, len(without)))
-            values[player] += share * (known[joined] - known[without])
+def shapley(players: tuple[Any, ...], worth: Mapping[tuple[Any, ...], Any]) -> dict[Any, Any]:
+    """Shapley value of every player: its mean gain over all orders, from the worth of each
+    subset in the order of ``players``."""
+    orders, values = list(permutations(players)), dict.fromkeys(players, 0.0)
+    for order in orders:
+        for place, player in enumerate(order):
+            without, joined = (
+                worth[tuple(p for p in players if p in order[:count])]
+                for count in (place, place + 1)
+            )
+            values[player] += (joined - without) / len(orders)
     return values
 
 
 def budgets_of(case: Case, generator: np.random.Generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
     effect, unexplained, noise; their shares add to one."""
-    base, found = case.base, {}
+    base, budgets = case.base, {}
     players = ((PARAMETERS,) if base.simulator else ()) + case.chosen.atoms
     for channel, missed in _missed(base, case.chosen).items():
-        noise = base.noise[channel]
-        used = ~noise.outlier
-        kept = {key: own[used] for key, own in missed.items()}
-        whole, rest = kept[()] ** 2, kept[players] ** 2
-        closed = {subset: whole - own**2 for subset, own in kept.items()}
-        parts = shapley(players, closed.__getitem__)
+        used, variance, run, inflation = _fitted_rows(case, channel)
+        energy = {subset: left[used] ** 2 for subset, left in missed.items()}
+        whole, rest = energy[()], energy[players]
+        parts = shapley(players, {subset: whole - left for subset, left in energy.items()})
         named = {p if p == PARAMETERS else base.atoms[p].effect.id: x for p, x in parts.items()}
-        fitted = len(case.chosen.pull) * noise.inflation / base.rows.n
-        energies = rest, max(1 - fitted, 0.0) * noise.std[used] ** 2, whole
-        found[channel] = budget(named, energies, base.rows.run[used], noise.inflation, generator)
-    return found
+        energies = rest, variance, whole
+        budgets[channel] = budget(named, energies, run, inflation, generator)
+    return budgets
 
 
 def budget(
@@ -338,7 +269,7 @@ def budget(
     Args:
         parts: (n,) energy that each part closes.
         rest: (n,) energies of the remainder, of the noise in it, and of the whole.
-        run, inflation: as in :func:`closure_elsewhere`.
+        run, inflation: as in :func:`closure_of`.
     """
     terms = np.stack([*parts.values(), *rest], axis=1)
     energies = _energies(terms.mean(axis=0))
@@ -374,14 +305,15 @@ def _energies(means: np.ndarray) -> np.ndarray:
 def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple[Any, ...], np.ndarray]]:
     """Residual (n,) of every channel for each subset of the players. All subsets are
     refitted; the parameters of the simulator are held unless they are in the subset."""
-    atoms, sets = chosen.atoms, subsets(chosen.atoms)
+    atoms, sets = chosen.atoms, [(), *parts_of(chosen.atoms)]
     guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
     freed = refit(base.tire, [(chosen.z, a) for a in guess], sets, base.design)
     free = dict(zip(sets, zip(freed.z, freed.amplitude, strict=True), strict=True))
     free[atoms] = chosen.z, chosen.amplitude
     fits: dict[tuple[Any, ...], tuple[Any, ...]] = {**free}
     if base.simulator is not None:
-        start, held = base.simulator.z, base.design._replace(hold=np.array(_HELD))
+        # This stiffness holds z: it moves by 1e-8 of the gradient.
+        start, held = base.simulator.z, base.design._replace(hold=np.array(1e4))
         stuck = refit(base.tire, [(start, a) for a in guess], sets, held)
         fits = {(PARAMETERS, *s): fit for s, fit in free.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
@@ -390,7 +322,7 @@ def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple[Any, ...], np.ndarr
         for subset, (z, amplitude) in fits.items()
     }
     return {
-        channel: {k: base.rows.observed[channel] - own[channel] for k, own in forces.items()}
+        channel: {k: base.rows.observed[channel] - x[channel] for k, x in forces.items()}
         for channel in base.rows.channels
     }
 
@@ -402,9 +334,9 @@ def parameter_changes(case: Case) -> Mapping[str, Change]:
     if simulator is None:
         return {}
     values = zip(layout.labels, layout.vector(simulator.z), *case.natural, strict=True)
-    return {name: changed(*map(float, one)) for name, *one in values}
+    return {name: changed(*map(float, numbers)) for name, *numbers in values}
 
 
 def changed(given: float, measured: float, error: float) -> Change:
     """A parameter of a simulator as given and as measured."""
-    return Change(given, measured, error, abs(measured - given) > _DIFFERS * error)
+    return Change(given, measured, error, abs(measured - given) > 2.0 * error)

@@ -51,7 +51,7 @@ class Source(NamedTuple):
         model: of the tire or the car.
         rows: identifies the rows that it was found from; empty if not known.
         numbers: parameters by name; ``derived`` those that follow from them.
-        effects: ``effect: parameter`` -> size of the effects that help.
+        effects: ``effect: amplitude`` -> size of the effects that help.
         standing: effect -> ``named``, ``acts like one``, ``possible`` or ``untestable``.
         tire: that gives forces; None without.
         content: of its document.
@@ -85,7 +85,7 @@ class Apart(NamedTuple):
     name: str
     unit: str
     values: Mapping[str, Number]
-    far: str = ""
+    farthest: str = ""
     difference: float | None = None
     std: float | None = None
     p: float | None = None
@@ -95,16 +95,6 @@ class Apart(NamedTuple):
     def errors(self) -> float | None:
         """The difference in standard errors, without sign."""
         return abs(self.difference) / self.std if self.difference is not None else None  # type: ignore[operator]
-
-
-class Joint(NamedTuple):
-    """Chi-square of all parameters together, with their covariances."""
-
-    parameters: tuple[str, ...]
-    chi2: float
-    dof: int
-    p: float
-    differs: bool
 
 
 class Ranked(NamedTuple):
@@ -136,7 +126,6 @@ class Comparison(Record):
 
     sources: tuple[Source, ...]
     numbers: tuple[Apart, ...] = ()
-    joint: Joint | None = None
     forces: tuple[ForceDifference, ...] = ()
     effects: tuple[Apart, ...] = ()
     models: tuple[Ranked, ...] = ()
@@ -176,8 +165,8 @@ def compare(
 
     Example:
         >>> days = [simulate("rig", values={"mu": mu}, seed=k) for k, mu in enumerate((0.9, 0.8))]
-        >>> found = compare([fit(day.columns, "brush") for day in days], ["Monday", "Tuesday"])
-        >>> [(one.name, one.differs) for one in found.numbers]
+        >>> both = compare([fit(day.columns, "brush") for day in days], ["Monday", "Tuesday"])
+        >>> [(number.name, number.differs) for number in both.numbers]
         [('cpa2', False), ('mu', True)]
     """
     opened, problems = [], []
@@ -193,20 +182,18 @@ def compare(
     return compared(_with_names(opened))
 
 
-def compared(opened: Sequence[Source], level: float = LEVEL) -> Comparison:
+def compared(opened: Sequence[Source]) -> Comparison:
     """The comparison of sources that were read."""
-    rows = [one.rows for one in opened]
+    rows = [source.rows for source in opened]
     shared = tuple(x.name for x in opened if x.rows and rows.count(x.rows) > 1)
-    fits = [one for one in opened if one.kind == "fit"]
-    if len(shared) == len(opened) and all("fit" in one.content for one in opened):
+    fits = [source for source in opened if source.kind == "fit"]
+    if len(shared) == len(opened) and all("fit" in source.content for source in opened):
         return Comparison(sources=tuple(opened), models=_ranked(opened), shared=shared)
     same = len({(fit.model, *fit.numbers) for fit in fits}) < 2
-    of = {x.name: dict(x.numbers if same or x.kind != "fit" else x.derived) for x in opened}
-    numbers, joint = _apart(of), _joint(opened) if same and not shared else None
-    tests = sum(number.p is not None for number in numbers) + (joint is not None)
+    of = {x.name: x.numbers if same or x.kind != "fit" else x.derived for x in opened}
     notes = [] if same else ["fits of several models: compared by what follows from all of them"]
-    forces, more = differing_forces({x.name: x.tire for x in opened if x.tire}, level)
-    effects = _apart({x.name: dict(x.effects) for x in opened if x.kind != "fit"}, 1)
+    forces, more = differing_forces({x.name: x.tire for x in opened if x.tire}, LEVEL)
+    effects = {x.name: x.effects for x in opened if x.kind != "fit"}
     if shared:
         # Without claims, as the errors are not independent.
         forces = tuple(
@@ -218,38 +205,36 @@ def compared(opened: Sequence[Source], level: float = LEVEL) -> Comparison:
         notes.append(f"{', '.join(shared)} are of the same rows: their errors are not independent")
     return Comparison(
         sources=tuple(opened),
-        numbers=_judged(numbers, level / max(tests, 1), bool(shared)),
-        joint=joint and joint._replace(differs=joint.p < level / tests),
+        numbers=_apart(of, shared),
         forces=forces,
-        effects=_judged(effects, level / max(len(effects), 1), bool(shared)),
+        effects=_apart(effects, shared, 1),
         shared=shared,
         notes=(*notes, *more),
-        level=level,
     )
 
 
-def _judged(given: Sequence[Apart], level: float, shared: bool) -> tuple[Apart, ...]:
-    if shared:
-        return tuple(one._replace(p=None) for one in given)
-    return tuple(x._replace(differs=x.p is not None and x.p < level) for x in given)
-
-
-def _apart(of: Mapping[str, Mapping[str, Number]], least: int = 2) -> list[Apart]:
-    """The numbers that at least ``least`` sources have, those of the first source first."""
-    found = []
-    for name in dict.fromkeys(name for numbers in of.values() for name in numbers):
-        values = {source: numbers[name] for source, numbers in of.items() if name in numbers}
+def _apart(
+    of: Mapping[str, Mapping[str, Number]], shared: Sequence[str], least: int = 2
+) -> tuple[Apart, ...]:
+    """The numbers that at least ``least`` sources have, those of the first source first; those
+    that are tested share the level."""
+    numbers = []
+    for name in dict.fromkeys(name for numbers_of in of.values() for name in numbers_of):
+        values = {source: x[name] for source, x in of.items() if name in x}
         if len(values) >= least:
             unit = next(iter(values.values())).unit
-            found.append(_farthest(Apart(name, unit, values)))
-    return found
+            numbers.append(_farthest(Apart(name, unit, values)))
+    if shared:
+        return tuple(number._replace(p=None) for number in numbers)
+    each = LEVEL / max(sum(number.p is not None for number in numbers), 1)
+    return tuple(x._replace(differs=x.p is not None and x.p < each) for x in numbers)
 
 
-def _farthest(one: Apart) -> Apart:
+def _farthest(number: Apart) -> Apart:
     """With the difference of the source that is the farthest from the others, in errors."""
-    known = {k: x for k, x in one.values.items() if x.std is not None}
+    known = {k: x for k, x in number.values.items() if x.std is not None}
     if len(known) < 2:
-        return one
+        return number
     value = np.array([x.value for x in known.values()])
     std = np.array([x.std for x in known.values()], float)
     weight = np.maximum(std, 1e-9 * np.max(np.abs([*value, *std])) + 1e-300) ** -2
@@ -257,41 +242,26 @@ def _farthest(one: Apart) -> Apart:
     away = value - (weight @ value - weight * value) / rest
     error = np.sqrt(1 / weight + 1 / rest)
     # Of two sources, the differences are opposite: the second less the first.
-    far = len(value) - 1 - int(np.argmax(np.round(np.abs(away / error), 6)[::-1]))
+    last = len(value) - 1 - int(np.argmax(np.round(np.abs(away / error), 6)[::-1]))
     scatter = float(weight @ (value - weight @ value / weight.sum()) ** 2)
-    return one._replace(
-        far=[*known][far],
-        difference=float(away[far]),
-        std=float(error[far]),
+    return number._replace(
+        farthest=[*known][last],
+        difference=float(away[last]),
+        std=float(error[last]),
         p=float(chdtrc(len(value) - 1, scatter)),
     )
-
-
-def _joint(opened: Sequence[Source]) -> Joint | None:
-    """Chi-square of the free parameters of all fits, if all have the same with a covariance."""
-    fits = [one.content["prediction"] for one in opened if one.kind == "fit"]
-    free = [(x["layout"]["free"], x["labels"]) for x in fits]
-    if len(fits) < 2 or any(one != free[0] for one in free) or len(fits[0]["z"]) < 2:
-        return None
-    z = np.array([fit["z"] for fit in fits])
-    precision = np.array([np.linalg.pinv(np.array(x["covariance"]), hermitian=True) for x in fits])
-    pull = np.einsum("kij,kj->i", precision, z)
-    away = z - np.linalg.pinv(precision.sum(axis=0), hermitian=True) @ pull
-    scatter = float(np.einsum("ki,kij,kj->", away, precision, away))
-    dof = z.size - z.shape[1]
-    return Joint(tuple(fits[0]["labels"]), scatter, dof, float(chdtrc(dof, scatter)), False)
 
 
 def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:
     """Models of the same rows, lowest AICc first."""
     best = min((fit.content["fit"] for fit in fits), key=lambda s: s["rmse"])
-    rows, found = best["n"] * len(fits[0].content["forces"]), []
-    for one in fits:
-        s, likelihood = one.content["fit"], one.content["fit"]["minus_two_log_likelihood"]
+    rows, models = best["n"] * len(fits[0].content["forces"]), []
+    for fit in fits:
+        s, likelihood = fit.content["fit"], fit.content["fit"]["minus_two_log_likelihood"]
         scores = information(likelihood, rows, best["n_effective"], s["unknowns"])
-        free, status = len(one.content["prediction"]["labels"]), one.content["verdict"]["status"]
-        found.append(Ranked(one.model, free, s["rmse"], *scores, s["n_effective"], status))
-    return tuple(sorted(found, key=lambda one: one.aicc))
+        free, status = len(fit.content["prediction"]["labels"]), fit.content["verdict"]["status"]
+        models.append(Ranked(fit.model, free, s["rmse"], *scores, s["n_effective"], status))
+    return tuple(sorted(models, key=lambda model: model.aicc))
 
 
 # --- reading --------------------------------------------------------------------------
@@ -299,12 +269,12 @@ def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:
 
 def _numbers(given: Mapping[str, Mapping[str, Any]], value: str = "value") -> dict[str, Number]:
     """Numbers of a document, except those that are fixed, not known, or have several values."""
-    found = {}
-    for name, one in given.items():
-        if isinstance(one[value], float | int) and not one.get("fixed"):
-            std = None if one["std"] is None else abs(float(one["std"]))
-            found[name] = Number(float(one[value]), std, str(one.get("unit", "")))
-    return found
+    numbers = {}
+    for name, x in given.items():
+        if isinstance(x[value], float | int) and not x.get("fixed"):
+            std = None if x["std"] is None else abs(float(x["std"]))
+            numbers[name] = Number(float(x[value]), std, str(x.get("unit", "")))
+    return numbers
 
 
 def standing_of(verdict: Any, untestable: Iterable[str]) -> dict[str, str]:
@@ -348,18 +318,18 @@ def _opened(source: Any) -> Source:
 
 def _of_diagnosis(content: Mapping[str, Any], source: Any, file: str) -> Source:
     read = read_checked(source, AnyDocument, "NAME.json", "tirefit diagnose")
-    own = _numbers(content["verdict"]["parameters"], "measured")
+    numbers = _numbers(content["verdict"]["parameters"], "measured")
     if read.simulator is None:  # fitted without standard errors
-        own = {k: Number(x, None, "") for k, x in read.extended_parameters.items()}
+        numbers = {k: Number(x, None, "") for k, x in read.extended_parameters.items()}
     return Source(
         "",
         "diagnosis",
         file or read.data.name,
         read.model,
         read.data.sha256,
-        own,
+        numbers,
         effects={k: Number(x.value, x.std, x.unit) for k, x in read.amplitudes.items()},
-        standing=standing_of(read.verdict, [one["effect"] for one in content["untestable"]]),
+        standing=standing_of(read.verdict, [x["effect"] for x in content["untestable"]]),
     )
 
 
@@ -382,11 +352,11 @@ def _of_tire(given: GivenTire, file: str, source: Any) -> Source:
 def _with_names(opened: Sequence[Source]) -> list[Source]:
     """Each with its own name: the given one; else its file, its folder, or both, whichever is
     the first that tells all apart; numbers if none does."""
-    files = [Path(one.file or one.model) for one in opened]
+    files = [Path(source.file or source.model) for source in opened]
     for short in (lambda x: x.stem, lambda x: x.parent.name, lambda x: f"{x.parent.name}/{x.stem}"):
-        own = [clipped(short(x), LONGEST) for x in files]
-        if len({*own}) == len(own):
+        names = [clipped(short(x), LONGEST) for x in files]
+        if len({*names}) == len(names):
             break
     else:
-        own = [f"{file.stem} ({k})" for k, file in enumerate(files, 1)]
-    return [x._replace(name=x.name or own[k]) for k, x in enumerate(opened)]
+        names = [f"{file.stem} ({k})" for k, file in enumerate(files, 1)]
+    return [x._replace(name=x.name or names[k]) for k, x in enumerate(opened)]

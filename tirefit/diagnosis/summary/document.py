@@ -1,7 +1,7 @@
 """Build the document of a diagnosis and its rows."""
 
 import importlib.metadata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
-from tirefit.diagnosis.engine.fit import Fit
 from tirefit.diagnosis.engine.left_out import Ladder, jackknife_error, sizes_by_group
 from tirefit.diagnosis.extended import extension_of
 from tirefit.diagnosis.rows.fits import missed_share
@@ -19,14 +18,8 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.case import Case, Concluded, all_rows, rows_of
-from tirefit.diagnosis.summary.closure import (
-    budgets_of,
-    closure_on_rows,
-    held_out,
-    parameter_changes,
-    plausible_forces,
-)
-from tirefit.diagnosis.summary.forecast import confusion, next_measurements
+from tirefit.diagnosis.summary.closure import budgets_of, gaps_of, held_out, parameter_changes
+from tirefit.diagnosis.summary.forecast import next_measurements
 from tirefit.diagnosis.summary.result import (
     Amplitude,
     Candidate,
@@ -43,25 +36,8 @@ from tirefit.diagnosis.summary.result import (
     Surrogate,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.views import (
-    Look,
-    compared,
-    data_summary,
-    look_curves,
-    regions,
-    residual_map,
-    shown_rows,
-)
+from tirefit.diagnosis.summary.views import Shape, compared, data_summary, regions, shapes_of
 from tirefit.fitting.problem.noise import effective_inflation
-
-_LISTED, _MENTIONED = 10, 1e-3
-"""Largest number of candidates; smallest probability of the unknown to be one."""
-
-_SEEN_ENERGY = 2.5
-"""Energy of a generic remainder that is detected four times in five, in standard deviations of
-that of noise: 0.84 above 1.65, which noise exceeds once in 20 files."""
-
-_DIRECTIONS = 40  # largest number of smooth directions with noise; a force over slip has fewer
 
 
 def document_of(
@@ -84,31 +60,17 @@ def document_of(
     data, base, rig = whole.data, case.base, settings.rig or Rig()
     n, channels = base.rows.n, base.rows.channels
     rows, main = rows_of(case, base.measured), channels[0]
-    # Random numbers are drawn in this order: true forces, held-out data, budget.
-    truth = plausible_forces(case, generator)
+    # Random numbers are drawn in this order: held-out data, gaps, budget.
     held, ladder = held_out(case, holdout, rig, generator)
-
-    def closed(channel: str, after: np.ndarray) -> Shrinkage:
-        noise = base.noise[channel]
-        given = noise.std**2, base.rows.run, noise.inflation
-        return closure_on_rows(truth[channel], rows[channel]["base"], after, *given)
-
-    def closed_by(fit: Fit) -> Shrinkage:
-        at = base.measured
-        return closed(main, at.forces(fit.z, at.amplitudes(fit.atoms, fit.amplitude))[main])
-
-    gaps = {channel: _gap(case, closed(channel, rows[channel]["extended"])) for channel in rows}
-    budgets, curves = budgets_of(case, generator), look_curves(case)
-    steps, reason = next_measurements(base, case.search, case.weighed, case.verdict)
-    shown = shown_rows(base, rows[main])
+    gaps = {c: _gap(case, gap, rows[c]["gap"]) for c, gap in gaps_of(case, generator).items()}
+    budgets = budgets_of(case, generator)
     missed = base.residual(base.as_given, base.amplitudes())[:n]
     # Rows of the fit without effects, counted as by `tirefit fit`: its residuals contain the
     # misfit of the model, which the noise does not.
     null = base.at_null
     scores = np.split(null.residual[:, None] * null.jacobian, len(channels))
     inflations = [effective_inflation(part, base.rows.run, base.rows.time) for part in scores]
-    scale, looks = np.asarray(base.design.scale[main])[:n], [curve.look for curve in curves]
-    others = parameter_changes(case), closed_by, scale, looks
+    others = parameter_changes(case), np.asarray(base.design.scale[main])[:n], shapes_of(case)
     layout, verdict = base.tire.layout, case.verdict
     # The parameters of a simulator may explain the whole gap.
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
@@ -120,9 +82,8 @@ def document_of(
         n=data.n,
         n_effective=float(np.mean([n / inflation for inflation in inflations])),
         noise=_noise(case),
-        where=tuple(regions(base, missed, shown.gap)),
-        next_measurement=steps,
-        next_measurement_reason=reason,
+        where=tuple(regions(base, missed, rows[main]["gap"])),
+        next_measurement=next_measurements(base, case.search, case.weighed, case.verdict),
         slip_check=base.rows.slip_check,
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_first_values(layout.natural(base.as_given)),
@@ -133,9 +94,7 @@ def document_of(
         rows=all_rows(case, whole, rig, rows),
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
-        residual_map=residual_map(shown, base.inflation, gaps[main].resolvable),
-        comparison=compared(shown, bool(verdict.key) or tuned_alone),
-        look=next(iter(curves), None),
+        comparison=compared(base, rows[main], bool(verdict.key) or tuned_alone),
         library=library,
         meanings={p.name: p.spec.meaning for p in layout.free},
     )
@@ -172,17 +131,19 @@ def _first_values(values: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
 
 
-def _gap(case: Case, found: Shrinkage) -> Shrinkage:
-    """Closure of a channel on the rows of the search, as the verdict allows to tell it."""
+def _gap(case: Case, gap: Shrinkage, located: np.ndarray) -> Shrinkage:
+    """Closure of a channel on the rows of the search, as the verdict allows to tell it.
+
+    Args:
+        located: (n,) gap [N], by smooth functions if no effect helps.
+    """
     # The parameters of a simulator close a part for every verdict on effects.
     verdict, is_simulator = case.verdict, case.base.simulator is not None
-    shows = found.resolvable and (verdict.status != Status.NONE or is_simulator)
-    closed, ends, left = found.closed, found.closed_ci, found.remaining_rms
+    shows = gap.resolvable and (verdict.status != Status.NONE or is_simulator)
     if not verdict.key and not is_simulator:
-        closed, ends, left = 0.0, (0.0, 0.0), found.rms
-    elif closed is not None:
-        closed = float(np.clip(closed, 0.0, 1.0))
-    return replace(found, resolvable=shows, closed=closed, closed_ci=ends, remaining_rms=left)
+        rms = float(np.sqrt(np.mean(located**2)))
+        gap = replace(gap, rms=rms, closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=rms)
+    return replace(gap, resolvable=shows)
 
 
 def of_any_subject(
@@ -192,40 +153,39 @@ def of_any_subject(
     budgets: Mapping[str, tuple[Part, ...]],
     ladder: Ladder,
     parameters: Mapping[str, Change],
-    closed_by: Callable[[Fit], Shrinkage],
     scale: np.ndarray,
-    looks: Sequence[Look] = (),
+    shapes: tuple[Shape, ...] = (),
 ) -> dict[str, Any]:
     """The fields of a diagnosis that rows and cars fill alike.
 
     Args:
         gaps: by channel; held: closure on data not used.
         parameters: of a simulator, as given and as measured.
-        closed_by: closure of the gap of the first channel by a fit.
         scale: (n,) units of the whitened residuals of the first channel.
-        looks: shapes that the remainder resembles.
+        shapes: that the remainder resembles.
     """
     main, base = next(iter(gaps)), case.base
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
-    # The smallest generic remainder that would be detected four times in five.
-    directions = min(base.discrepancy.columns.shape[1], _DIRECTIONS)
-    energy = _SEEN_ENERGY * np.sqrt(2 * directions) / len(scale)
+    # The smallest generic remainder that would be detected four times in five: 0.84 standard
+    # deviations of noise above 1.65, which noise exceeds once in 20 files. A force over slip has
+    # at most 40 smooth directions.
+    directions = min(base.discrepancy.columns.shape[1], 40)
+    energy = 2.5 * np.sqrt(2 * directions) / len(scale)
     return {
         "gap": gap,
         "budget": budgets[main],
         "budgets": budgets,
-        "verdict": _verdict(case, gap, parameters, tuple(looks)),
+        "verdict": _verdict(case, gap, parameters, shapes),
         "ladder": ladder,
-        "candidates": _candidates(case, closed_by),
+        "candidates": _candidates(case),
         "untestable": case.untestable,
         "resolution": float(np.median(scale) * np.sqrt(energy)),
-        "forecast": tuple(confusion(case.search)),
         "version": importlib.metadata.version("tirefit"),
     }
 
 
 def _verdict(
-    case: Concluded, gap: Gap, parameters: Mapping[str, Change], looks: tuple[Look, ...]
+    case: Concluded, gap: Gap, parameters: Mapping[str, Change], shapes: tuple[Shape, ...]
 ) -> VerdictSummary:
     """The verdict with its calibrated probability, the share of such verdicts that are
     right; if no effect on the mean is found, the effects on the noise."""
@@ -239,18 +199,16 @@ def _verdict(
         unlisted = max(unlisted, probability)
     elif verdict.status != Status.UNKNOWN:
         unlisted = min(unlisted, 1 - probability)
+    answer = {**vars(verdict), "probability": probability}
+    if noise:
+        answer |= {"status": Status.NAMED, "effects": noise}
     return VerdictSummary(
-        status=Status.NAMED if noise else verdict.status,
-        effects=noise or verdict.effects,
-        acts_like=verdict.acts_like,
-        probability=probability,
-        each=verdict.each,
-        also_possible=verdict.also_possible,
+        **answer,
         left=Left(
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
             unlisted=unlisted,
-            looks_like=looks,
+            looks_like=shapes,
         ),
         sizes={
             effect: tuple(sizes_by_group(fit, atom, groups, case.widening, float(scale[atom])))
@@ -260,40 +218,32 @@ def _verdict(
     )
 
 
-def _candidates(case: Concluded, closed_by: Callable[[Fit], Shrinkage]) -> tuple[Candidate, ...]:
+def _candidates(case: Concluded) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown."""
     total, verdict, base = _chances(case), case.verdict, case.base
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
     listed = []
-    for key in ranked[:_LISTED]:
+    for key in ranked[:10]:
         fit, parameters = case.weighed.best_of[key], {}
-        found, spread = fit.amplitude, fit.errors * np.sqrt(case.widening)
+        amplitude, spread = fit.amplitude, fit.errors * np.sqrt(case.widening)
         if key == verdict.key:
-            found, spread = case.sizes
+            amplitude, spread = case.sizes
         elif key in case.predicted.effects:
             left_out = case.predicted.amplitude[case.predicted.effects.index(key)]
             spread = np.maximum(spread, jackknife_error(left_out))
-        ratio, scale = found / np.maximum(spread, ROUNDING), base.priors.scale[list(fit.atoms)]
-        atoms = [base.atoms[k] for k in fit.atoms]
+        scale, atoms = base.priors.scale[list(fit.atoms)], [base.atoms[k] for k in fit.atoms]
         # However bad the fit, the error is at most that of the prior.
-        sizes = found * scale, np.minimum(spread, 1.0) * scale
+        sizes = amplitude * scale, np.minimum(spread, 1.0) * scale
         for atom, size, error in zip(atoms, *sizes, strict=True):
-            name, unit = f"{atom.effect.id}: {atom.effect.parameter}", atom.effect.unit
-            parameters[name] = Amplitude(float(size), float(error), unit, case.formula(atom))
-        closure, score = closed_by(fit), case.search.score
-        one = Candidate(
-            effects=key,
-            family=" + ".join(dict.fromkeys(atom.effect.family for atom in atoms)),
-            probability=total[key],
-            parameters=parameters,
-            z=max((score.get(effect, 0.0) for effect in fit.effects), key=abs),
-            z_given_rivals=float(np.min(np.abs(ratio))),
-            closed=closure.closed,
-            closed_ci=closure.closed_ci,
+            numbers = float(size), float(error), atom.effect.unit
+            parameters[f"{atom.effect.id}: amplitude"] = Amplitude(*numbers, case.formula(atom))
+        family = " + ".join(dict.fromkeys(atom.effect.family for atom in atoms))
+        candidate = Candidate(
+            effects=key, family=family, probability=total[key], parameters=parameters
         )
-        listed.append(one)
+        listed.append(candidate)
     alone = verdict.unlisted if not verdict.key else 0.0
-    if alone > _MENTIONED:
+    if alone > 1e-3:
         listed.append(Candidate(effects=(UNKNOWN,), family=UNKNOWN, probability=alone))
     return tuple(listed)
 

@@ -69,7 +69,7 @@ def differing_forces(
     limits = [_ranges(given) for given in tires.values()]
     speeds = [np.mean(limit["v"]) for limit in limits if "v" in limit]
     speed = float(np.mean(speeds)) if speeds else _USUAL_SPEED
-    found, notes = [], []
+    differences, notes = [], []
     for name in names:
         slip = SLIPS_OF[name][0]
         slips, loads = (_common(limits, key) for key in (slip, "fz"))
@@ -82,8 +82,8 @@ def differing_forces(
         if high > _ONE_LOAD * max(low, 0.0):
             levels = max(low, 0.1 * high), *levels, high
         at = np.linspace(*slips, _SLIPS), levels, speed
-        found.append(_force(name, slip, at, tires, steady, level / len(names)))
-    return tuple(found), tuple(notes)
+        differences.append(_force(name, slip, at, tires, steady, level / len(names)))
+    return tuple(differences), tuple(notes)
 
 
 def _steady(given: GivenTire) -> AbstractTire | None:
@@ -96,17 +96,17 @@ def _ranges(given: GivenTire) -> dict[str, tuple[float, float]]:
     """Canonical range of each input that the source states."""
     if given.content:
         return {k: (low, high) for k, (low, high) in given.content["data"]["range"].items()}
-    found: dict[str, tuple[float, float]] = {}
+    ranges: dict[str, tuple[float, float]] = {}
     numbers, signs = given.tir.numbers if given.tir else {}, CONVENTIONS[TIR_SIGNS]
     for name, (least, most) in LIMITS.items():
         if least in numbers and most in numbers:
             sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
             low, high = sorted((sign * numbers[least], sign * numbers[most]))
-            found[name] = low, high
-    if "kappa" in found:
-        low, high = np.clip(found.pop("kappa"), -0.99, 0.99)
-        found["sigma_x"] = float(sigma_from_kappa(low)), float(sigma_from_kappa(high))
-    return found
+            ranges[name] = low, high
+    if "kappa" in ranges:
+        low, high = np.clip(ranges.pop("kappa"), -0.99, 0.99)
+        ranges["sigma_x"] = float(sigma_from_kappa(low)), float(sigma_from_kappa(high))
+    return ranges
 
 
 def _common(
@@ -116,7 +116,7 @@ def _common(
     known = [limit[key] for limit in limits if key in limit]
     if not known:
         return None
-    low, high = max(one[0] for one in known), min(one[1] for one in known)
+    low, high = max(low for low, _ in known), min(high for _, high in known)
     if key == "fz" and high < low <= _ONE_LOAD * high:
         low = high = float(np.sqrt(low * high))
     return (low, high) if low <= high else None
@@ -137,8 +137,8 @@ def _force(
         std = None
         if given.fit is not None:
             drawn = given.drawn(np.random.default_rng(k), _DRAWS)
-            drawn = [one.tire if isinstance(one, Relaxed) else one for one in drawn]
-            std = np.std([_at(one, name, slip, at) for one in drawn], axis=0)
+            drawn = [tire.tire if isinstance(tire, Relaxed) else tire for tire in drawn]
+            std = np.std([_at(tire, name, slip, at) for tire in drawn], axis=0)
         free[source] = () if given.fit is None else given.fit[0].labels
         curves[source] = ForceCurve(force, std)
     first, *others = curves
@@ -160,17 +160,17 @@ def _at(tire: AbstractTire, name: str, slip: str, at: _Place) -> np.ndarray:
 
 
 def _differing(
-    first: ForceCurve, own: ForceCurve, slips: np.ndarray, loads: Sequence[float], reach: float
+    first: ForceCurve, second: ForceCurve, slips: np.ndarray, loads: Sequence[float], reach: float
 ) -> ForceCurve:
-    away = own.force - first.force
-    stds = [one.std for one in (first, own) if one.std is not None]
+    away = second.force - first.force
+    stds = [curve.std for curve in (first, second) if curve.std is not None]
     size, error = np.abs(away), None
     if stds:
         error = np.sqrt(np.sum(np.square(stds), axis=0))
         # A difference below rounding is none, where a band has no width as at zero slip.
-        size = size / np.maximum(error, 1e-9 * np.max(np.abs(own.force)))
+        size = size / np.maximum(error, 1e-9 * np.max(np.abs(second.force)))
     row, column = np.unravel_index(int(np.argmax(size)), size.shape)
-    return own._replace(
+    return second._replace(
         slip=float(slips[column]),
         load=float(loads[int(row)]),
         difference=float(away[row, column]),

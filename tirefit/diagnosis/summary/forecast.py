@@ -1,7 +1,6 @@
-"""Forecasts from the conditions of the rows, not from their forces: which effects the
-rows can show, and which further measurement would distinguish two effects."""
+"""Forecast, from the conditions of the rows and not from their forces, which further
+measurement would distinguish two effects, or a cause from a stand-in."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -11,99 +10,35 @@ import numpy as np
 from scipy.special import logit, ndtr
 
 from tirefit.diagnosis.engine import FLAT, UNSEEN
-from tirefit.diagnosis.engine.decide import UNKNOWN, Status, Verdict
+from tirefit.diagnosis.engine.decide import UNKNOWN, Verdict
 from tirefit.diagnosis.engine.fit import Fit, without
 from tirefit.diagnosis.engine.search import Search, Weighed
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.subject import Base
-from tirefit.diagnosis.summary.result import Forecast, NextMeasurement
-from tirefit.diagnosis.summary.views import LEVEL
+from tirefit.diagnosis.summary.result import NextMeasurement
 from tirefit.models import modelled
 
-DRAWS = 2000  # draws of noise; a probability of 5 % then has an error of 0.5 %
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
-_WORTHWHILE = 0.02
+_WORTHWHILE = 0.1
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
-_OPEN = (0.2, 0.8)  # probabilities of a cause between which a further measurement is to decide
-_STANDS_OFF = 0.5
-"""Change of the size of a stand-in under other conditions, over its size: on measured logs a
-quarter to once its size, that of a cause hardly any."""
-_VARIES = 0.15
-"""Standard deviation of the size of a cause between conditions, over its size: half of the
-largest one on measured logs."""
 _SAME_AGAIN, _MOMENT = "the same again", "the aligning moment M_z on lateral runs"
 
 
-def separability(columns: np.ndarray, a: int, b: int, size_a: float, size_b: float) -> float:
-    """Forecast probability of distinguishing effect a from b by the larger abs(z).
+def separability(first: np.ndarray, second: np.ndarray) -> float:
+    """Forecast probability of distinguishing two effects by the larger abs(z).
 
     Args:
-        columns: (m, K) directions of the effects, orthogonal to the base parameters.
-        size_a, size_b: amplitudes in units of the columns.
+        first, second: (m,) whitened changes by each, orthogonal to the base parameters.
     """
-    one, two = columns[:, a] * size_a, columns[:, b] * size_b
-    energy = float(one @ one), float(two @ two)
+    energy = float(first @ first), float(second @ second)
     if min(energy) < FLAT:
         return 0.5
-    correlation = one @ two / np.sqrt(energy[0] * energy[1])
+    correlation = first @ second / np.sqrt(energy[0] * energy[1])
     # Equal effects have a correlation of 1, which rounding may exceed.
     apart = max(1 - abs(correlation), 0.0)
     return float(ndtr(np.sqrt(min(energy) * apart / 2)))
-
-
-def scores_of_nothing(
-    directions: np.ndarray, draws: int, generator: np.random.Generator
-) -> np.ndarray:
-    """Scores of unit directions in white noise: (K, draws)."""
-    values, vectors = np.linalg.eigh(directions.T @ directions)
-    root = vectors * np.sqrt(np.maximum(values, 0))
-    # The scores of one draw side by side: their largest one is found much faster.
-    return np.asfortranarray(root @ generator.standard_normal((directions.shape[1], draws)))
-
-
-def recognition(
-    directions: np.ndarray, names: Sequence[str], truth: int, size: float, noise: np.ndarray
-) -> tuple[float, float, str | None]:
-    """Probabilities that the largest score exceeds that of noise, and that it is also that
-    of the true effect; the effect that is found most often instead, None if hardly any.
-    Scores of unit directions of correlation R are z ~ N(size R[:, truth], R).
-
-    Args:
-        directions: (m, K) of length one, orthogonal to the base parameters.
-        names: the effect of each (K,); variants share a name.
-        truth: index of the direction that is there.
-        size: its amplitude in standard errors.
-        noise: (K, draws) of :func:`scores_of_nothing`.
-    """
-    limit = np.quantile(np.abs(noise).max(axis=0), 1 - LEVEL)
-    score = np.abs(noise + size * (directions.T @ directions[:, [truth]]))
-    found = score.argmax(axis=0)[score.max(axis=0) > limit]
-    count, draws = Counter(names[k] for k in found), noise.shape[1]
-    right = count.pop(names[truth], 0)
-    other, often = max(count.items(), key=lambda one: one[1], default=(None, 0))
-    return len(found) / draws, right / draws, other if often > LEVEL * draws else None
-
-
-def confusion(search: Search) -> list[Forecast]:
-    """For each testable effect of usual size, whether it is detected or confused."""
-    base, left = search.subject, search.projected
-    length = np.linalg.norm(left, axis=0)
-    use = [k for k in search.subject.testable if length[k] > UNSEEN]
-    if not use:
-        return []
-    directions = left[:, use] / length[use]
-    noise = scores_of_nothing(directions, DRAWS, np.random.default_rng(0))
-    names, forecasts = [base.atoms[k].effect.id for k in use], []
-    for name in dict.fromkeys(names):
-        first = names.index(name)
-        k, effect = use[first], base.atoms[use[first]].effect
-        usual = float(base.priors.center[k]) or float(effect.sign or 1)
-        chances = recognition(directions, names, first, usual * length[k], noise)
-        amplitude = usual * float(base.priors.scale[k])
-        forecasts.append(Forecast(name, amplitude, effect.unit, *chances))
-    return forecasts
 
 
 def _changes(prepared: Prepared) -> dict[str, dict[str, Any]]:
@@ -169,16 +104,17 @@ def _with_moment(base: Base, z: np.ndarray) -> _Block:
     return np.column_stack([jacobian, length]), columns
 
 
-def _told_apart(blocks: Sequence[_Block], one: tuple[int, float], two: tuple[int, float]) -> float:
+def _told_apart(blocks: Sequence[_Block], *effects: tuple[int, float]) -> float:
     """Forecast probability of distinguishing two effects by all these measurements.
 
     Args:
-        one, two: (atom, amplitude in prior scales) of the effects.
+        effects: (atom, amplitude in prior scales) of each.
     """
     width = max(jacobian.shape[1] for jacobian, _ in blocks)
-    known = [np.pad(own, ((0, 0), (0, width - own.shape[1]))) for own, _ in blocks]
-    columns = np.concatenate([columns[:, [one[0], two[0]]] for _, columns in blocks])
-    return separability(without(columns, np.concatenate(known)), 0, 1, one[1], two[1])
+    known = [np.pad(x, ((0, 0), (0, width - x.shape[1]))) for x, _ in blocks]
+    atoms, sizes = zip(*effects, strict=True)
+    columns = np.concatenate([columns[:, atoms] for _, columns in blocks]) * sizes
+    return separability(*without(columns, np.concatenate(known)).T)
 
 
 def decided(chance: float, distance: float) -> float:
@@ -214,7 +150,9 @@ def size_apart(blocks: Sequence[_Block], fit: Fit, place: int) -> float:
     by_apart = np.array([1.0, -1.0])
     variance = by_apart @ np.linalg.solve(gram, by_apart) * max(float(np.mean(rest**2)), 1.0)
     relative = float(np.sqrt(variance)) / max(abs(float(fit.amplitude[place])), FLAT)
-    return _STANDS_OFF / float(np.hypot(relative, _VARIES))
+    # Under other conditions, on measured logs, the size of a stand-in changes by a quarter to once
+    # itself, that of a cause by up to .3: half of either.
+    return 0.5 / float(np.hypot(relative, 0.15))
 
 
 def _sizes(search: Search, weighed: Weighed) -> dict[str, tuple[int, float]]:
@@ -249,23 +187,23 @@ def _pairs(
 def manoeuvres(search: Search, weighed: Weighed, verdict: Verdict) -> tuple[NextMeasurement, ...]:
     """The measurement by which each pair of confused effects is told apart, as their records
     name it, and the probability of distinguishing them without it, the smallest first."""
-    sizes, found = _sizes(search, weighed), []
+    sizes, steps = _sizes(search, weighed), []
     for pair in _pairs(search, weighed, verdict, sizes):
-        (one, size), (two, other) = (sizes[name] for name in pair)
-        now = separability(search.projected, one, two, size, other)
-        add = search.subject.atoms[one].effect.told_apart_by
+        (first, size), (second, other) = (sizes[name] for name in pair)
+        now = separability(search.projected[:, first] * size, search.projected[:, second] * other)
+        add = search.subject.atoms[first].effect.told_apart_by
         if add and now <= 1 - _WORTHWHILE:
-            found.append(NextMeasurement(add, pair, now, np.nan))
-    return tuple(sorted(found, key=lambda step: step.p_now))
+            steps.append(NextMeasurement(add, pair, now, np.nan))
+    return tuple(sorted(steps, key=lambda step: step.p_now))
 
 
 def next_measurements(
-    base: Base, search: Search, weighed: Weighed, verdict: Verdict, most: int = _FEW
-) -> tuple[tuple[NextMeasurement, ...], str | None]:
-    """Further measurements, of as many rows as the file has, that would distinguish
-    confused effects, the largest gain first; and the reason if there are none."""
+    base: Base, search: Search, weighed: Weighed, verdict: Verdict
+) -> tuple[NextMeasurement, ...]:
+    """At most three further measurements, of as many rows as the file has, that would distinguish
+    confused effects, the largest gain first."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
-    here, changes = _block(base, base.z), _changes(base.rows)
+    here, changes, considered = _block(base, base.z), _changes(base.rows), list[NextMeasurement]()
 
     @cache
     def added(name: str) -> _Block:
@@ -273,38 +211,24 @@ def next_measurements(
             return _with_moment(base, z)
         return _block(_changed(base, changes[name]), z)
 
-    considered = []
     for pair in _pairs(search, weighed, verdict, sizes):
-        one, two = (sizes[name] for name in pair)
-        now, names = _told_apart([here], one, two), list(changes)
-        by = {base.atoms[k].effect.told_apart_by for k, _ in (one, two)}
-        has_moment = "mz" in modelled(base.tire.model)
-        if "mz" in by and "mz" not in base.rows.has and has_moment:
+        first, second = (sizes[name] for name in pair)
+        now, names = _told_apart([here], first, second), list(changes)
+        by = {base.atoms[k].effect.told_apart_by for k, _ in (first, second)}
+        if "mz" in by and "mz" not in base.rows.has and "mz" in modelled(base.tire.model):
             names.append(_MOMENT)
-        for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:
-            after = _told_apart([here, added(name)], one, two)
+        for name in names:
+            after = _told_apart([here, added(name)], first, second)
             considered.append(NextMeasurement(name, pair, now, after))
     for effect, claim in verdict.each.items():
-        if effect in verdict.key and _OPEN[0] <= claim.probability <= _OPEN[1]:
+        if effect in verdict.key and 0.2 <= claim.probability <= 0.8:
             fit, now = weighed.best_of[verdict.key], max(claim.probability, 1 - claim.probability)
             for name in (name for name in changes if name != _SAME_AGAIN):
                 distance = size_apart([here, added(name)], fit, fit.effects.index(effect))
                 after = decided(claim.probability, distance)
                 considered.append(NextMeasurement(name, (effect, UNKNOWN), now, after))
     useful = [step for step in considered if step.p_after > step.p_now + _WORTHWHILE]
-    if useful:
-        ranked = sorted(useful, key=lambda s: s.p_now - s.p_after)
-        # One of them decides whether an effect is the cause, if any can.
-        first = [step for step in ranked if UNKNOWN in step.separates][:1]
-        return tuple(dict.fromkeys([*first, *ranked]))[:most], None
-    if not considered:
-        return (), "there is only one effect that these rows can be tested for"
-    _, (a, b), now, _ = considered[0]
-    if now > 1 - _WORTHWHILE:
-        apart = f"rows like these distinguish {a} from {b} with probability {now:.2f}"
-        if verdict.status == Status.CANNOT_TELL:
-            apart += ", but with their present noise they do not: repeat them"
-        return (), apart
-    best = max(step.p_after for step in considered if step.separates == (a, b))
-    apart = f"no further measurement known here would distinguish {a} from {b}"
-    return (), f"{apart}: the best one with probability {best:.2f} (now {now:.2f})"
+    ranked = sorted(useful, key=lambda step: step.p_now - step.p_after)
+    # One of them decides whether an effect is the cause, if any can.
+    deciding = [step for step in ranked if UNKNOWN in step.separates][:1]
+    return tuple(dict.fromkeys([*deciding, *ranked]))[:_FEW]

@@ -47,18 +47,19 @@ def with_readings(
         model: that describes both; ``study`` diagnoses rows with it.
     """
     try:
-        own = study(whole, rig)
+        described = study(whole, rig)
     except DataError:
         return result
     # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
-    left = predicted(own.search.subject, [own.chosen], own.search.null, folds).loss[:, 0]
+    search = described.search
+    left = predicted(search.subject, [described.chosen], search.null, folds).loss[:, 0]
     out, changed = case.predicted, _loss(case)
     share = out.rows / out.rows.sum()
     gains = share * (changed - left)
     gain, error = float(gains.sum()), float(np.sqrt(len(gains)) * np.std(gains, ddof=1))
     structure = structures_of(whole)
-    lacking = any(one.id in UNLIKE for one in structure)
+    lacking = any(feature.id in UNLIKE for feature in structure)
     itself = None if lacking else _of_simulator(whole, rig, study, structure)
     first = out.as_given if out.as_given is not None else out.loss[:, out.effects.index(())]
     closed = closed_share(out.rows, left, first, floor_of(case.base, out))
@@ -72,7 +73,7 @@ def with_readings(
         error,
         float(np.sqrt(share @ changed)),
         model,
-        _described(own, step.rms_left_out),
+        _described(described, step.rms_left_out),
         itself,
         structure,
     )
@@ -110,7 +111,7 @@ def _loss(case: Case) -> np.ndarray:
 def _described(case: Case, rms: float) -> Described:
     base, p, (z, spread) = case.base, len(case.chosen.z), case.parameters
     values = zip(base.tire.layout.labels, *case.natural, strict=True)
-    units = {one.name: one.spec.unit for one in base.tire.layout.free}
+    units = {p.name: p.spec.unit for p in base.tire.layout.free}
     parameters = {k: Estimate(float(v), float(e), units.get(k, "")) for k, v, e in values}
     steps = _STEP * np.eye(p)
     slope = np.array([_slope(case, z + step) - _slope(case, z - step) for step in steps])
@@ -124,8 +125,8 @@ def _described(case: Case, rms: float) -> Described:
     for atom, size, std in zip(case.chosen.atoms, *case.sizes, strict=True):
         effect, scale = base.atoms[atom].effect, float(base.priors.scale[atom])
         if (each := case.verdict.each.get(effect.id)) is not None:
-            found = float(size) * scale, float(std) * scale
-            effects[effect.id] = Estimate(*found, effect.unit, each.probability)
+            amplitude = float(size) * scale, float(std) * scale
+            effects[effect.id] = Estimate(*amplitude, effect.unit, each.probability)
     return Described(parameters, effects, rms)
 
 

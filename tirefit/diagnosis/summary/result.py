@@ -16,21 +16,14 @@ from tirefit.data.records import FileRecord, Row, frame
 from tirefit.data.table import TireData
 from tirefit.data.write import csv_text, to_convention
 from tirefit.diagnosis.effects import NOISE_EFFECTS, Effect
-from tirefit.diagnosis.engine.decide import UNKNOWN, Each, Status
+from tirefit.diagnosis.engine.decide import NOT_WRITTEN, UNKNOWN, Verdict
 from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
 from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck
 from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.rows.structure import Structure
 from tirefit.diagnosis.summary.case import Untestable
-from tirefit.diagnosis.summary.views import (
-    Comparison,
-    DataSummary,
-    Look,
-    LookCurve,
-    Region,
-    ResidualMap,
-)
+from tirefit.diagnosis.summary.views import Comparison, DataSummary, Region, Shape
 from tirefit.display import Record
 from tirefit.files import json_safe
 from tirefit.models import MODELS
@@ -66,28 +59,14 @@ class NoiseSummary:
 @dataclass(frozen=True, kw_only=True)
 class Shrinkage:
     """The rms gap beyond the noise and its closure: ``closed`` is 1 - remaining_rms / rms
-    with its 90 % interval, None if the gap is not ``resolvable``. Its lower limit is zero
-    on the fitted rows, elsewhere :data:`tirefit.diagnosis.summary.closure.WORST`, which
-    includes all worse values."""
+    with its 90 % interval, None if the gap is not ``resolvable``. Its lower limit is
+    :data:`tirefit.diagnosis.summary.closure.WORST`, which includes all worse values."""
 
     rms: float
     resolvable: bool
     closed: float | None
     closed_ci: tuple[float | None, float | None]
     remaining_rms: float
-
-    @property
-    def net_closed(self) -> float | None:
-        """``closed``, negative if the gap has become larger."""
-        if self.closed != 0 or self.remaining_rms <= self.rms:
-            return self.closed
-        return 1 - self.remaining_rms / self.rms
-
-    @property
-    def energy_closed(self) -> float | None:
-        """Share of the gap's energy that is closed."""
-        closed = self.net_closed
-        return None if closed is None else 1 - (1 - closed) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,23 +90,16 @@ class Left(NamedTuple):
     rms: float
     share: float  # of the gap's energy
     unlisted: float  # probability that an unlisted effect is present
-    looks_like: tuple[Look, ...] = ()  # shapes it resembles, the most probable first
+    looks_like: tuple[Shape, ...] = ()  # shapes it resembles, the most probable first
 
 
 @dataclass(frozen=True, kw_only=True)
-class VerdictSummary:
-    """The effects that are present, and the remainder: a
-    :class:`~tirefit.diagnosis.engine.decide.Verdict` for the report, with a calibrated
-    ``probability``, the share of such verdicts that are right; ``sizes`` of each named effect
-    by groups of each covariate, the most unequal first; ``parameters`` are those of a given
-    simulator, empty for a fitted form."""
+class VerdictSummary(Verdict):
+    """The verdict for the report, with a calibrated ``probability``, the share of such verdicts
+    that are right; what is ``left``; ``sizes`` of each named effect by groups of each covariate,
+    the most unequal first; ``parameters`` are those of a given simulator, empty for a fitted
+    form."""
 
-    status: Status
-    effects: tuple[str, ...]
-    acts_like: tuple[str, ...] = ()
-    probability: float
-    each: Mapping[str, Each] = field(default_factory=dict)
-    also_possible: tuple[str, ...] = ()
     left: Left
     sizes: Mapping[str, tuple[SizeByGroup, ...]] = field(default_factory=dict)
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
@@ -239,28 +211,13 @@ class Amplitude(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of effects that may explain the gap; scores of the unknown are None."""
+    """A set of effects that may explain the gap."""
 
     effects: tuple[str, ...]
     family: str
     probability: float
-    # ``effect: parameter`` -> size
+    # ``effect: amplitude`` -> size
     parameters: Mapping[str, Amplitude] = field(default_factory=dict)
-    z: float | None = None  # score at the base fit
-    z_given_rivals: float | None = None  # smallest amplitude over error in the set
-    closed: float | None = 0.0
-    closed_ci: tuple[float | None, float | None] = (0.0, 0.0)
-
-
-class Forecast(NamedTuple):
-    """Forecast probabilities for an effect of usual size on these rows."""
-
-    effect: str
-    amplitude: float
-    unit: str
-    seen: float
-    recognised: float  # detected and recognised
-    taken_for: str | None  # effect found most often instead; None: hardly any
 
 
 class NextMeasurement(NamedTuple):
@@ -283,7 +240,6 @@ class Settings:
     forces: tuple[str, ...] | None = None  # that matter, None for all
 
 
-NOT_WRITTEN = {"written": False}
 UNITS = {"fx": "N", "fy": "N", "mz": "N m", "all": "× noise", "v_y": "m/s", "yaw_rate": "rad/s"}
 UNITS |= {"heading": "rad", "x": "m", "y": "m"}
 """Units of the channels of forces and of cars."""
@@ -300,18 +256,17 @@ class Diagnosis(Record):
     is empty or None for a car.
     ``resolution`` is the rms [N] of the smallest unlisted remainder that would have been seen.
     ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
-    largest gain first; if it is empty, ``next_measurement_reason`` is the reason. ``slip_check``
-    compares the slip column with the slip of the wheel speed; None if that is not known. ``runs``
-    describes the differences of the runs, by kind of offset; empty for a single run.
+    largest gain first. ``slip_check`` compares the slip column with the slip of the wheel speed;
+    None if that is not known. ``runs`` describes the differences of the runs, by kind of offset;
+    empty for a single run.
     ``asked`` is a hash of data and settings, by which ``--resume`` recognises the result.
 
     ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator, ``base`` and
     ``sim`` are its forces as given, ``tuned`` those with adapted parameters.
     ``simulator`` is None if a form was fitted; ``meanings`` are those of its parameters.
-    ``table`` is the data, ``mean_load`` [N] that of its used rows; ``residual_map``,
-    ``comparison`` and ``look`` are the contents of figures, the last None if no unlisted
-    effect has a shape; ``library`` holds the searched effects, including a user's own.
+    ``table`` is the data, ``mean_load`` [N] that of its used rows; ``comparison`` is the content
+    of a figure; ``library`` holds the searched effects, including a user's own.
     """
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_text"
@@ -334,9 +289,7 @@ class Diagnosis(Record):
     candidates: tuple[Candidate, ...]
     untestable: tuple[Untestable, ...]
     resolution: float
-    forecast: tuple[Forecast, ...]
     next_measurement: tuple[NextMeasurement, ...]
-    next_measurement_reason: str | None = None
     slip_check: SlipCheck | None = None
     runs: Mapping[str, RunOffsets] = field(default_factory=dict)
     base_parameters: Mapping[str, float]
@@ -349,9 +302,7 @@ class Diagnosis(Record):
     rows: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict, metadata=NOT_WRITTEN)
     table: TireData | None = field(default=None, metadata=NOT_WRITTEN)
     mean_load: float = field(default=np.nan, metadata=NOT_WRITTEN)
-    residual_map: ResidualMap | None = field(default=None, metadata=NOT_WRITTEN)
     comparison: Comparison | None = field(default=None, metadata=NOT_WRITTEN)
-    look: LookCurve | None = field(default=None, metadata=NOT_WRITTEN)
     library: tuple[Effect, ...] = field(metadata=NOT_WRITTEN)
     meanings: Mapping[str, str] = field(metadata=NOT_WRITTEN)
 
@@ -367,7 +318,7 @@ class Diagnosis(Record):
 
     @property
     def amplitudes(self) -> Mapping[str, Amplitude]:
-        """``effect: parameter`` -> amplitude in the fit of the effects that help."""
+        """``effect: amplitude`` -> its value in the fit of the effects that help."""
         helping = {*self.verdict.helping}
         return next(
             (
@@ -435,11 +386,11 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
     for channel, parts in result.rows.items():
         header = data.source.columns.get(channel, channel)
         # A difference of forces is converted like a force, as their units have no offset.
-        own = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
+        columns = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
         # Only a simulator has forces as given and tuned.
-        shown = (x for x in ("sim", "tuned", "base", "extended", "gap") if x in own)
-        out |= {f"{name}_{channel}": own[name] for name in shown}
-        out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
+        shown = (x for x in ("sim", "tuned", "base", "extended", "gap") if x in columns)
+        out |= {f"{name}_{channel}": columns[name] for name in shown}
+        out[f"gap_{channel}_std"] = np.abs(columns["gap_std"])
     out["masked"] = (~data.used).astype(int)
     place = data.source.place
     return out if place is None else {name: x[np.argsort(place)] for name, x in out.items()}
@@ -462,7 +413,7 @@ def record_of(content: Mapping[str, Any], path: str = "") -> FileRecord:
     rows += [Row("gap", k, gap[k], unit=unit) for k in ("rms", "remaining_rms")]
     rows += [Row("gap", "closed", gap["closed"])]
     rows += [Row("gap", "probability", verdict["probability"])]
-    best = (one for one in content["candidates"] if set(one["effects"]) == helping - {UNKNOWN})
+    best = (x for x in content["candidates"] if {*x["effects"]} == helping - {UNKNOWN})
     sizes: Mapping[str, Any] = next(best, {"parameters": {}})["parameters"]
     rows += [Row("effect", k, x["value"], x["std"], unit=x["unit"]) for k, x in sizes.items()]
     status = ": ".join(filter(None, [verdict["status"], ", ".join(verdict["effects"])]))
