@@ -23,7 +23,7 @@ from tirefit.data.units import SPINNING
 from tirefit.door import outrageous, read_record
 from tirefit.files import write_texts
 from tirefit.fitting.problem.build import find_model
-from tirefit.fitting.problem.layout import FreeParameter, Layout
+from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import Values, specs, with_values
@@ -99,9 +99,15 @@ class _Free(_Part):
     upper: float
 
 
+class _Tie(_Part):
+    name: str
+    other: str
+    factor: float
+
+
 class _Layout(_Part):
     free: list[_Free]
-    ties: Annotated[list[Any], Field(max_length=0)] = []  # of version 0.1.0 and before
+    ties: list[_Tie]
     runs: list[str]
     fixed: dict[str, float]
 
@@ -220,7 +226,8 @@ def load_fit(path: str | os.PathLike[str]) -> StoredFit:
             if not (0.0 if spec.scale == "log" else -_LARGEST) < spec.lower < spec.upper:
                 raise ValueError(f"the bounds of {item.name} are not in order")
             free.append(FreeParameter(item.name, spec, item.per_run))
-        layout = Layout(tuple(free), tuple(stored.runs))
+        ties = tuple(Tie(**tie.model_dump()) for tie in stored.ties)
+        layout = Layout(tuple(free), ties, tuple(stored.runs))
         tire = with_values(template, stored.fixed)
         noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}
         for given in noise.values():

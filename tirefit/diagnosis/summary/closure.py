@@ -97,9 +97,9 @@ def gaps_of(case: Case, generator: np.random.Generator) -> dict[str, Shrinkage]:
     fits = (base.as_given, base.amplitudes()), (fit.z, base.amplitudes(fit.atoms, fit.amplitude))
     forces = [base.forces(*numbers) for numbers in fits]
     for channel in base.rows.channels:
-        used, *noise = _fitted_rows(case, channel)
-        missed = ((base.rows.observed[channel] - force[channel])[used] for force in forces)
-        gaps[channel] = closure_of(*missed, *noise, generator)
+        used, variance, run, inflation = _fitted_rows(case, channel)
+        before, after = ((base.rows.observed[channel] - of[channel])[used] for of in forces)
+        gaps[channel] = closure_of(before, after, variance, run, inflation, generator)
     return gaps
 
 
