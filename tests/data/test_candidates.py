@@ -128,3 +128,10 @@ def test_the_point_of_a_pose_does_not_depend_on_the_cutoff(tmp_path):
     )
     assert low == pytest.approx(high, abs=0.2 * std)
     assert low == pytest.approx(CAR.l_r, abs=3 * std) and std < 0.08
+
+
+def test_instruments_that_hardly_explain_the_slip_determine_no_point(tmp_path):
+    """Their bias is that of least squares, 0.8 m here, which the standard error does not have."""
+    how = {"bend": 0.2, "speed": 15.0, "gps_std": 0.04}
+    log = log_at(tmp_path, 0.0, how, seed=1)
+    assert derive(log, vehicle(tmp_path), believe=True).point.estimate is None
