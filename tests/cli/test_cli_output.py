@@ -1,18 +1,21 @@
 """Complete results or none, one process per directory, Ctrl-C, and progress bars."""
 
+import io
 import os
 import pty
+import re
 import shutil
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
 
 import pytest
 from test_cli_fit import FAST, content, write
 
 from tests.killed import steps_of
-from tirefit.cli import options
+from tirefit.cli import options, silence
 from tirefit.cli.commands import app
 from tirefit.cli.output import check_results, claimed, is_page, staged
 from tirefit.files import replacing
@@ -307,3 +310,43 @@ def test_progress_without_a_terminal_is_printed_as_lines(monkeypatch, capsys):
         "posterior: 12 %, step 5",
         "posterior: 38 %, step 15",
     ]
+
+
+def test_a_long_silence_is_ended_by_a_line(monkeypatch):
+    heard, until = io.StringIO(), time.monotonic() + 60
+    monkeypatch.setattr(sys, "stderr", heard)
+    with silence.reported(most=0.01):
+        while heard.getvalue().count("\n") < 2 and time.monotonic() < until:
+            pass
+    assert re.match(r"(still at work, for \d+ s\n){2}", heard.getvalue())
+
+
+SILENT = """
+import io, sys, time
+from tirefit.cli import commands, main, silence
+
+def app():
+    until = time.monotonic() + 60
+    while not heard.getvalue() and time.monotonic() < until:
+        pass
+
+heard = sys.stderr = io.StringIO()
+silence.reported.__wrapped__.__defaults__ = (0.01,)
+commands.app = app
+main()
+print(heard.getvalue())
+"""
+
+
+def test_every_command_prints_a_line_after_a_long_silence():
+    done = subprocess.run([sys.executable, "-c", SILENT], capture_output=True, text=True)
+    assert done.stdout.startswith("still at work, for ")
+
+
+def test_a_command_that_prints_is_not_silent(monkeypatch):
+    heard = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", heard)
+    for talks in (lambda: options.complain("heard"), lambda: options.say("heard")):
+        before = silence._LATEST[0] = 0.0
+        talks()
+        assert silence._LATEST[0] > before

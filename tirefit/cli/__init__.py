@@ -55,9 +55,11 @@ def main() -> None:
     sys.unraisablehook = unheard
     try:
         # Imported here, so that Ctrl-C is answered during the imports as well.
+        from tirefit.cli import silence
         from tirefit.cli.commands import app
 
-        app()
+        with silence.reported():
+            app()
     except OSError as error:
         # The command could not print; it handles its own errors otherwise.
         if came:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tirefit.cli import silence
 from tirefit.data.readers.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -295,6 +296,7 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
+    silence.broken()
     try:
         typer.echo(_printable(text))
     except BrokenPipeError:
@@ -305,6 +307,7 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
+    silence.broken()
     with suppress(OSError):
         typer.echo(_printable(text), err=True)
 
@@ -389,6 +392,7 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
         task = bar.add_task(title, total=1.0, note="")
 
         def show(share: float, note: str) -> None:
+            silence.broken()
             bar.update(task, completed=share, note=note)
 
         yield show
