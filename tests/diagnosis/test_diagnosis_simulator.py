@@ -148,8 +148,8 @@ def test_parameters_and_sizes_are_those_of_the_mixture_of_the_sets():
     )
     base.atoms = [SimpleNamespace(effect=SimpleNamespace(of="measurement"))]
     out = SimpleNamespace(
-        effects=(key, ()),
-        parameters=(np.array([[1, 3], [1, 3.5], [1, 2.5]]), np.zeros((3, 2))),
+        effects=(key,),
+        parameters=(np.array([[1, 3], [1, 3.5], [1, 2.5]]),),
         amplitude=(np.array([[2.0], [2.0], [2.0]]),),
     )
     weighed = SimpleNamespace(best_of=fits, log_weight={key: np.log(3), twin: 0.0, (): 9.0})

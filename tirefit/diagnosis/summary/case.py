@@ -141,16 +141,16 @@ class Concluded:
         values, variances = (np.array(part) for part in zip(*found, strict=True))
         variances = np.maximum(self.widening * variances, 0.0)
         value, std = averaged(values, variances, np.array([*self.parts.values()]))
-        return value, np.maximum(std, jackknife_error(self._left_out))
+        return value, np.maximum(std, self._scatter)
 
     def alone(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         """Parameters z (p,) of a fit, and their variances."""
         return fit.z, np.diag(fit.covariance)[: len(fit.z)]
 
     @property
-    def _left_out(self) -> np.ndarray:
-        """Parameters z (parts, p) with each part of the data left out."""
-        return self.predicted.parameters[self._place]
+    def _scatter(self) -> np.ndarray:
+        """Standard errors (p,) of the parameters by the jackknife."""
+        return np.asarray(jackknife_error(self.predicted.parameters[self._place]))
 
     @property
     def _place(self) -> int:
@@ -203,12 +203,14 @@ class Case(Concluded):
         return z, np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes)
 
     @property
-    def _left_out(self) -> np.ndarray:
-        """Those of the set without its effects of the tire, or of none."""
+    def _scatter(self) -> np.ndarray:
+        """Those of the set without its effects of the tire, or of none, whichever is smaller: a
+        part that is left out may take an effect with it, and the linear step is then too long."""
         out, fit = self.predicted, self.chosen
         atoms = zip(fit.effects, (self.base.atoms[k] for k in fit.atoms), strict=True)
         key = tuple(name for name, atom in atoms if atom.effect.of != "tire")
-        return out.parameters[out.effects.index(key if key in out.effects else ())]
+        sets = [out.effects.index(one) for one in (key, ()) if one in out.effects]
+        return np.min([jackknife_error(out.parameters[k]) for k in sets], axis=0)
 
     @cached_property
     def natural(self) -> tuple[np.ndarray, np.ndarray]:
