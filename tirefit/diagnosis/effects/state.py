@@ -115,7 +115,7 @@ class _Shaped(AbstractPressure):
         return self._mix("moment", u)
 
     def breakaway(self, rho: Numbers) -> jax.Array:
-        return _breakaway(jnp.asarray(rho), jnp.asarray(self.skew), jnp.asarray(self.flat))
+        return _breakaway(*map(jnp.asarray, (rho, self.skew, self.flat)))
 
 
 def _holding(u: jax.Array | float, skew: jax.Array, flat: jax.Array) -> jax.Array:
