@@ -19,7 +19,7 @@ from tirefit.diagnosis.summary.result import (
 from tirefit.report import diagnosis_words as words
 from tirefit.report.diagnosis_answer import readings_section, worse_steps
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.page import Rows, Section
+from tirefit.report.page import Section
 
 _SHOWN = (
     "signs read as",
@@ -101,8 +101,8 @@ def _percent(share: float, std: float | None) -> str:
 def _ladder(result: Diagnosis) -> Section:
     ladder, unit, held_out = result.ladder, result.unit, bool(result.settings.holdout)
     on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
-    head = ("model", f"rms left out [{unit}]", "closed", f"held out [{unit}]")
-    table: Rows = [head] if ladder.steps else []
+    head: tuple[str, ...] = ("model", f"rms left out [{unit}]", "closed", f"held out [{unit}]")
+    table = [head] if ladder.steps else []
     for k, step in enumerate(ladder.steps):
         rms, closed = step.rms_held_out, step.closed_held_out
         there = (
