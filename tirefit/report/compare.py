@@ -11,7 +11,7 @@ from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, images_
 from tirefit.report.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
-from tirefit.report.page import Rows, Section, page, report_text, verdict_of
+from tirefit.report.page import Rows, Section, fragment, image_of, page, report_text, verdict_of
 from tirefit.results import UsageError
 
 _NAMED = 6  # largest number of parameters that do not differ and are named
@@ -224,3 +224,13 @@ def comparison_page(result: Comparison) -> str:
     ]
     first, *more = answer(result)
     return page(_title(result), sections, verdict_of(first, more, True), record=result.to_json())
+
+
+def comparison_fragment(result: Comparison) -> str:
+    """The tables, with the figure, for notebooks."""
+    if result.models:
+        return fragment("", sections_of(result))
+    pictures = [image_of(plot_comparison(result), _title(result))] if result.forces else []
+    first, *more = answer(result)
+    sections = [Section("", pictures=pictures), *sections_of(result)]
+    return fragment(_title(result), sections, verdict_of(first, more, True))
