@@ -154,6 +154,14 @@ def test_old_temporary_files_are_removed_and_no_others(tmp_path):
         assert list(tmp_path.iterdir()) == [temporary]
 
 
+def test_the_next_replacement_restores_the_other_files_of_a_killed_one(tmp_path):
+    paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
+    write_texts(dict.fromkeys(paths, "old"))
+    assert killed_at(5, lambda: write_texts(dict.fromkeys(paths, "new")))
+    write_texts(dict.fromkeys([paths[0], paths[2]], "newer"))
+    assert [path.read_text() for path in paths] == ["newer", "old", "newer"]
+
+
 def test_a_replacement_of_a_living_process_is_not_undone(tmp_path, monkeypatch):
     """Another command that begins meanwhile leaves it alone."""
     paths = [tmp_path / name for name in ("a", "b")]
