@@ -22,7 +22,7 @@ from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.inference import deviance, minima
 from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.uncertainty.importance import draw_weighted
-from tirefit.fitting.uncertainty.posterior import _chunk, _density, _start, _whitening
+from tirefit.fitting.uncertainty.posterior import _density, _draw, _Run, _whitening
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 
@@ -101,9 +101,8 @@ def _posterior_holds(solved, z_true, seed: int):
     weighted = draw_weighted(density, center, root, seed, 3000)
     draws = weighted.draws
     if weighted.refused:
-        state = _start(density, len(z_true), 4, 32, seed)
-        *_, state = _chunk(density, state, 200)
-        draws = _chunk(density, state, 400)[0].reshape(-1, len(z_true))
+        samples, *_ = _draw(density, len(z_true), _Run(seed, 32, 10**9, 600, None))
+        draws = samples[:, 200:].reshape(-1, len(z_true))
     below = np.mean(center + draws @ root.T < z_true, axis=0)
     return (below > 0.025) & (below < 0.975)
 
