@@ -29,7 +29,7 @@ from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.diagnosis.summary.closure import shapley
-from tirefit.diagnosis.summary.forecast import decided, separability, size_apart
+from tirefit.diagnosis.summary.forecast import _told_apart, decided, separability, size_apart
 from tirefit.diagnosis.summary.views import _shape, adjusted, regions
 from tirefit.models import MODELS, Brush, TireInputs
 from tirefit.results import UsageError
@@ -326,6 +326,9 @@ def test_separability_is_right_for_known_directions():
     assert separability(first, second) == pytest.approx(0.99766, abs=1e-4)
     for size in (1, -1):  # an amplitude has either sign
         assert separability(first, size * first) == pytest.approx(0.5)
+    # By amplitudes of four prior scales, beside a parameter that neither resembles.
+    block = np.eye(4)[:, 2:3], np.eye(4)[:, :2]
+    assert _told_apart([block], (0, 4.0), (1, 4.0)) == pytest.approx(0.99766, abs=1e-4)
 
 
 @pytest.mark.parametrize(("chance", "distance"), [(0.3, 2.0), (0.7, 2.0), (0.6, 0.5), (0.25, 4.0)])
