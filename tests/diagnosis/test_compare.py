@@ -13,6 +13,7 @@ from tirefit.cli.commands import app
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary import forces
+from tirefit.diagnosis.summary.compare import Number, _apart
 from tirefit.results import DataError, UsageError
 
 TIR = Path(__file__).parents[1] / "data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
@@ -47,6 +48,15 @@ def test_the_difference_of_two_days_is_found_with_its_error(days):
     text = str(found)
     assert text.splitlines()[2].startswith("  mu differs: 0.8991 ± 0.0013 in Monday, 0.7993")
     assert "cpa2 (0.7 errors) does not differ" in text
+
+
+def test_numbers_that_are_tested_together_share_the_level():
+    """A difference of 2.7 errors has a probability of .007: below .01, not below .005."""
+    apart = {name: {"a": Number(x, 0.5**0.5, "")} for name, x in (("one", 0.0), ("two", 2.7))}
+    assert [number.differs for number in _apart(apart, ())] == [True]
+    twice = {name: x | {"b": x["a"]} for name, x in apart.items()}
+    assert [number.differs for number in _apart(twice, ())] == [False, False]
+    assert _apart(apart, ("one",))[0].p is None
 
 
 def test_of_three_days_the_one_apart_is_named(days):

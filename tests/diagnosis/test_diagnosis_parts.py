@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from math import factorial
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import tirefit
 from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
-from tirefit.diagnosis.effects.state import force_of_state, null_state
+from tirefit.diagnosis.effects.state import _breakaway, force_of_state, null_state
 from tirefit.diagnosis.engine.discrepancy import Cell, Component, Wave
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
@@ -65,6 +66,16 @@ def test_the_pressure_shape_agrees_with_the_contact_patch(skew, flat):
     inputs = TireInputs(slip, 0.0, fz, 0.0)
     ours = force_of_state(Brush(), None, state, slip, 0.0, inputs)[0]
     np.testing.assert_allclose(ours, sliding + sticking, rtol=1e-9)
+
+
+@pytest.mark.parametrize("demand", [0.3, 1.1, 9.0])
+def test_the_breakaway_point_has_the_slopes_of_central_differences(demand):
+    at = np.array([demand, 0.2, 0.3])
+    slopes = jax.jacfwd(lambda x: _breakaway(*x))(jnp.asarray(at))
+    for k, step in enumerate(1e-5 * np.eye(3)):
+        ends = (float(_breakaway(*map(jnp.asarray, at + side * step))) for side in (1, -1))
+        assert slopes[k] == pytest.approx(np.subtract(*ends) / 2e-5, abs=1e-5)
+    assert demand < 2 or not np.any(slopes)
 
 
 @pytest.fixture(scope="module")
