@@ -11,7 +11,7 @@ from effect_figures import picture
 
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.models import Brush
-from tirefit.report.diagnosis_words import name_of
+from tirefit.report.diagnosis.words import name_of
 from tirefit.vehicle.car import Car
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.model import Model

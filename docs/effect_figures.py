@@ -19,7 +19,7 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.report.canvas import BLUE, GREEN, GREY, PURPLE, RED
-from tirefit.report.diagnosis_words import name_of
+from tirefit.report.diagnosis.words import name_of
 
 RIG = Rig(
     noise={"fx_relative": 0.005, "fy_relative": 0.005, "sigma_x": 1e-4, "alpha": 1e-4},

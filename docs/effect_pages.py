@@ -4,7 +4,7 @@ import car_figures
 import effect_figures
 
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
-from tirefit.report.diagnosis_words import name_of, needs_text
+from tirefit.report.diagnosis.words import name_of, needs_text
 from tirefit.vehicle.effects import CAR_EFFECTS
 
 FOLDER = "docs/effects"

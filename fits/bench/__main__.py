@@ -490,7 +490,7 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
 
     from tests.sim.brake_peer import PlainABS, QuarterCar, Valves, stop
     from tirefit.models import MODELS
-    from tirefit.online.abs import ConventionalABS
+    from tirefit.online.braking.abs import ConventionalABS
     from tirefit.params import parameter_values, with_values
     from tirefit.sim.brake import draw_noise
     from tirefit.sim.brake_request import Request, arrays, plant_of

@@ -64,7 +64,7 @@ def write(path: Path, rows: list[dict]) -> None:
 def made(road: str, speed: float, tire, limit: float, steer: float = 0.0):
     """Request and controllers by name."""
     from tirefit.models import MODELS
-    from tirefit.online.controllers import controller_of
+    from tirefit.online.braking.controllers import controller_of
     from tirefit.params import with_values
     from tirefit.sim.brake_request import Request, check, known_to_controllers
 

@@ -29,8 +29,8 @@ from fits.braking_stiffness.reference import (
     stiffness,
 )
 from tirefit.models import MODELS
-from tirefit.online.controller import NoController
-from tirefit.online.xbs import Xbs
+from tirefit.online.braking.controller import NoController
+from tirefit.online.braking.xbs import Xbs
 from tirefit.params import with_values
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 from tirefit.sim.brake import Sensors, simulate_stop

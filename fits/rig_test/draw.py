@@ -15,7 +15,7 @@ from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf.result import save_magic_formula
 from tirefit.models import forces
 from tirefit.models.mf import mf_tire
-from tirefit.report.mf_figures import ellipse_curves, force_curves, stacked
+from tirefit.report.fit.mf_figures import ellipse_curves, force_curves, stacked
 
 __all__ = ["chain", "properties"]
 

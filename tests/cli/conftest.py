@@ -125,5 +125,5 @@ def no_figures(monkeypatch):
         (folder / "fit.png").write_text("no picture")
         return [folder / "fit.png"]
 
-    monkeypatch.setattr("tirefit.report.fit_figures.save_figures", figures)
-    monkeypatch.setattr("tirefit.report.mf_figures.save_magic_formula", figures)
+    monkeypatch.setattr("tirefit.report.fit.figures.save_figures", figures)
+    monkeypatch.setattr("tirefit.report.fit.mf_figures.save_magic_formula", figures)

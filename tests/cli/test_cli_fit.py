@@ -58,7 +58,7 @@ def short(tmp_path_factory):
     """A folder with a fit whose chain is too short, and the output of its command."""
     folder = tmp_path_factory.mktemp("short")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tirefit.report.fit_figures.save_figures", lambda *_, **__: [])
+        patch.setattr("tirefit.report.fit.figures.save_figures", lambda *_, **__: [])
         return folder, sampled(folder, FAST + "max_steps = 100\n", 4)
 
 

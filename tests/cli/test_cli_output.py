@@ -63,7 +63,7 @@ def test_a_failed_write_keeps_the_earlier_result(
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr("tirefit.report.fit_figures.save_figures", stopped)
+        patch.setattr("tirefit.report.fit.figures.save_figures", stopped)
         code = 130 if error is KeyboardInterrupt else 2
         result = run(*ARGUMENTS, "--seed", "7", exit_code=code)
     said = "" if code == 130 else "error:\n  x: cannot be written: disk full; o is as"

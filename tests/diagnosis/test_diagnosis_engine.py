@@ -15,7 +15,7 @@ from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
 from tirefit.models import Brush
 from tirefit.params import specs
-from tirefit.report.diagnosis_words import range_text
+from tirefit.report.diagnosis.words import range_text
 from tirefit.results import DataError, UsageError
 
 FEW = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]

@@ -15,7 +15,7 @@ from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.simulator import given_simulator
 from tirefit.models import MODELS, Brush
-from tirefit.report.diagnosis_report import diagnosis_text
+from tirefit.report.diagnosis.report import diagnosis_text
 from tirefit.results import DataError, TirefitError, UsageError
 
 ACROSS = Path(__file__).parents[2] / "fits" / "cmu_wheel" / "grouser_wheel.csv"

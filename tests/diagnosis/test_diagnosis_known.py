@@ -18,8 +18,8 @@ from tirefit.diagnosis.rows.covariates import derived_from
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.slips import AHEAD
-from tirefit.report.diagnosis_report import diagnosis_text
-from tirefit.report.diagnosis_words import needs_text
+from tirefit.report.diagnosis.report import diagnosis_text
+from tirefit.report.diagnosis.words import needs_text
 
 KNOWN = effects_by_id(EFFECTS)
 LIBRARY = tuple(

@@ -21,7 +21,7 @@ from tirefit.diagnosis.rows.runs import shrunk
 from tirefit.diagnosis.rows.slips import AHEAD, slip_rate
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.diagnosis.summary.closure import closure_of, of_so_few_runs, without_each
-from tirefit.report.diagnosis_report import diagnosis_text
+from tirefit.report.diagnosis.report import diagnosis_text
 from tirefit.results import UsageError
 
 KNOWN = effects_by_id(EFFECTS)

@@ -16,7 +16,7 @@ from tirefit.diagnosis.rows.prepared import prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.structure import structures_of
 from tirefit.diagnosis.summary.result import rows_in_file_terms
-from tirefit.report.diagnosis_report import diagnosis_text
+from tirefit.report.diagnosis.report import diagnosis_text
 from tirefit.results import DataError
 
 LOAD, CPA2, MU = 4000.0, 4e4, 0.9

@@ -13,7 +13,7 @@ from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.far_rows import settle
 from tirefit.fitting.solve.inference import half_width_95
 from tirefit.params import constrain
-from tirefit.report.fit_report import fit_report
+from tirefit.report.fit.report import fit_report
 
 ROWS = [11, 120, 121, 240, 313, 399]
 """Of 400: three in two hundred."""

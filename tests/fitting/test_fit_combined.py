@@ -11,7 +11,7 @@ from tirefit.fitting.problem.likelihood import root_deviance, row_moments
 from tirefit.fitting.solve.multistart import with_densities
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
-from tirefit.report.curves import fit_curve
+from tirefit.report.fit.curves import fit_curve
 from tirefit.results import DataError
 
 TRUTH = {"cpa2": 5e4, "mu": 0.9, "stiffness_ratio": 0.6}

@@ -17,7 +17,7 @@ from tirefit.fitting.uncertainty.extremes import _bowl
 from tirefit.fitting.uncertainty.posterior import sample
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.fit_tables import derived_by_run
+from tirefit.report.fit.tables import derived_by_run
 
 
 def derived(model, values, channel="fx"):

@@ -9,8 +9,8 @@ from tirefit.fitting.estimate import fit
 from tirefit.fitting.uncertainty import posterior
 from tirefit.fitting.uncertainty.importance import draw_weighted, smoothed
 from tirefit.fitting.uncertainty.posterior import _density, _whitening, sample
-from tirefit.report.fit_figures import save_figures
-from tirefit.report.fit_report import fit_report
+from tirefit.report.fit.figures import save_figures
+from tirefit.report.fit.report import fit_report
 from tirefit.results import Outcome, UsageError
 
 

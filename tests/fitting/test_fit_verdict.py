@@ -23,7 +23,7 @@ from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.verdict.judge import disagreements, judge
-from tirefit.report.fit_report import fit_report
+from tirefit.report.fit.report import fit_report
 from tirefit.results import DataError, Outcome, UsageError
 
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.solve.inference import deviance, minima
-from tirefit.report.fit_report import fit_report
+from tirefit.report.fit.report import fit_report
 
 LOADS = (1500.0, 3000.0, 4500.0, 6000.0, 7500.0)
 SLIP = np.linspace(-0.2, 0.2, 60)

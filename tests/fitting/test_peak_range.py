@@ -20,7 +20,7 @@ from tirefit.fitting.verdict.family import (
     shape_in_doubt,
     solved_as,
 )
-from tirefit.report.fit_report import fit_report
+from tirefit.report.fit.report import fit_report
 
 HALF = 0.5  # of full sliding, where a brush has 1 - 0.5^3 = 87.5 % of its peak
 

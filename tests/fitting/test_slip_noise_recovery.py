@@ -12,7 +12,7 @@ from tirefit.data.read import read_frame
 from tirefit.fitting.estimate import _noise_record
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.far_rows import settle
-from tirefit.report.fit_tables import noise_text
+from tirefit.report.fit.tables import noise_text
 from tirefit.results import DataError
 
 CPA2, MU, FZ = 3e4, 0.95, 4000.0

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tirefit.online.abs import PHASES, ConventionalABS
-from tirefit.online.controller import Measurement, Truth
-from tirefit.online.controllers import CONTROLLERS, controller_of
+from tirefit.online.braking.abs import PHASES, ConventionalABS
+from tirefit.online.braking.controller import Measurement, Truth
+from tirefit.online.braking.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.results import UsageError
 

@@ -19,8 +19,8 @@ from tirefit.models import TireInputs
 from tirefit.models.brush import AnisotropicBrush, Brush
 from tirefit.models.combined import braking_slope, mu_rate
 from tirefit.online.base import FLAGS, Flag
+from tirefit.online.braking.xbs import Xbs, XbsBraking, rate_in_use, relation, speed_spectrum
 from tirefit.online.run import Stream, run
-from tirefit.online.xbs import Xbs, XbsBraking, rate_in_use, relation, speed_spectrum
 
 SLIDING = 5.0
 """Speed [m/s] about which the wheels turn here."""

@@ -10,9 +10,9 @@ import pytest
 
 from tirefit.models import TireInputs
 from tirefit.models.brush import AnisotropicBrush
-from tirefit.online.controller import Measurement, Truth
-from tirefit.online.controllers import controller_of
-from tirefit.online.xbs_servo import XbsServo, loop_matrix, refuse_unstable
+from tirefit.online.braking.controller import Measurement, Truth
+from tirefit.online.braking.controllers import controller_of
+from tirefit.online.braking.xbs_servo import XbsServo, loop_matrix, refuse_unstable
 from tirefit.results import UsageError
 
 RATE, SCALE = 200.0, 1.2 / 0.3**2

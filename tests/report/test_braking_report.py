@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tirefit.models import MODELS
-from tirefit.online.controllers import controller_of
+from tirefit.online.braking.controllers import controller_of
 from tirefit.params import with_values
 from tirefit.report.braking import braking_text, draw_series, path_of, paths_figure, stop_figure
 from tirefit.sim.brake_request import Request, known_to_controllers, tire_curve

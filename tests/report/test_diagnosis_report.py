@@ -38,8 +38,8 @@ from tirefit.diagnosis.summary.result import (
 from tirefit.diagnosis.summary.views import DataSummary, Region, Shape, compared
 from tirefit.models import MODELS
 from tirefit.report.canvas import alone
-from tirefit.report.diagnosis_answer import answer, change_texts
-from tirefit.report.diagnosis_figures import (
+from tirefit.report.diagnosis.answer import answer, change_texts
+from tirefit.report.diagnosis.figures import (
     after_label,
     budget_bars,
     draw_comparison,
@@ -47,8 +47,8 @@ from tirefit.report.diagnosis_figures import (
     panels_of,
     where_bars,
 )
-from tirefit.report.diagnosis_report import diagnosis_page, diagnosis_text
-from tirefit.report.diagnosis_sections import (
+from tirefit.report.diagnosis.report import diagnosis_page, diagnosis_text
+from tirefit.report.diagnosis.sections import (
     budget_section,
     first_screen,
     gap_line,
@@ -56,7 +56,7 @@ from tirefit.report.diagnosis_sections import (
     stand_in_line,
     step_label,
 )
-from tirefit.report.diagnosis_words import (
+from tirefit.report.diagnosis.words import (
     _NEEDS,
     amount_text,
     listing,

@@ -19,8 +19,8 @@ from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
 from tirefit.fitting.solve.far_rows import FarRow
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
-from tirefit.report.curves import fit_curve
-from tirefit.report.fit_report import fit_page
+from tirefit.report.fit.curves import fit_curve
+from tirefit.report.fit.report import fit_page
 from tirefit.report.many_files import fits_page
 from tirefit.report.numbers import format_estimate, format_interval
 from tirefit.results import InputProblem, Outcome, UsageError

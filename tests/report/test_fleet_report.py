@@ -7,8 +7,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from tirefit.data.records import FileRecord, Row, dates_of, records_into
+from tirefit.report.fit.values import Points, draw_points
 from tirefit.report.many_files import files_of, files_page, points_of, write_fleet_page
-from tirefit.report.values import Points, draw_points
 
 WILD = 17
 

@@ -10,8 +10,8 @@ from tirefit.data.read import read_frame
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
-from tirefit.report.magic_formula import magic_formula_page
-from tirefit.report.mf_figures import (
+from tirefit.report.fit.magic_formula import magic_formula_page
+from tirefit.report.fit.mf_figures import (
     ellipse_curves,
     force_curves,
     residual_curve,

@@ -18,14 +18,14 @@ from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import Spec, with_values
 from tirefit.report import canvas
-from tirefit.report.curves import fit_curve
-from tirefit.report.fit_figures import figure_of, save_figures
-from tirefit.report.fit_report import fit_fragment, fit_report, verdict_line
+from tirefit.report.fit.curves import fit_curve
+from tirefit.report.fit.figures import figure_of, save_figures
+from tirefit.report.fit.posterior import profiles_of
+from tirefit.report.fit.report import fit_fragment, fit_report, verdict_line
+from tirefit.report.fit.residuals import scatters_of
 from tirefit.report.model_tables import models_table
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 from tirefit.report.page import data_fragment
-from tirefit.report.posterior import profiles_of
-from tirefit.report.residuals import scatters_of
 from tirefit.results import InputProblem, Outcome, UsageError
 
 TRUTH = {"cpa2": 5e4, "mu": 1.0, "m": 0.85}

@@ -16,8 +16,8 @@ from tirefit.fitting.result import PosteriorSummary
 from tirefit.fitting.store import record_of_fit
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
-from tirefit.report.fit_figures import figure_of, run_points
-from tirefit.report.fit_report import fit_fragment, fit_report
+from tirefit.report.fit.figures import figure_of, run_points
+from tirefit.report.fit.report import fit_fragment, fit_report
 from tirefit.report.many_files import summary_table
 from tirefit.results import Outcome, UsageError
 

@@ -93,7 +93,7 @@ def interval(car: QuarterCar, valves: Valves, state, valve, d, t, period):
 
 
 class PlainABS:
-    """The table of ``tirefit.online.abs``, with ifs; ``k``: its settings by name."""
+    """The table of ``tirefit.online.braking.abs``, with ifs; ``k``: its settings by name."""
 
     def __init__(self, k, period, speed):
         self.k, self.period = k, period

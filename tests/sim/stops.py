@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tirefit.models import MODELS
-from tirefit.online.abs import ConventionalABS
+from tirefit.online.braking.abs import ConventionalABS
 from tirefit.params import with_values
 from tirefit.sim.brake import Sensors, simulate_stop
 from tirefit.sim.brake_request import Request, arrays, plant_of

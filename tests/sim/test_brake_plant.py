@@ -8,7 +8,7 @@ import pytest
 from stops import RATE, VALUES, check_energy, check_locked_distance, smooth, stopped
 
 from tirefit.models import MODELS, TireInputs, forces
-from tirefit.online.abs import ConventionalABS
+from tirefit.online.braking.abs import ConventionalABS
 from tirefit.params import with_values
 from tirefit.sim.brake import contacts, rolling, xbs_true
 from tirefit.sim.brake_request import plant_of

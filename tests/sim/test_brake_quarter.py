@@ -10,7 +10,7 @@ from brake_peer import PlainABS, QuarterCar, Valves, stop
 from stops import OFF, RATE, SAMPLES, VALUES, check_energy, check_locked_distance, smooth, stopped
 
 from tirefit.models import MODELS
-from tirefit.online.abs import ConventionalABS
+from tirefit.online.braking.abs import ConventionalABS
 from tirefit.params import parameter_values, with_values
 from tirefit.sim.brake import Sensors, draw_noise, simulate_stop
 from tirefit.sim.brake_request import Request, arrays, plant_of

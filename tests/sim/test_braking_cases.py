@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from fits.braking.__main__ import BRUSH, CASES, CONTROLLERS, SEEDS, STEER, made, numbers
-from tirefit.online.controllers import CONTROLLERS as KNOWN
+from tirefit.online.braking.controllers import CONTROLLERS as KNOWN
 
 
 def test_differences_are_computed_per_seed():

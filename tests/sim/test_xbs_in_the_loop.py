@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from tirefit.models import MODELS
-from tirefit.online.abs import ConventionalABS
-from tirefit.online.controllers import controller_of
-from tirefit.online.xbs import Xbs
+from tirefit.online.braking.abs import ConventionalABS
+from tirefit.online.braking.controllers import controller_of
+from tirefit.online.braking.xbs import Xbs
 from tirefit.params import with_values
 from tirefit.sim.brake import Sensors, simulate_stop
 from tirefit.sim.brake_request import Request, arrays, known_to_controllers, plant_of

@@ -175,10 +175,10 @@ class FitResult(Record):
     the unconstrained space.
     """
 
-    html_by: ClassVar[str] = "tirefit.report.fit_report:fit_fragment"
-    text_by: ClassVar[str] = "tirefit.report.fit_report:fit_report"
-    plot_by: ClassVar[str] = "tirefit.report.fit_figures:plot_fit"
-    page_by: ClassVar[str] = "tirefit.report.fit_report:fit_page"
+    html_by: ClassVar[str] = "tirefit.report.fit.report:fit_fragment"
+    text_by: ClassVar[str] = "tirefit.report.fit.report:fit_report"
+    plot_by: ClassVar[str] = "tirefit.report.fit.figures:plot_fit"
+    page_by: ClassVar[str] = "tirefit.report.fit.report:fit_page"
     save_by: ClassVar[str] = "tirefit.fitting.store:save_fit"
 
     model: str

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from tirefit.online.base import AbstractEstimator
+from tirefit.online.braking.xbs import Xbs, XbsBraking
 from tirefit.online.cubic import Cubic
 from tirefit.online.ekf import Ekf
 from tirefit.online.force_filter import ForceFilter
@@ -12,7 +13,6 @@ from tirefit.online.position import Position
 from tirefit.online.rls import Mit, Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
-from tirefit.online.xbs import Xbs, XbsBraking
 from tirefit.params import check_values, specs, with_values
 
 METHODS: dict[str, type[AbstractEstimator]] = {

@@ -8,8 +8,8 @@ import numpy as np
 from tirefit.diagnosis.summary.compare import Apart, Comparison
 from tirefit.diagnosis.summary.forces import ForceCurve, ForceDifference
 from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, images_of, together
-from tirefit.report.curves import FORCE_LABEL, slip_axis
-from tirefit.report.fit_tables import FORCE_UNIT
+from tirefit.report.fit.curves import FORCE_LABEL, slip_axis
+from tirefit.report.fit.tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.page import Rows, Section, fragment, image_of, page, report_text, verdict_of
 from tirefit.results import UsageError

@@ -19,9 +19,9 @@ from tirefit.fitting.store import record_of_fit
 from tirefit.fitting.uncertainty.derived import quantity_of
 from tirefit.fitting.verdict.across_files import AcrossFiles, across_files
 from tirefit.report.canvas import images_of
+from tirefit.report.fit.values import Points, points_panel
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Rows, Section, page, table_parts, verdict_of
-from tirefit.report.values import Points, points_panel
 from tirefit.results import Outcome, UsageError
 
 _KINDS = ("parameter", "effect", "gap", "derived", "statistic")

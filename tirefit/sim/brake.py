@@ -14,7 +14,7 @@ of order five. At low speed its steps become shorter, as the slip is stiff with
 :math:`C_x R^2/(J v)` (bounded by :data:`tirefit.sim.brake_vehicle.LOW_SPEED`).
 
 A controller is a record with ``rate``, ``init`` and ``step``
-(:mod:`tirefit.online.controller`). A stop is one scan; many are run by ``vmap`` over it.
+(:mod:`tirefit.online.braking.controller`). A stop is one scan; many are run by ``vmap`` over it.
 """
 
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tirefit.arrays import Number, Numbers, Scalar
-from tirefit.online.controller import AbstractController, Measurement, Truth
+from tirefit.online.braking.controller import AbstractController, Measurement, Truth
 from tirefit.sim.brake_vehicle import Hydraulics, Road, RoadTire, Slips, Vehicle, wheel_slips
 from tirefit.sim.drive import pushed
 

@@ -16,8 +16,8 @@ from tirefit import __version__
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import given_tire
 from tirefit.fitting.tir import remarks
-from tirefit.online.controller import AbstractController
-from tirefit.online.controllers import CONTROLLERS, controller_of
+from tirefit.online.braking.controller import AbstractController
+from tirefit.online.braking.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.precision import require_x64
 from tirefit.sim.brake import Plant, Sensors, simulate_stop

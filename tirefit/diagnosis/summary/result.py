@@ -269,10 +269,10 @@ class Diagnosis(Record):
     of a figure; ``library`` holds the searched effects, including a user's own.
     """
 
-    text_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_text"
-    html_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_fragment"
-    page_by: ClassVar[str] = "tirefit.report.diagnosis_report:diagnosis_page"
-    plot_by: ClassVar[str] = "tirefit.report.diagnosis_figures:plot_diagnosis"
+    text_by: ClassVar[str] = "tirefit.report.diagnosis.report:diagnosis_text"
+    html_by: ClassVar[str] = "tirefit.report.diagnosis.report:diagnosis_fragment"
+    page_by: ClassVar[str] = "tirefit.report.diagnosis.report:diagnosis_page"
+    plot_by: ClassVar[str] = "tirefit.report.diagnosis.figures:plot_diagnosis"
 
     data: DataSummary
     model: str

@@ -69,9 +69,9 @@ class MagicFormulaFit(Record):
     """A Magic Formula fitted to measured rows; mappings are by force unless noted.
     ``binned`` holds the rows by setting and slip, for figures of a fresh fit."""
 
-    text_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_report"
-    plot_by: ClassVar[str] = "tirefit.report.mf_figures:plot_magic_formula"
-    page_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_page"
+    text_by: ClassVar[str] = "tirefit.report.fit.magic_formula:magic_formula_report"
+    plot_by: ClassVar[str] = "tirefit.report.fit.mf_figures:plot_magic_formula"
+    page_by: ClassVar[str] = "tirefit.report.fit.magic_formula:magic_formula_page"
     save_by: ClassVar[str] = "tirefit.fitting.mf.result:save_magic_formula"
 
     model: str

@@ -21,7 +21,7 @@ PAGE = "fit.html"
 
 def fit_files(directory: Path) -> list[Path]:
     """Every file that a fit may write or replace in its folder."""
-    from tirefit.report.fit_figures import FIGURE_FILES
+    from tirefit.report.fit.figures import FIGURE_FILES
 
     names = ("fit.json", "posterior.nc", *FIGURE_FILES, PAGE)
     return [directory / name for name in names]
@@ -117,7 +117,7 @@ def fit_into(
 
 def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:
     """Write the result, its figures and its page; returns the names of the files."""
-    from tirefit.report.fit_figures import save_figures
+    from tirefit.report.fit.figures import save_figures
 
     known = [path.name for path in fit_files(directory)]
     draw, page = partial(save_figures, result), PAGE if also.html else ""

@@ -5,8 +5,8 @@ from math import isnan, log, sqrt
 from tirefit.fitting.mf.parts import PARTS
 from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
-from tirefit.report.fit_report import EXPLORE, assumption_lines
-from tirefit.report.fit_tables import FORCE_UNIT, fit_files
+from tirefit.report.fit.report import EXPLORE, assumption_lines
+from tirefit.report.fit.tables import FORCE_UNIT, fit_files
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, named_lines, page, report_text, verdict_of
 from tirefit.results import Outcome
@@ -34,7 +34,7 @@ def magic_formula_report(fit: MagicFormulaFit, full: bool = False) -> str:
 
 def magic_formula_page(fit: MagicFormulaFit) -> str:
     """The fit as one self-contained HTML page: verdict, figures, tables, data and record."""
-    from tirefit.report.mf_figures import page_pictures, title_of  # Matplotlib
+    from tirefit.report.fit.mf_figures import page_pictures, title_of  # Matplotlib
 
     sections = [
         Section("", [EXPLORE], pictures=page_pictures(fit)),

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.online.abs import ConventionalABS
-from tirefit.online.controller import AbstractController, Measurement, NoController
-from tirefit.online.xbs_servo import XbsServo
+from tirefit.online.braking.abs import ConventionalABS
+from tirefit.online.braking.controller import AbstractController, Measurement, NoController
+from tirefit.online.braking.xbs_servo import XbsServo
 from tirefit.params import par
 from tirefit.results import UsageError
 

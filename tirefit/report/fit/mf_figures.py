@@ -12,9 +12,9 @@ from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.predict import predict
 from tirefit.models import TireInputs
 from tirefit.report.canvas import Picture, images_of, save_pictures, together
-from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, even
-from tirefit.report.fit_figures import curve_panel, draw_fit
-from tirefit.report.fit_tables import fit_files
+from tirefit.report.fit.curves import FORCE_LABEL, Curve, FitCurve, Group, even
+from tirefit.report.fit.figures import curve_panel, draw_fit
+from tirefit.report.fit.tables import fit_files
 from tirefit.results import UsageError
 
 MAGIC_FORMULA_FILES = tuple(f"{name}.png" for name in ("fit", *FORCE_LABEL, "residuals", "ellipse"))

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit import __version__
+from tirefit.cli.commands.magic_formula import CombinationOption
 from tirefit.cli.fleet import Piece, Sharing, run_pieces, worst_of
-from tirefit.cli.magic_formula import CombinationOption
 from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,

@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import typer
 
-from tirefit.cli.fit_one import PAGE
+from tirefit.cli.commands.fit_one import PAGE
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -57,7 +57,7 @@ def explore(
 
 def _link(page: Path, tires: list[str], to: str) -> None:
     """Link the page of a fit to a page with sliders of this fit in its folder."""
-    from tirefit.report.fit_report import EXPLORE
+    from tirefit.report.fit.report import EXPLORE
 
     paths_of_fit = {page.parent.resolve(), page.with_suffix(".json").resolve()}
     if is_page(page) and not paths_of_fit.isdisjoint(Path(tire).resolve() for tire in tires):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tirefit.fitting.result import SCHEMA, FitResult
-from tirefit.report.fit_tables import (
+from tirefit.report.fit.tables import (
     FORCE_UNIT,
     chain_rows,
     correlation_lines,
@@ -169,7 +169,7 @@ def fit_report(result: FitResult, full: bool = False) -> str:
 
 def fit_page(result: FitResult) -> str:
     """The whole fit as one HTML document with its pictures, no script or resource."""
-    from tirefit.report.fit_figures import page_pictures  # Matplotlib
+    from tirefit.report.fit.figures import page_pictures  # Matplotlib
 
     pictures = page_pictures(result)
     data = _data(result, full=True)
@@ -196,7 +196,7 @@ def _verdict(result: FitResult) -> dict[str, Any]:
 
 def fit_fragment(result: FitResult) -> str:
     """Parameters, verdict and the fitted curve; no script, no external resource."""
-    from tirefit.report.fit_figures import figure_of  # Matplotlib, for a fit with its data
+    from tirefit.report.fit.figures import figure_of  # Matplotlib, for a fit with its data
 
     picture = figure_of(result, "fit")
     picture.set_dpi(90)

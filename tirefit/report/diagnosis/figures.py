@@ -13,7 +13,6 @@ from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis
 from tirefit.diagnosis.summary.views import SIGNIFICANT, Comparison
 from tirefit.params import check_names
-from tirefit.report import diagnosis_words as words
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -31,9 +30,9 @@ from tirefit.report.canvas import (
     tidy,
     together,
 )
-from tirefit.report.curves import slip_axis
-from tirefit.report.diagnosis_answer import answer
-from tirefit.report.diagnosis_sections import (
+from tirefit.report.diagnosis import words
+from tirefit.report.diagnosis.answer import answer
+from tirefit.report.diagnosis.sections import (
     foot_line,
     in_order,
     part_name,
@@ -41,6 +40,7 @@ from tirefit.report.diagnosis_sections import (
     subject,
     whole_error,
 )
+from tirefit.report.fit.curves import slip_axis
 from tirefit.report.numbers import format_number
 
 _SIZE = (WIDE, 3.5)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
+from tirefit.cli.commands.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
+from tirefit.cli.commands.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
-from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.options import (
     DataOptions,
     File,

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
-from tirefit.cli.fit_one import fit_files, fit_into
-from tirefit.cli.magic_formula import (
+from tirefit.cli.commands.fit_one import fit_files, fit_into
+from tirefit.cli.commands.magic_formula import (
     MAGIC_FORMULA_NAMES,
     CombinationOption,
     convert_whole,

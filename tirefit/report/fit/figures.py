@@ -30,12 +30,12 @@ from tirefit.report.canvas import (
     tidy,
     together,
 )
-from tirefit.report.curves import FitCurve, fit_curve
-from tirefit.report.fit_report import verdict_line
-from tirefit.report.fit_tables import fit_files, short_run
-from tirefit.report.posterior import corner_panels, has_trace, profile_panels, trace_panels
-from tirefit.report.residuals import residual_panels
-from tirefit.report.values import Points, points_panel
+from tirefit.report.fit.curves import FitCurve, fit_curve
+from tirefit.report.fit.posterior import corner_panels, has_trace, profile_panels, trace_panels
+from tirefit.report.fit.report import verdict_line
+from tirefit.report.fit.residuals import residual_panels
+from tirefit.report.fit.tables import fit_files, short_run
+from tirefit.report.fit.values import Points, points_panel
 from tirefit.results import UsageError
 
 _LIGHT, _DENSE = 0.14, 0.40

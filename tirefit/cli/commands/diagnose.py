@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tirefit.cli.commands.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
-from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,

@@ -16,8 +16,8 @@ from tirefit.diagnosis.summary.result import (
     Readings,
     Shrinkage,
 )
-from tirefit.report import diagnosis_words as words
-from tirefit.report.diagnosis_answer import readings_section, worse_steps
+from tirefit.report.diagnosis import words
+from tirefit.report.diagnosis.answer import readings_section, worse_steps
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section
 

@@ -17,7 +17,7 @@ from tirefit.fitting.uncertainty.marginals import (
     near_level,
 )
 from tirefit.report.canvas import BLUE, COLORS, DARK, ORANGE, RED, WIDE, Panel, tidy
-from tirefit.report.fit_tables import short_label, short_run, value_text
+from tirefit.report.fit.tables import short_label, short_run, value_text
 from tirefit.report.numbers import plain_text
 from tirefit.results import UsageError
 

@@ -3,7 +3,7 @@ r"""A brake control by extended braking stiffness, O sections 3.1 and 3.2.
 It has three layers, each with a few numbers per wheel (O Figure 7):
 
 * **stiffness to deceleration**: the target of the extended braking stiffness
-  :math:`\hat k` (:mod:`tirefit.online.xbs`) is :math:`k_0` of O(22), that of a given share
+  :math:`\hat k` (:mod:`tirefit.online.braking.xbs`) is :math:`k_0` of O(22), that of a given share
   :math:`\gamma` of the friction, whatever the friction is. The target deceleration of the wheel is
   that of the vehicle plus ``pull`` times :math:`e = (\hat k - k_0)/k_0`, so that its slip velocity
   grows while there is a margin; for negative e, plus ``release`` times e, so that it shrinks;
@@ -36,8 +36,8 @@ from jaxtyping import Array, Bool, Float, Int
 from tirefit.arrays import Number
 from tirefit.models.combined import braking_slope
 from tirefit.online.base import Flag, code
-from tirefit.online.controller import AbstractController, Measurement
-from tirefit.online.xbs import Xbs, XbsState
+from tirefit.online.braking.controller import AbstractController, Measurement
+from tirefit.online.braking.xbs import Xbs, XbsState
 from tirefit.params import par
 from tirefit.results import UsageError
 

@@ -11,7 +11,7 @@ from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.closure import PARAMETERS
 from tirefit.diagnosis.summary.readings import SLOPE
 from tirefit.diagnosis.summary.result import Diagnosis, Estimate, Readings
-from tirefit.report import diagnosis_words as words
+from tirefit.report.diagnosis import words
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section
 

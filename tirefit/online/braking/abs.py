@@ -32,7 +32,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from tirefit.arrays import Number
-from tirefit.online.controller import DECREASE, HOLD, INCREASE, AbstractController, Measurement
+from tirefit.online.braking.controller import (
+    DECREASE,
+    HOLD,
+    INCREASE,
+    AbstractController,
+    Measurement,
+)
 from tirefit.params import par
 
 PHASES = ("build", "hold", "dump", "wait", "step")

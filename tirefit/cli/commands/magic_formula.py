@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli.fit_one import PAGE, Also, fit_files
+from tirefit.cli.commands.fit_one import PAGE, Also, fit_files
 from tirefit.cli.notes import warn
 from tirefit.cli.options import complain, progress_bar, refuse, say, start_jax
 from tirefit.cli.output import check_results, claimed, write_result
@@ -125,7 +125,7 @@ _ADVICE = "give starting values in fit.toml or fix a parameter"
 
 def _files(out: Path) -> list[Path]:
     """Every file that a fit of a whole Magic Formula may write or replace."""
-    from tirefit.report.mf_figures import MAGIC_FORMULA_FILES
+    from tirefit.report.fit.mf_figures import MAGIC_FORMULA_FILES
 
     return [*fit_files(out), *(out / name for name in ("fit.tir", *MAGIC_FORMULA_FILES))]
 
@@ -134,7 +134,7 @@ def _write(
     result: "MagicFormulaFit", out: Path, also: Also | None = None, advice: str = _ADVICE
 ) -> None:
     """Print the result and write it into the claimed folder; ``also``: figures."""
-    from tirefit.report.mf_figures import save_magic_formula
+    from tirefit.report.fit.mf_figures import save_magic_formula
 
     def draw(folder: Path) -> None:
         if also is not None:

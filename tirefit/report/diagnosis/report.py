@@ -11,9 +11,9 @@ from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report import diagnosis_words as words
-from tirefit.report.diagnosis_answer import answer
-from tirefit.report.diagnosis_sections import (
+from tirefit.report.diagnosis import words
+from tirefit.report.diagnosis.answer import answer
+from tirefit.report.diagnosis.sections import (
     both_described,
     first_screen,
     foot_line,
@@ -52,7 +52,7 @@ def diagnosis_page(result: Diagnosis) -> str:
     """The whole diagnosis as one HTML document, without script or external files: the answer,
     the figures, the tables, the settings."""
     from tirefit.report.canvas import images_of  # Matplotlib
-    from tirefit.report.diagnosis_figures import panels_of
+    from tirefit.report.diagnosis.figures import panels_of
 
     # The tables have the budget.
     panels = [panel for name, panel in panels_of(result).items() if not name.startswith("budget")]
@@ -67,7 +67,7 @@ def diagnosis_page(result: Diagnosis) -> str:
 
 def diagnosis_fragment(result: Diagnosis) -> str:
     """The answer, the first screen and the figure for a notebook."""
-    from tirefit.report.diagnosis_figures import diagnosis_figure, panels_of  # Matplotlib
+    from tirefit.report.diagnosis.figures import diagnosis_figure, panels_of  # Matplotlib
 
     picture = diagnosis_figure(result)
     picture.set_dpi(90)

@@ -51,7 +51,7 @@ class LazyCommand(TyperCommand):
     def loaded(self) -> Any:
         """The command itself, or the group of commands."""
         assert self.name is not None
-        module = import_module(f"tirefit.cli.{_MODULES.get(self.name, self.name)}")
+        module = import_module(f"tirefit.cli.commands.{_MODULES.get(self.name, self.name)}")
         command = getattr(module, self.name)
         if not isinstance(command, typer.Typer):
             from tirefit.cli.options import errors_to_exit  # imported with the command

@@ -10,7 +10,7 @@ from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.verdict.residuals import means_over, standardised
 from tirefit.report.canvas import BLUE, DARK, ORANGE, Panel, dots, drawn, tidy
-from tirefit.report.curves import slip_axis
+from tirefit.report.fit.curves import slip_axis
 
 _LABEL = {
     "fz": ("load $F_z$", "N"),

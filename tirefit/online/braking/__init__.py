@@ -1,0 +1,1 @@
+"""Controllers of the brakes: ABS, and XBS of the sources."""

@@ -1,0 +1,1 @@
+"""Texts and figures of a fit."""
