@@ -4,6 +4,8 @@ The sections of a file are subclasses of :class:`Section`. Neither ``"0.9"`` nor
 ``true`` is a number. The error lists all problems of a file, each with the file and key.
 """
 
+import copy
+import itertools
 import json
 import re
 from collections.abc import Iterable
@@ -62,15 +64,36 @@ def parse_settings(kind: type[S], content: dict[str, Any], source: str) -> S:
         source: name of the file, for messages.
 
     Raises:
-        UsageError: unknown or missing keys, wrong types or values; contradictions within the
-            sections whose keys are right. It lists all of them.
+        UsageError: unknown or missing keys, wrong types or values, contradictions; it
+            lists all of them.
     """
     try:
         return kind.model_validate(content)
     except ValidationError as error:
         details = error.errors()
-    problems = [problem for detail in details for problem in _problems(kind, detail)]
-    raise UsageError([replace(problem, file=source) for problem in problems])
+    # Contradictions are checked only if all keys of a section are right: remove the wrong
+    # keys and check again.
+    seen = [detail["loc"] for detail in details if detail["type"] == "value_error"]
+    content = copy.deepcopy(content)
+    for detail in details:
+        # A list is removed as a whole.
+        path = [*itertools.takewhile(lambda part: isinstance(part, str), detail["loc"])]
+        place: Any = content
+        for part in path[:-1]:
+            place = place.get(part) if isinstance(place, dict) else None
+        if path and isinstance(place, dict) and detail["type"] != "value_error":
+            place.pop(path[-1], None)
+    try:
+        kind.model_validate(content)
+    except ValidationError as error:
+        details += [
+            detail
+            for detail in error.errors()
+            if detail["type"] == "value_error" and detail["loc"] not in seen
+        ]
+    raise UsageError(
+        [replace(problem, file=source) for detail in details for problem in _problems(kind, detail)]
+    )
 
 
 def _section_at(kind: type[Section], path: tuple[str, ...]) -> type[Section]:

@@ -121,7 +121,13 @@ CONTRADICTIONS = {
             "modle": "brush",
             **of_mu(tied="D", lower=1, value="0.9"),
         },
-        ["noise.loss = ", "parameters.mu.value = ", "unknown key 'modle'"],
+        [
+            "noise.loss = ",
+            "parameters.mu.value = ",
+            "unknown key 'modle'",
+            "noise: fx contradicts",
+            "parameters.mu: lower contradicts tied",
+        ],
     ),
 }
 
