@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, table
+from recipes import FZ, STD, TRUTH, brush_force, curve, table
 
 from tirefit.door import sealed
 from tirefit.fitting.estimate import fit
@@ -185,23 +185,15 @@ def test_unknown_run_is_refused(joint):
     assert "it knows dry, wet" in str(caught.value)
 
 
-def test_a_fit_with_other_bounds_survives_storing(tmp_path):
-    found = fit(curve(seed=40), config=GIVEN | {"parameters": {"cpa2": {"upper": 1e6}}})
-    found.save(tmp_path)
+def test_a_tied_fit_with_other_bounds_survives_storing(tmp_path):
+    """A tire whose ratio of kinetic to static friction depends on its friction."""
+    parameters = {"m": {"tied": "mu", "factor": 0.8}, "cpa2": {"upper": 1e6}}
+    data = curve(TRUTH | {"m": 0.8}, seed=40)
+    tied = fit(data, "brush-m", config={"noise": {"fx": STD}, "parameters": parameters})
+    tied.save(tmp_path)
     stored = predict(load_fit(tmp_path / "fit.json"), NEW)
-    for name, values in predict(found, NEW).items():
+    for name, values in predict(tied, NEW).items():
         np.testing.assert_allclose(stored[name], values, rtol=1e-12)
-
-
-def test_a_fit_with_ties_of_an_earlier_version_is_refused(given, tmp_path):
-    given.save(tmp_path)
-    path = tmp_path / "fit.json"
-    content = json.loads(path.read_text())
-    tie = {"name": "m", "other": "mu", "factor": 0.8}
-    content["prediction"]["layout"]["ties"] = [tie]
-    path.write_text(json.dumps(sealed(content)))
-    with pytest.raises(DataError, match="ties"):
-        load_fit(path)
 
 
 @pytest.mark.parametrize(
