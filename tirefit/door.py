@@ -19,7 +19,7 @@ from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 MIB = 2**20
 SETTINGS, TIRE, RECORD, DATA = (1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB)
-"""Largest sizes: settings, ``.tir``, JSON, stored chains, data (also when unpacked)."""
+"""Largest sizes: settings, ``.tir``, JSON, data (also when unpacked)."""
 
 COLUMNS = 20_000
 """Most columns of a table; recordings of whole cars have some thousands."""

@@ -112,7 +112,7 @@ _REMEDIES = {
     "dict_type": "give it keys of its own",
     "float_type": "write a number, without quotes",
     "int_type": "write a whole number, without quotes",
-    "string_type": "write it in quotes",
+    "string_type": "write a text in quotes",
 }
 """Type of pydantic's error -> remedy."""
 

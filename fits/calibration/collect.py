@@ -24,6 +24,7 @@ def _findings(path: Path, without: Sequence[str], sim: bool) -> dict:
     import tirefit
     from tirefit.diagnosis import diagnose
     from tirefit.diagnosis.effects import NOISE_EFFECTS
+    from tirefit.diagnosis.summary import case as verdicts
 
     kept: list = []
 
@@ -35,8 +36,8 @@ def _findings(path: Path, without: Sequence[str], sim: bool) -> dict:
         kept.append(case)
         raise _Stopped
 
-    findings_of = diagnose.findings_of
-    with patch.object(diagnose, "findings_of", keep), patch.object(diagnose, "document_of", stop):
+    findings_of = verdicts.findings_of
+    with patch.object(verdicts, "findings_of", keep), patch.object(diagnose, "document_of", stop):
         try:
             tirefit.diagnose(
                 tirefit.read(str(path)),

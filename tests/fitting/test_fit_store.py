@@ -185,19 +185,11 @@ def test_unknown_run_is_refused(joint):
     assert "it knows dry, wet" in str(caught.value)
 
 
-@pytest.fixture(scope="module")
-def tied():
+def test_a_tied_fit_with_other_bounds_survives_storing(tmp_path):
     """A tire whose ratio of kinetic to static friction depends on its friction."""
+    parameters = {"m": {"tied": "mu", "factor": 0.8}, "cpa2": {"upper": 1e6}}
     data = curve(TRUTH | {"m": 0.8}, seed=40)
-    config = {
-        "noise": {"fx": STD},
-        "solver": "gauss-newton",
-        "parameters": {"m": {"tied": "mu", "factor": 0.8}, "cpa2": {"upper": 1e6}},
-    }
-    return fit(data, "brush-m", config=config)
-
-
-def test_a_tied_fit_with_other_bounds_survives_storing(tied, tmp_path):
+    tied = fit(data, "brush-m", config={"noise": {"fx": STD}, "parameters": parameters})
     tied.save(tmp_path)
     stored = predict(load_fit(tmp_path / "fit.json"), NEW)
     for name, values in predict(tied, NEW).items():

@@ -64,7 +64,7 @@ def peak_share(tire: LuGre, theta: float, v: Scalar) -> Number:
     """Largest steady force over the load [-] of S(18) with theta g, at a speed [m/s].
 
     Args:
-        tire: with theta ones; theta: factor of g.
+        tire: with theta = 1; theta: factor of g.
     """
     ones = jnp.ones(len(_SLIPS))
     at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=ones, v=v * ones)

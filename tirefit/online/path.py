@@ -45,7 +45,7 @@ def bicycle(
 
     Args:
         c_f, c_r: positive cornering stiffness of the axles [N/rad]: 2 |C_f| of S(22),
-            where C is negative and that of ones tire.
+            where C is negative and that of one tire.
         l_f, l_r: a and b of S(22) [m]; u: speed [m/s].
 
     Returns:

@@ -113,8 +113,7 @@ def guarded_step(
     events = flag_of((usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (broken, Flag.RESET))
     counted = jnp.where(usable, dt, 0.0)
     scatter, estimate = reported(estimator, state.scatter, estimate, counted, alarm | broken)
-    # The mean interval between samples, without lost samples.
-    # Weight of a new interval in the mean interval.
+    # The mean interval between samples, without lost samples; a new one has a weight of 0.1.
     learned = jnp.where(known, state.interval + 0.1 * (dt - state.interval), dt)
     after = kept._replace(
         scatter=scatter,

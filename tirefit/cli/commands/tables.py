@@ -209,7 +209,7 @@ def _write(
     write_texts({out: text})
     for row in table.first_masked():
         complain(f"warning: excluded, no force: {row}")
-    signs = f"({convention}), {table.source.convention_from}"
+    signs = f"({convention}, {table.source.convention_from})"
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
 

@@ -162,7 +162,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
         if name not in coefficients and (name not in given or asked.value is None):
             remedy = f"its coefficients are {', '.join(coefficients)}"
             faults.append((f"parameters.{name}: {model} does not fit it", remedy))
-        wrong = [key for key in ("lower", "upper", "per_run") if getattr(asked, key)]
+        wrong = [key for key in ("lower", "upper", "tied", "per_run") if getattr(asked, key)]
         if asked.value is not None and asked.free and asked.prior is None:
             wrong.append("value with free")
         if wrong:
@@ -171,6 +171,8 @@ def _check_settings(model: str, config: FitConfig) -> None:
     if brush := {"force", "solver", "starts", "posterior"} & config.model_fields_set:
         reason = f"{', '.join(sorted(brush))} in a Magic Formula"
         faults.append((reason, "leave it out: a Magic Formula is fitted in fixed stages"))
+    if config.noise.loss not in ("squares", FitConfig().noise.loss):
+        faults.append((f"noise.loss = {config.noise.loss!r} in a Magic Formula", "leave it out"))
     UsageError.raise_for([InputProblem(*fault, config.source) for fault in faults])
 
 
