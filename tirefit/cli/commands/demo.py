@@ -25,7 +25,7 @@ def demo(
         _check_unchanged(shipped, samples)
         shutil.copytree(shipped, samples, dirs_exist_ok=True)
     say(
-        "A car of scale 1:10 drove circles on sample day and freely on another.\n"
+        "A car of scale 1:10 drove circles on one day and freely on another.\n"
         "First a brush model is fitted to the circles.\n"
     )
     circles, driving = samples / "circles.csv", samples / "free_driving.csv"
