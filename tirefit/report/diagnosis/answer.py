@@ -217,13 +217,13 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         if rms != of_it:
             parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
     else:
-        why = "So this model"
+        why = "so the answer describes both the rows and the simulator by this model"
         if both.gain <= both.gain_std:
-            why = "Neither is better; this model, without a stand-in for the simulator,"
+            why = "neither is better, and this model needs no stand-in for the simulator"
         parts += [
-            f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}.",
-            f"{why} describes both, and the answer compares them.",
             *_differences(result, both),
+            f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}:"
+            f" {why}.",
         ]
     return " ".join(parts)
 
@@ -277,7 +277,9 @@ def readings_section(both: Readings, unit: str) -> Section:
     lines = []
     if any(sides):
         lines += ["in brackets: probability of an effect to be the cause"]
-        lines += [f"parameters: of the {both.model} alone that is nearest to it with its effects"]
+        lines += [
+            f"parameters: of the {both.model} without effects whose forces are nearest to these"
+        ]
     for feature in both.structure:
         lines += [f"{words.channel_name(feature.channel)} of the simulator: {feature.means}"]
         lines += [f"    to do: {feature.remedy}"]
