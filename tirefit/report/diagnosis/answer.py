@@ -145,9 +145,11 @@ def change_texts(result: Diagnosis) -> list[str]:
         if min(change.simulated, change.measured) > 0:
             ratio = change.simulated / change.measured
             error = ratio * change.std / change.measured
-            # A simulator that is known by its forces has none of the scaling factors.
+            # A simulator that is known by its forces has none of the scaling factors; those of the
+            # axles of a car are of this diagnosis.
             is_columns = result.simulator is not None and result.simulator.kind == "columns"
-            todo = _set_text(name, change.measured, is_columns and name.startswith(("LM", "LK")))
+            scaling = ("front.", "rear.", *(("LM", "LK") if is_columns else ()))
+            todo = _set_text(name, change.measured, name.startswith(scaling))
             texts.append(_ratio_text(name, meaning, ratio, error, todo, used))
         else:
             side = f"{'high' if off > 0 else 'low'} ({_set_text(name, change.measured)})"
