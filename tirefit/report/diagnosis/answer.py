@@ -58,10 +58,9 @@ def _how_much(result: Diagnosis) -> Iterator[str]:
         noise = result.noise.forces.get(result.data.channels[0])
         beside = f" beside {format_number(noise, 2)} {unit} of noise" if noise else ""
         yield f"The gap is small: {before} {unit} (rms){beside}."
-    steps = [(s.effects, s.rms_held_out) for s in result.ladder.steps if s.rms_held_out is not None]
-    plain = next((rms for effects, rms in steps if not effects), np.inf)
-    if steps and steps[-1][1] > plain:
-        old, new = (format_number(x, 3) for x in (plain, steps[-1][1]))
+    plain, with_effects = _on_held_out(result)
+    if with_effects and with_effects[-1] > plain:
+        old, new = (format_number(x, 3) for x in (plain, with_effects[-1]))
         yield (
             f"On the files held out it does not help ({old} to {new} {unit} rms): the"
             " answer is of the diagnosed files alone."
@@ -101,12 +100,22 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
     return f"The gap comes{part} from {'; then from '.join(parts)}{beside}.{like}"
 
 
+def _on_held_out(result: Diagnosis) -> tuple[float, list[float]]:
+    """The rms on held-out files without effects, and of each later step of the ladder."""
+    steps = [(s.effects, s.rms_held_out) for s in result.ladder.steps if s.rms_held_out is not None]
+    place = next((k for k, (effects, _) in enumerate(steps) if not effects), len(steps))
+    return next((rms for _, rms in steps[place:]), np.inf), [rms for _, rms in steps[place + 1 :]]
+
+
 def carried(result: Diagnosis, effects: Sequence[str], shares: Mapping[str, float]) -> list[str]:
     """The effects, the largest share of the error first, without those that predict held-out
-    files worse, unless all of them do."""
+    files worse, unless no step predicts them better than the model without effects."""
     steps = result.ladder.steps
     added = [{*steps[k].effects} - {*steps[k - 1].effects} for k in worse_steps(result)]
-    kept = [effect for effect in effects if effect not in set().union(*added)] or effects
+    kept = [effect for effect in effects if effect not in set().union(*added)]
+    plain, with_effects = _on_held_out(result)
+    if not kept or plain < min(with_effects, default=0.0):
+        kept = [*effects]
     return sorted(kept, key=lambda effect: -shares.get(effect, 0.0))
 
 
