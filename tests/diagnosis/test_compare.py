@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tirefit.cli.commands import app
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary import forces
-from tirefit.diagnosis.summary.compare import Number, _apart
+from tirefit.diagnosis.summary.compare import Apart, Comparison, Number, Source, _apart, standing_of
 from tirefit.results import DataError, UsageError
 
 TIR = Path(__file__).parents[1] / "data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
@@ -209,3 +210,21 @@ def test_equal_days_hardly_ever_differ():
         claims += any(one.differs for one in found.numbers)
         claims += found.forces[0].curves["B"].differs
     assert claims <= 2
+
+
+def test_an_unlisted_effect_is_not_named():
+    verdict = SimpleNamespace(effects=("unknown",), acts_like=("slip_offset",), also_possible=())
+    assert standing_of(verdict, ()) == {"slip_offset": "acts like one"}
+
+
+def test_sizes_of_effects_have_the_units_of_a_diagnosis():
+    """An offset of -29.8 thousandths of the load is one of -2.98 %."""
+    unit = "1e-3 mean F_z"
+    sizes = {name: Number(-29.8 - 90 * k, 6.7, unit) for k, name in enumerate("AB")}
+    apart = Apart("force_offset: amplitude", unit, sizes, "B", -90.0, 9.5, 0.0, True)
+    standing = {"force_offset": "acts like one"}
+    sources = (Source(x, "diagnosis", "", "brush", "", {}, standing=standing) for x in "AB")
+    text = " ".join(str(Comparison(sources=tuple(sources), effects=(apart,))).split())
+    assert "force_offset [% of the mean F_z] -2.98 ± 0.67 -11.98 ± 0.67" in text
+    assert "the gap acts like force_offset in all; its size differs: -2.98 ± 0.67 in A" in text
+    assert "difference -9.00 ± 0.95 % of the mean F_z (9.5 errors)" in text

@@ -220,7 +220,7 @@ def records(channel):
             12.0, 0.04, 0.97, 0.91, (0.0, 0.0),
         ),
         "settings": Settings(
-            rig=Rig(noise={"fx_relative": 0.01}, notes=("a note",)),
+            rig=Rig(noise={"fx_relative": 0.01}),
             effects=("load_friction", "slip_offset"), holdout=(),
         ),
         "seed": 3, "version": "0.1.0", "library": EFFECTS,
@@ -593,6 +593,10 @@ def test_the_largest_part_comes_first_and_what_does_not_carry_over_is_left_out()
     text = answer(found)
     assert text.startswith("The gap comes from load friction (0.20), 70 %")
     assert "; then from slip offset (0.91), 20 %" in text and "conicity" not in text
+    # No step predicts those files better than no effect: a later one does not stand for all.
+    steps = [s._replace(rms_held_out=x) for s, x in zip(steps, (9.0, 9.5, 9.3, 9.4), strict=True)]
+    text = answer(replace(found, ladder=Ladder("runs", tuple(steps))))
+    assert "conicity" in text and "slip offset" in text and "load friction" in text
     simulator = simulated(changes={"mu": CHANGES["mu"]}, budget=tuple(parts))
     assert answer(simulator).startswith("The gap comes from slip offset")
 

@@ -127,9 +127,9 @@ def images_of(panels: Iterable[Panel]) -> list[dict[str, Any]]:
     """The panels for the templates of pages."""
     return [
         image_of(
-            # Of the page per inch of a panel that scrolls.
             alone(panel),
             panel.alternative,
+            # Pixels of the page: 100 per inch of a panel that scrolls.
             round(100 * panel.size[0]) if panel.scrolls else 0,
         )
         for panel in panels

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.diagnosis.summary.compare import Apart, Comparison
+from tirefit.diagnosis.summary.compare import Apart, Comparison, Number
 from tirefit.diagnosis.summary.forces import ForceCurve, ForceDifference
 from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, images_of, together
+from tirefit.report.diagnosis.words import said_unit
 from tirefit.report.fit.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit.tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
@@ -31,7 +32,7 @@ def answer(result: Comparison) -> list[str]:
 
 
 def _by(value: float, std: float, unit: str, errors: float) -> str:
-    unit = "" if unit == "-" else f" {unit}"
+    unit = "" if unit in ("", "-") else f" {unit}"
     return f"{format_estimate(value, std)}{unit} ({errors:.1f} errors)"
 
 
@@ -90,13 +91,30 @@ def _on_effects(result: Comparison) -> Iterator[str]:
     if len(judging) > 1 and not named:
         yield "no diagnosis names an effect"
     for effect, where in named.items():
-        sizes = [x for x in result.effects if x.name.startswith(f"{effect}: ") and x.p is not None]
+        mine = [x for x in result.effects if x.name.startswith(f"{effect}: ")]
+        sizes = [_in_words(x) for x in mine if x.p is not None]
         text = "in all" if len(where) == len(judging) > 1 else f"in {', '.join(where)} only"
         for size in sizes:
             same = f"its sizes agree ({size.errors:.1f} errors)"
             of = size.name.removeprefix(f"{effect}: ").replace("amplitude", "its size")
             text += f"; {f'{of} differs: {_difference(size)}' if size.differs else same}"
-        yield f"{effect} is named {text}"
+        claims = {source.standing.get(effect) for source in judging}
+        is_named = "named" in claims
+        yield f"{effect} is named {text}" if is_named else f"the gap acts like {effect} {text}"
+
+
+def _in_words(number: Apart) -> Apart:
+    """The size of an effect in the unit of reports: % of the mean F_z for 1e-3 of it."""
+    factor, unit = said_unit(number.unit)
+    return number._replace(
+        unit=unit,
+        values={
+            k: Number(factor * x.value, x.std and factor * x.std, unit)
+            for k, x in number.values.items()
+        },
+        difference=number.difference and factor * number.difference,
+        std=number.std and factor * number.std,
+    )
 
 
 def _numbers_table(given: Sequence[Apart], names: Sequence[str], what: str) -> Rows:
@@ -136,7 +154,7 @@ def sections_of(result: Comparison) -> list[Section]:
         )
     right = range(1, 2 + len(names))
     numbers = _numbers_table(result.numbers, names, "parameter")
-    sizes = _numbers_table(result.effects, names, "effect")
+    sizes = _numbers_table([*map(_in_words, result.effects)], names, "effect")
     judging = [source for source in result.sources if source.kind in _JUDGING]
     standing = [("effect", *(source.name for source in judging))]
     for effect in _named(result):

@@ -261,10 +261,11 @@ def files_page(files: Files, title: str, notes: Sequence[str] = ()) -> str:
         notes: assumptions on the files.
     """
     none = ["no quantity of three files or more"] * (not files.quantities)
+    first = f"the first {_LISTED}" * (len(files.names) > _LISTED)
     sections = [
+        Section("Files", (), _table_of_files(files), note=first),
         Section("Quantities over the files", none, _quantities(files), _pictures(files)),
         Section("Files that differ", (), _different(files), note=_DISTANCE),
-        Section("Files", (), _table_of_files(files), note=f"the first {_LISTED}", folded=True),
         Section("Data and settings", list(_settings(files, notes))),
     ]  # fmt: skip
     subtitle = "; ".join(filter(None, [files.pattern, "braking positive, SI"]))

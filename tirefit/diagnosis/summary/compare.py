@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 
 from tirefit import __version__
 from tirefit.data.run_names import LONGEST, clipped
+from tirefit.diagnosis.engine.decide import UNKNOWN
 from tirefit.diagnosis.extended import SCHEMA as DIAGNOSIS
 from tirefit.diagnosis.extended import AnyDocument, read_checked
 from tirefit.diagnosis.summary.forces import ForceDifference, differing_forces
@@ -284,7 +285,7 @@ def standing_of(verdict: Any, untestable: Iterable[str]) -> dict[str, str]:
         **dict.fromkeys(untestable, "untestable"),
         **dict.fromkeys(verdict.also_possible, "possible"),
         **dict.fromkeys(verdict.acts_like, "acts like one"),
-        **dict.fromkeys(verdict.effects, "named"),
+        **{effect: "named" for effect in verdict.effects if effect != UNKNOWN},
     }
 
 

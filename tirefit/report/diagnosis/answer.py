@@ -58,10 +58,9 @@ def _how_much(result: Diagnosis) -> Iterator[str]:
         noise = result.noise.forces.get(result.data.channels[0])
         beside = f" beside {format_number(noise, 2)} {unit} of noise" if noise else ""
         yield f"The gap is small: {before} {unit} (rms){beside}."
-    steps = [(s.effects, s.rms_held_out) for s in result.ladder.steps if s.rms_held_out is not None]
-    plain = next((rms for effects, rms in steps if not effects), np.inf)
-    if steps and steps[-1][1] > plain:
-        old, new = (format_number(x, 3) for x in (plain, steps[-1][1]))
+    plain, with_effects = _on_held_out(result)
+    if with_effects and with_effects[-1] > plain:
+        old, new = (format_number(x, 3) for x in (plain, with_effects[-1]))
         yield (
             f"On the files held out it does not help ({old} to {new} {unit} rms): the"
             " answer is of the diagnosed files alone."
@@ -101,12 +100,22 @@ def _on_effects(result: Diagnosis, shares: Mapping[str, float], beyond: str) -> 
     return f"The gap comes{part} from {'; then from '.join(parts)}{beside}.{like}"
 
 
+def _on_held_out(result: Diagnosis) -> tuple[float, list[float]]:
+    """The rms on held-out files without effects, and of each later step of the ladder."""
+    steps = [(s.effects, s.rms_held_out) for s in result.ladder.steps if s.rms_held_out is not None]
+    place = next((k for k, (effects, _) in enumerate(steps) if not effects), len(steps))
+    return next((rms for _, rms in steps[place:]), np.inf), [rms for _, rms in steps[place + 1 :]]
+
+
 def carried(result: Diagnosis, effects: Sequence[str], shares: Mapping[str, float]) -> list[str]:
     """The effects, the largest share of the error first, without those that predict held-out
-    files worse, unless all of them do."""
+    files worse, unless no step predicts them better than the model without effects."""
     steps = result.ladder.steps
     added = [{*steps[k].effects} - {*steps[k - 1].effects} for k in worse_steps(result)]
-    kept = [effect for effect in effects if effect not in set().union(*added)] or effects
+    kept = [effect for effect in effects if effect not in set().union(*added)]
+    plain, with_effects = _on_held_out(result)
+    if not kept or plain < min(with_effects, default=0.0):
+        kept = [*effects]
     return sorted(kept, key=lambda effect: -shares.get(effect, 0.0))
 
 
@@ -145,9 +154,11 @@ def change_texts(result: Diagnosis) -> list[str]:
         if min(change.simulated, change.measured) > 0:
             ratio = change.simulated / change.measured
             error = ratio * change.std / change.measured
-            # A simulator that is known by its forces has none of the scaling factors.
+            # A simulator that is known by its forces has none of the scaling factors; those of the
+            # axles of a car are of this diagnosis.
             is_columns = result.simulator is not None and result.simulator.kind == "columns"
-            todo = _set_text(name, change.measured, is_columns and name.startswith(("LM", "LK")))
+            scaling = ("front.", "rear.", *(("LM", "LK") if is_columns else ()))
+            todo = _set_text(name, change.measured, name.startswith(scaling))
             texts.append(_ratio_text(name, meaning, ratio, error, todo, used))
         else:
             side = f"{'high' if off > 0 else 'low'} ({_set_text(name, change.measured)})"
@@ -217,13 +228,13 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         if rms != of_it:
             parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
     else:
-        why = "So this model"
+        why = "so the answer describes both the rows and the simulator by this model"
         if both.gain <= both.gain_std:
-            why = "Neither is better; this model, without a stand-in for the simulator,"
+            why = "neither is better, and this model needs no stand-in for the simulator"
         parts += [
-            f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}.",
-            f"{why} describes both, and the answer compares them.",
             *_differences(result, both),
+            f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}:"
+            f" {why}.",
         ]
     return " ".join(parts)
 
@@ -277,7 +288,9 @@ def readings_section(both: Readings, unit: str) -> Section:
     lines = []
     if any(sides):
         lines += ["in brackets: probability of an effect to be the cause"]
-        lines += [f"parameters: of the {both.model} alone that is nearest to it with its effects"]
+        lines += [
+            f"parameters: of the {both.model} without effects whose forces are nearest to these"
+        ]
     for feature in both.structure:
         lines += [f"{words.channel_name(feature.channel)} of the simulator: {feature.means}"]
         lines += [f"    to do: {feature.remedy}"]

@@ -168,7 +168,7 @@ def _settings(result: Diagnosis) -> Iterator[str]:
     if result.slip_check is not None:
         yield words.slip_check_line(result.slip_check)
     if settings.rig is not None:
-        known = {k: v for k, v in vars(settings.rig).items() if v and k != "notes"}
+        known = {k: v for k, v in vars(settings.rig).items() if v}
         yield f"known of the rig: {', '.join(f'{k} = {v}' for k, v in known.items()) or 'nothing'}"
         out = [effect.id for effect in EFFECTS if effect.id not in settings.effects]
         if out:
