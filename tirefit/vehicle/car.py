@@ -146,8 +146,8 @@ def _across(
     angle = jnp.arctan(ratio * jnp.tan(slip + axle.slip))
     force = tire(TireInputs(alpha=angle, fz=fz * axle.load, v=v)).fy
     assert force is not None  # checked by axle_tire
-    far = (jnp.tan(angle) / axle.sliding) ** 2
-    return axle.friction * (1 - axle.fall * far / (1 + far)) * force + axle.force
+    beyond = (jnp.tan(angle) / axle.sliding) ** 2
+    return axle.friction * (1 - axle.fall * beyond / (1 + beyond)) * force + axle.force
 
 
 def accelerations(
@@ -288,8 +288,8 @@ def followed(
 
     first = State(*(jnp.asarray(s, float) for s in start)), jnp.zeros(2)
     given = _with_bends(v_x), _with_bends(steering), held if lags else None
-    _, found = jax.lax.scan(onward, first, given)
-    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, found)
+    _, later = jax.lax.scan(onward, first, given)
+    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, later)
 
 
 def cubic(

@@ -28,13 +28,13 @@ class Errors(NamedTuple):
 
     def rms(self) -> dict[str, list[float | None]]:
         """Root mean square by quantity, for each horizon; None without windows."""
-        found = {}
+        rms_of = {}
         for name, values in self.of.items():
             count = np.isfinite(values).sum(axis=0)
             squares = np.nansum(values**2, axis=0)
             rms = np.sqrt(squares / np.maximum(count, 1))
-            found[name] = [float(x) if n else None for x, n in zip(rms, count, strict=True)]
-        return found
+            rms_of[name] = [float(x) if n else None for x, n in zip(rms, count, strict=True)]
+        return rms_of
 
 
 class Measured(NamedTuple):
@@ -53,7 +53,7 @@ class Measured(NamedTuple):
 def floor_of(tire: Errors, noisy: Sequence[Errors]) -> Errors:
     """The effect of the noise of the log on the errors: their change by added noise, at
     the start of a window and where it is compared."""
-    each = {k: [one.of[k] - missed for one in noisy] for k, missed in tire.of.items()}
+    each = {k: [noised.of[k] - missed for noised in noisy] for k, missed in tire.of.items()}
     return Errors({name: np.concatenate(parts) for name, parts in each.items()})
 
 

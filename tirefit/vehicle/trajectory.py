@@ -114,7 +114,7 @@ class TrajectoryFit(Record):
     @property
     def reached(self) -> dict[str, float]:
         """Axle -> share of the peak of its tire that the slip angles of its rows reach."""
-        return {axle: _reached(one.tire, self.rows[axle]) for axle, one in self.axles.items()}
+        return {axle: _reached(tire.tire, self.rows[axle]) for axle, tire in self.axles.items()}
 
     @property
     def limits(self) -> dict[Outcome, str]:
@@ -178,8 +178,8 @@ class TrajectoryFit(Record):
 
 def _reached(tire: AbstractTire, rows: TireData) -> float:
     """Share of the peak of a tire that the slip angles of its rows reach."""
-    own = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
-    alpha = np.append(own, np.linspace(0.0, 1.0, 200) * np.pi / 2)
+    largest = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
+    alpha = np.append(largest, np.linspace(0.0, 1.0, 200) * np.pi / 2)
     at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
     force = np.abs(np.asarray(forces(tire, at).fy))
     return float(force[0] / force.max())
@@ -217,9 +217,9 @@ def fit_trajectory(
         DataError: a log that cannot be read, or no window in it.
 
     Example:
-        >>> found = fit_trajectory([samples / "drive.csv"], samples / "vehicle.toml")
-        >>> low, high = found.parameters["front.cpa2"].ci95
-        >>> str(found.status), low < 43.6e3 < high  # [N], that of the simulated car
+        >>> result = fit_trajectory([samples / "drive.csv"], samples / "vehicle.toml")
+        >>> low, high = result.parameters["front.cpa2"].ci95
+        >>> str(result.status), low < 43.6e3 < high  # [N], that of the simulated car
         ('friction rests on the shape of the model', True)
     """
     require_x64("a fit by trajectory")
@@ -228,10 +228,10 @@ def fit_trajectory(
     _check(vehicle, unknowns, given)
     tell = progress or (lambda share, note: None)
     tell(0.02, "reading logs")
-    found = cut_in_windows(logs, vehicle, window)
-    parts = [log.windows[0] for log in found.values()]
-    data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
-    rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
+    log_windows = cut_in_windows(logs, vehicle, window)
+    parts = [log.windows[0] for log in log_windows.values()]
+    data = Data(*(jnp.concatenate(field) for field in zip(*parts, strict=True)))
+    rows = {axle: derived_rows(log_windows, vehicle, axle) for axle in given}
     tell(0.05, "starting with the tires of derive")
     tires = [within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
     problem = _Problem(vehicle, tires, tuple(unknowns), vehicle.filter.sample_rate, data)
@@ -271,8 +271,8 @@ class _Problem:
         self.layouts: list[Layout] = [fit[0] for fit in fits]
         self.first = np.cumsum([0, *(layout.size for layout in self.layouts)])
         first = {"steering_delay": self.steering.delay}
-        own = [first.get(name, 0.0) for name in unknowns]
-        self.z = np.concatenate([*(fit[1] for fit in fits), own])
+        of_car = [first.get(name, 0.0) for name in unknowns]
+        self.z = np.concatenate([*(fit[1] for fit in fits), of_car])
         self.names = CHANNELS[data.logged.shape[-1]]
         slowest = float(np.min(data.v_x))
         self.parts = steps_a_sample(self.car(self.z), slowest, rate)
@@ -329,6 +329,8 @@ class _Problem:
         covariance, blocks, widened = sandwich(squares, end)
         std, reach = np.sqrt(np.diag(covariance)), stdtrit(max(blocks - 1, 1), 0.975)
         ends, car = at + reach * np.outer((-1, 1), std), self.car(at)
+        # Distance of each unknown from its usual value, in standard errors of its prior.
+        strain = np.abs(at * np.sqrt(self.pulls()))[self.first[-1] :]
         # Profiles of a search that stopped short would begin at no minimum.
         converged = bool(end.converged) and left_to_gain(squares, end) < _LEFT
         for k, axle in enumerate(("front", "rear") if converged else ()):
@@ -337,28 +339,24 @@ class _Problem:
                     level = reach**2 * widened[e]
                     tell(0.4 + 0.5 * e / self.first[-1], f"interval of parameter {e + 1}")
                     ends[:, e] = profile_ends(squares, end, e, std[e], level)
-        found = self.estimates(at, std, ends)
+        parameters = self.estimates(at, std, ends)
         axles = {
-            axle: self.axle(k, axle, at, covariance, found, rows[axle])
+            axle: self.axle(k, axle, at, covariance, parameters, rows[axle])
             for k, axle in enumerate(("front", "rear"))
         }
         return TrajectoryFit(
             car.front,
             car.rear,
-            found,
+            parameters,
             {c: float(s) for c, s in zip(self.names, noise, strict=True)},
             len(self.data.v_x),
             blocks,
-            self.found_vehicle(found),
-            tuple(n for n, far in zip(self.unknowns, self.strain(at), strict=True) if far > _FAR),
+            self.found_vehicle(parameters),
+            tuple(n for n, off in zip(self.unknowns, strain, strict=True) if off > _FAR),
             converged,
             axles,
             rows,
         )
-
-    def strain(self, z: np.ndarray) -> np.ndarray:
-        """Distance of each unknown from its usual value, in standard errors of its prior."""
-        return np.abs(z * np.sqrt(self.pulls()))[self.first[-1] :]
 
     def pulls(self) -> jax.Array:
         """Precision (p,) of the weak priors of the unknowns at zero."""
@@ -369,7 +367,7 @@ class _Problem:
     def estimates(self, z: np.ndarray, std: np.ndarray, ends: np.ndarray) -> dict[str, Estimate]:
         """Estimates of all parameters, from z with its standard errors (p,) and the
         ends (2, p) of the intervals."""
-        found = {}
+        parameters = {}
 
         Of = Callable[..., Any]
 
@@ -378,7 +376,7 @@ class _Problem:
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
             value, error = float(natural(z[k])), float(slope * std[k])
             known = bool(identified(low, high) and abs(z[k]) < AT_BOUND)
-            found[name] = Estimate(value, error, unit, (low, high), known)
+            parameters[name] = Estimate(value, error, unit, (low, high), known)
 
         for axle, layout in enumerate(self.layouts):
             for k, (label, free) in enumerate(layout.elements):
@@ -390,20 +388,20 @@ class _Problem:
                     partial(limited, free.spec),
                 )
         for k, name in enumerate(self.unknowns):
-            one, at = UNKNOWNS[name], self.first[-1] + k
+            unknown, at = UNKNOWNS[name], self.first[-1] + k
             scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
-            by = partial(_factor, scale) if one.is_factor else float
+            by = (lambda log, scale=scale: scale * np.exp(log)) if unknown.is_factor else float
             # Identified if below half of the prior standard error.
             wide = 0.5 / np.sqrt(self.pulls()[at])
-            add(name, one.unit, at, by, lambda *_, k=at, wide=wide: std[k] < wide)
-        return found
+            add(name, unknown.unit, at, by, lambda *_, k=at, wide=wide: std[k] < wide)
+        return parameters
 
-    def found_vehicle(self, found: Mapping[str, Estimate]) -> Vehicle:
+    def found_vehicle(self, parameters: Mapping[str, Estimate]) -> Vehicle:
         """The vehicle with the estimated values."""
         vehicle, steering = self.vehicle, self.steering
 
         def value(name: str, default: float = 0.0) -> float:
-            return found[name].value if name in found else default
+            return parameters[name].value if name in parameters else default
 
         ratio, offset = value("steering_ratio", 1.0), value("steering_offset")
         steering = steering.model_copy(
@@ -432,15 +430,15 @@ class _Problem:
         axle: str,
         z: np.ndarray,
         covariance: np.ndarray,
-        found: Mapping[str, Estimate],
+        estimates: Mapping[str, Estimate],
         rows: TireData,
     ) -> GivenTire:
         """The tire of an axle, with the content of its ``fit.json``."""
-        layout, own = self.layouts[k], slice(*self.first[k : k + 2])
-        fit = layout, z[own], covariance[own, own]
+        layout, elements = self.layouts[k], slice(*self.first[k : k + 2])
+        fit = layout, z[elements], covariance[elements, elements]
         parameters = {
-            name.removeprefix(f"{axle}."): asdict(one)
-            for name, one in found.items()
+            name.removeprefix(f"{axle}."): asdict(estimate)
+            for name, estimate in estimates.items()
             if name.startswith(f"{axle}.")
         }
         content = {
@@ -462,7 +460,3 @@ class _Problem:
             },
         }
         return replace(self.tires[k], tire=self.tire(z, k), fit=fit, content=json_safe(content))
-
-
-def _factor(scale: float, logarithm: float) -> float:
-    return scale * float(np.exp(logarithm))
