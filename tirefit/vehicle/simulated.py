@@ -156,12 +156,12 @@ def compare_with_simulator(
     noisy = _noisy(simulated, car.base.noise)
     simulator = studied(noisy, sim_vehicle, tires, library, window, tell)
     # The effects that help either, in the form of the car if it has them.
-    fits = [case.chosen for case in (simulator, car)]
-    forms = {e: atom for fit in fits for e, atom in zip(fit.effects, fit.atoms, strict=True)}
-    ranked = dict.fromkeys(effect for fit in fits[::-1] for effect in fit.effects)
+    named = {"car": _first_of_twins(car), "simulator": _first_of_twins(simulator)}
+    forms = _forms(simulator, named["simulator"]) | _forms(car, named["car"])
+    ranked = dict.fromkeys(effect for effects in named.values() for effect in effects)
     atoms = tuple(sorted([forms[effect] for effect in ranked][:MOST_EFFECTS]))
     sources = [
-        _described(name, case, atoms, stated, ", ".join(map(str, files)))
+        _described(name, case, named[name], atoms, stated, ", ".join(map(str, files)))
         for name, case, files in (("simulator", simulator, sim_logs), ("car", car, logs))
     ]
     note = "both are described by the same car with the effects that either needs; factors on the"
@@ -169,8 +169,34 @@ def compare_with_simulator(
     result = compared(sources)
     numbers = _without_bends(result.numbers)
     meant = _meanings({number.name: number for number in (*numbers, *result.effects)})
-    meanings = (*_spins(log_windows.values(), simulated.values()), *meant)
+    alike = [
+        f"of the {name}, {effect} may be {' or '.join(twins)} as well: these logs cannot tell them"
+        " apart"
+        for name, effects in named.items()
+        for effect, (_, *twins) in effects.items()
+        if twins
+    ]
+    meanings = (*_spins(log_windows.values(), simulated.values()), *meant, *alike)
     return replace(result, numbers=numbers, notes=(*result.notes, note), meanings=meanings)
+
+
+def _first_of_twins(case: Concluded) -> dict[str, tuple[str, ...]]:
+    """The first in the library of each effect that helps and its twins -> the one that helps, and
+    the others of these: which helps more may change with a row of the log."""
+    order = [atom.effect.id for atom in case.base.atoms]
+    named = dict[str, tuple[str, ...]]()
+    for effect in case.chosen.effects:
+        twins = {*case.verdict.each[effect].twins} - {*named, *case.chosen.effects}
+        first, *others = sorted({effect, *twins}, key=order.index)
+        named[first] = (effect, *others)
+    return named
+
+
+def _forms(case: Concluded, effects: Iterable[str]) -> dict[str, int]:
+    """Effect -> its atom in the fit that helps, or in the best fit that has it."""
+    fits = [*case.search.ranked[::-1], case.chosen]
+    forms = {e: atom for fit in fits for e, atom in zip(fit.effects, fit.atoms, strict=True)}
+    return {effect: forms[effect] for effect in effects}
 
 
 def _unlimited(numbers: Mapping[str, Apart]) -> dict[str, str]:
@@ -317,7 +343,12 @@ def _noisy(log_windows: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
 
 
 def _described(
-    name: str, case: Concluded, atoms: tuple[int, ...], vehicle: Vehicle, file: str
+    name: str,
+    case: Concluded,
+    named: Mapping[str, tuple[str, ...]],
+    atoms: tuple[int, ...],
+    vehicle: Vehicle,
+    file: str,
 ) -> Source:
     """The description of logs: factors on the tires, and sizes of these effects."""
     base, chosen = case.base, case.chosen
@@ -337,4 +368,6 @@ def _described(
             key, (size, slope) = f"{effect.id}: {quantity}", of(vehicle, size)
         sizes[key] = Number(size, std * slope, unit)
     standing = standing_of(case.verdict, [untestable.effect for untestable in case.untestable])
+    for first, (effect, *_) in named.items():
+        standing[first], standing[effect] = standing[effect], standing.get(first, "possible")
     return Source(name, "description", file, "car", "", numbers, {}, sizes, standing)
