@@ -51,10 +51,9 @@ class Applied:
         effects of steering and log; and samples at rows (w, k)."""
         v_x, a_y, steer, *state = channels
         steer = self.wheel_angle(steer, motion, vehicle, tires)
-        named = dict(zip(State._fields, state, strict=True))
-        named = self.corrected(named, v_x, vehicle)
+        driven = self.corrected(State(*state)._asdict(), v_x, vehicle)
         samples = self.samples(motion, rows, vehicle, tires)
-        return (v_x, a_y, steer, *named.values()), samples
+        return (v_x, a_y, steer, *driven.values()), samples
 
     def wheel_angle(self, steering: Any, motion: Motion, vehicle: Vehicle, tires: Any) -> Any:
         """Road wheel angle (n,) of a log, with the effects of the steering."""
@@ -116,9 +115,7 @@ class _Document(AnyDocument):
     @property
     def sizes(self) -> dict[str, float]:
         """Effect -> amplitude."""
-        return {
-            name.partition(": ")[0]: amplitude.value for name, amplitude in self.amplitudes.items()
-        }
+        return {name.partition(": ")[0]: size.value for name, size in self.amplitudes.items()}
 
     @model_validator(mode="after")
     def _known(self) -> Any:

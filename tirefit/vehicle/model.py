@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from tirefit.compiled import BRIEF
 from tirefit.diagnosis.effects.record import Atom
@@ -25,8 +26,8 @@ from tirefit.vehicle.car import (
     State,
     accelerations,
     delayed,
-    followed,
     lagged,
+    predicted,
     slip_angles,
     with_play,
 )
@@ -160,21 +161,16 @@ class Linear:
         if reads.shape[2] == 2:
             return reads[..., :2] @ moved
         s, v = self.motion.states, self.v_x
-        heading = first[2] + self._summed(moved[:, :, 1])
+        integral = partial(cumulative_trapezoid, dx=self.step, axis=1, initial=0)
+        heading = first[2] + integral(moved[:, :, 1])
         cos, sin = np.cos(s.heading), np.sin(s.heading)
         by_heading = -v * sin - s.v_y * cos, v * cos - s.v_y * sin
         place = [
-            start + self._summed(side[..., None] * moved[:, :, 0] + by[..., None] * heading)
+            start + integral(side[..., None] * moved[:, :, 0] + by[..., None] * heading)
             for start, side, by in zip(first[3:], (-sin, cos), by_heading, strict=True)
         ]
         whole = np.stack([moved[:, :, 0], moved[:, :, 1], heading, *place], axis=2)
         return reads @ whole
-
-    def _summed(self, rates: np.ndarray) -> np.ndarray:
-        """Integral (w, k, q) from the first sample, by the trapezoidal rule."""
-        integral = np.zeros_like(rates)
-        np.cumsum(self.step * _middle(rates), axis=1, out=integral[:, 1:])
-        return integral
 
 
 def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -303,7 +299,7 @@ def moved(
         split = jax.tree.unflatten(_TREE, [*changes.T])
         first = State(*start, *jnp.zeros(5 - len(start)))
         step, parts = grid
-        states, late = followed(car, first, window.v_x, angle, step, parts, split)
+        states, late = predicted(car, first, window.v_x, angle, step, parts, split)
 
         def rates(
             motion: jax.Array, angle: jax.Array, change: jax.Array, late: jax.Array, v_x: jax.Array

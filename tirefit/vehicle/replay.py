@@ -40,6 +40,7 @@ from tirefit.vehicle.car import (
     Changes,
     State,
     accelerations,
+    axle_loads,
     car_of,
     linear,
     predicted,
@@ -328,7 +329,7 @@ def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
 def _linear(car: Car, windows: Measured) -> Car:
     """The same car on linear tires."""
     speed = float(np.median(windows.v_x[np.isfinite(windows.a_y)]))
-    axles = zip((car.front, car.rear), car.loads, strict=True)
+    axles = zip((car.front, car.rear), axle_loads(car), strict=True)
     return replace_tires(car, *(linear(tire, fz, speed) for tire, fz in axles))
 
 
@@ -349,14 +350,14 @@ def _windows(
     tell("windows of a log")
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
+    step = max(round(EVERY * rate), 1)
     good = motion.settled & (motion.v_x > vehicle.v_min)
     good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
-    each = stretches(good, motion.part)
-    begun, step = starts_in(each, least, max(round(EVERY * rate), 1))
+    begun, thinner = starts_in(stretches(good, motion.part), least, step)
     if not begun:
         return None
-    if step > max(round(EVERY * rate), 1):
-        thinned.append(f"a log is long: its windows start every {step / rate:.3g} s")
+    if thinner > step:
+        thinned.append(f"a log is long: its windows start every {thinner / rate:.3g} s")
     starts, ends = np.array(begun).T
     rows = starts[:, None] + np.arange(most)
     there = rows < ends[:, None]
@@ -407,7 +408,7 @@ def _states(
     def of_window(
         start: State, v_x: jax.Array, steering: jax.Array, changes: Changes | None
     ) -> tuple[State, jax.Array]:
-        states = predicted(car, start, v_x, steering, step, parts, changes)
+        states, _ = predicted(car, start, v_x, steering, step, parts, changes)
         acting = () if changes is None else (changes,)
         samples = v_x, steering, states.v_y, states.yaw_rate, *acting
         return states, jax.vmap(partial(accelerations, car))(*samples)[0]

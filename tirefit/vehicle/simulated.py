@@ -156,12 +156,12 @@ def compare_with_simulator(
     noisy = _noisy(simulated, car.base.noise)
     simulator = studied(noisy, sim_vehicle, tires, library, window, tell)
     # The effects that help either, in the form of the car if it has them.
-    named = {"car": _first_of_twins(car), "simulator": _first_of_twins(simulator)}
-    forms = _forms(simulator, named["simulator"]) | _forms(car, named["car"])
-    ranked = dict.fromkeys(effect for effects in named.values() for effect in effects)
+    helping = {"car": _first_of_twins(car), "simulator": _first_of_twins(simulator)}
+    forms = _forms(simulator, helping["simulator"]) | _forms(car, helping["car"])
+    ranked = dict.fromkeys(effect for of in helping.values() for effect in of)
     atoms = tuple(sorted([forms[effect] for effect in ranked][:MOST_EFFECTS]))
     sources = [
-        _described(name, case, named[name], atoms, stated, ", ".join(map(str, files)))
+        _described(name, case, helping[name], atoms, stated, ", ".join(map(str, files)))
         for name, case, files in (("simulator", simulator, sim_logs), ("car", car, logs))
     ]
     note = "both are described by the same car with the effects that either needs; factors on the"
@@ -170,10 +170,10 @@ def compare_with_simulator(
     numbers = _without_bends(result.numbers)
     meant = _meanings({number.name: number for number in (*numbers, *result.effects)})
     alike = [
-        f"of the {name}, {effect} may be {' or '.join(twins)} as well: these logs cannot tell them"
-        " apart"
-        for name, effects in named.items()
-        for effect, (_, *twins) in effects.items()
+        f"{effect} in the {name} may be {' or '.join(twins)} instead: these logs cannot distinguish"
+        " them"
+        for name, of in helping.items()
+        for effect, (_, *twins) in of.items()
         if twins
     ]
     meanings = (*_spins(log_windows.values(), simulated.values()), *meant, *alike)
@@ -345,7 +345,7 @@ def _noisy(log_windows: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
 def _described(
     name: str,
     case: Concluded,
-    named: Mapping[str, tuple[str, ...]],
+    helping: Mapping[str, tuple[str, ...]],
     atoms: tuple[int, ...],
     vehicle: Vehicle,
     file: str,
@@ -368,6 +368,6 @@ def _described(
             key, (size, slope) = f"{effect.id}: {quantity}", of(vehicle, size)
         sizes[key] = Number(size, std * slope, unit)
     standing = standing_of(case.verdict, [untestable.effect for untestable in case.untestable])
-    for first, (effect, *_) in named.items():
-        standing[first], standing[effect] = standing[effect], standing.get(first, "possible")
+    for effect_id, (helps, *_) in helping.items():
+        standing[effect_id], standing[helps] = standing[helps], standing.get(effect_id, "possible")
     return Source(name, "description", file, "car", "", numbers, {}, sizes, standing)

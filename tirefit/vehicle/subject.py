@@ -21,7 +21,7 @@ from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import Values
-from tirefit.vehicle.car import Car, steps_a_sample
+from tirefit.vehicle.car import Car, axle_loads, steps_a_sample
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
 from tirefit.vehicle.shooting import Data, Squares, minimised
@@ -55,8 +55,6 @@ LEAST_LOGS = 4
 
 _BLOCKS = 8  # number of parts of the time that are left out in turn if there are fewer logs
 
-_PLACES = {"share of the time": 12}
-_USUAL_PLACES = 8  # numbers of places of the covariates at which an unlisted force has its values
 _USUAL = 0.03  # usual change of a force over the load of its axle
 
 
@@ -179,10 +177,6 @@ class Windows:
             step = np.where(better[:, None], onward, step / _SHORTER)
             least = np.where(better, squares, least)
         return self.linear(z, best)[0]
-
-    def rms(self, z: np.ndarray) -> np.ndarray:
-        """Rms (c,) of predicted - logged, from the best start states."""
-        return np.sqrt(np.mean(self.at_best_starts(z).motion.missed ** 2, axis=(0, 1)))
 
     # --- what the engine asks of its subject ---------------------------------------------
 
@@ -310,14 +304,15 @@ class Windows:
     def discrepancy(self) -> Discrepancy:
         """An unlisted force: of each axle, as a function of one covariate, and of both
         axles, of any course in time."""
-        now, loads = self._at_start, self.car.loads
+        now, loads = self._at_start, axle_loads(self.car)
         shape = now.motion.missed.shape[:2]
         columns, cells = list[np.ndarray](), list[Cell]()
         kinds: list[tuple[str, list[int], str, np.ndarray, np.ndarray]] = []
         for covariate, values in self.covariates.items():
             ends = np.quantile(values, [0.01, 0.99]) if "slip" in covariate else (-np.inf, np.inf)
-            inside, count = np.clip(values, *ends).ravel(), _PLACES.get(covariate, _USUAL_PLACES)
-            by = places_of(inside, None, count)
+            # Number of places at which an unlisted force has its values.
+            count = 12 if covariate == "share of the time" else 8
+            by = places_of(np.clip(values, *ends).ravel(), None, count)
             kinds += [("front force", [0], covariate, *by), ("rear force", [1], covariate, *by)]
         window = np.repeat(np.eye(shape[0]), shape[1], axis=0)
         kinds.append(("side force", [0, 1], "window", window, np.arange(shape[0])))

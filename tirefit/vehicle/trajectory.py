@@ -234,8 +234,7 @@ def fit_trajectory(
     rows = {axle: derived_rows(log_windows, vehicle, axle) for axle in given}
     tell(0.05, "starting with the tires of derive")
     tires = [within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
-    problem = _Problem(vehicle, tires, tuple(unknowns), vehicle.filter.sample_rate, data)
-    return problem.solved(rows, tell)
+    return _Problem(vehicle, tires, tuple(unknowns), data).solved(rows, tell)
 
 
 def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenTire]) -> None:
@@ -257,15 +256,9 @@ class _Problem:
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        tires: Sequence[GivenTire],
-        unknowns: tuple[str, ...],
-        rate: float,
-        data: Data,
+        self, vehicle: Vehicle, tires: Sequence[GivenTire], unknowns: tuple[str, ...], data: Data
     ) -> None:
-        self.vehicle, self.tires, self.unknowns = vehicle, tires, unknowns
-        self.rate, self.data = rate, data
+        self.vehicle, self.tires, self.unknowns, self.data = vehicle, tires, unknowns, data
         fits = [tire.fit for tire in tires if tire.fit is not None]  # each has one
         self.steering = cast(Steering, vehicle.steering)
         self.layouts: list[Layout] = [fit[0] for fit in fits]
@@ -274,9 +267,8 @@ class _Problem:
         of_car = [first.get(name, 0.0) for name in unknowns]
         self.z = np.concatenate([*(fit[1] for fit in fits), of_car])
         self.names = CHANNELS[data.logged.shape[-1]]
-        slowest = float(np.min(data.v_x))
-        self.parts = steps_a_sample(self.car(self.z), slowest, rate)
-        run = linearised(self.missed, self.parts)
+        rate, slowest = vehicle.filter.sample_rate, float(np.min(data.v_x))
+        run = linearised(self.missed, steps_a_sample(self.car(self.z), slowest, rate))
         self.run = lambda z, starts: run(z, starts, data)
 
     def unknown(self, z: Values, name: str, default: float = 0.0) -> jax.Array | float:
@@ -299,7 +291,7 @@ class _Problem:
 
     def missed(self, z: jax.Array, start: jax.Array, window: Data, parts: int) -> jax.Array:
         """Predicted - logged (k, c) of one window."""
-        step = 1 / self.rate
+        step = 1 / self.vehicle.filter.sample_rate
         lead = window.steering.shape[0] - window.v_x.shape[0]
         delay = self.unknown(z, "steering_delay", self.steering.delay)
         steering = delayed(window.steering, delay / step)[lead:]
@@ -309,17 +301,17 @@ class _Problem:
         ahead = -self.unknown(z, "cg_ahead")
         reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
         first = as_driven(start, reading, window.v_x[0])
-        states = predicted(self.car(z), first, window.v_x, steering, step, parts)
+        states, _ = predicted(self.car(z), first, window.v_x, steering, step, parts)
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
     def solved(self, rows: Mapping[str, TireData], tell: Callable[..., None]) -> TrajectoryFit:
         tell(0.1, "compiling")
-        data = self.data
+        start, windows = self.data.start, len(self.data.v_x)
         ones = jnp.ones(len(self.names))
-        squares = Squares(self.run, ones, self.pulls(), data.start, data.std)
-        end = squares.begun(jnp.asarray(self.z), jnp.asarray(self.data.start))
+        squares = Squares(self.run, ones, self.pulls(), start, self.data.std)
+        end = squares.begun(jnp.asarray(self.z), jnp.asarray(start))
         for k in range(_ROUNDS):
-            tell(0.15 + 0.1 * k, f"search {k + 1} of {_ROUNDS}, {len(self.data.v_x)} windows")
+            tell(0.15 + 0.1 * k, f"search {k + 1} of {_ROUNDS}, {windows} windows")
             squares = squares._replace(noise=jnp.sqrt(jnp.mean(end.now[0] ** 2, axis=(0, 1))))
             end = minimised_inside(squares, end)
         at, missed = np.asarray(end.z), end.now[0]
@@ -349,7 +341,7 @@ class _Problem:
             car.rear,
             parameters,
             {c: float(s) for c, s in zip(self.names, noise, strict=True)},
-            len(self.data.v_x),
+            windows,
             blocks,
             self.found_vehicle(parameters),
             tuple(n for n, off in zip(self.unknowns, strain, strict=True) if off > _FAR),

@@ -6,12 +6,14 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from tirefit.data.read import read_frame
 from tirefit.data.readers.remote import file_at
@@ -31,8 +33,9 @@ from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
 from tirefit.files import listed
 from tirefit.fitting.source import GivenTire
-from tirefit.models import TireInputs
+from tirefit.models import AbstractTire, TireInputs
 from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.vehicle.car import axle_loads
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.shooting import Data
 
@@ -175,14 +178,10 @@ def starts_in(
 def integrated(motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Heading and position (n,) of a log of rates, relative to its first sample."""
     yaw, v_x, v_y = (np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y))
-    heading = _summed(yaw) / rate
+    integral = partial(cumulative_trapezoid, dx=1 / rate, initial=0)
+    heading = integral(yaw)
     cos, sin = np.cos(heading), np.sin(heading)
-    return (heading, _summed(v_x * cos - v_y * sin) / rate, _summed(v_x * sin + v_y * cos) / rate)
-
-
-def _summed(values: np.ndarray) -> np.ndarray:
-    """Cumulative integral by the trapezoidal rule, from zero."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
+    return heading, integral(v_x * cos - v_y * sin), integral(v_x * sin + v_y * cos)
 
 
 _LEAD = 0.3
@@ -229,7 +228,7 @@ def cut_in_windows(
     return cut_logs(
         listed(logs),
         vehicle,
-        lambda track, motion: windows_of(track, motion, vehicle, window),
+        partial(windows_of, vehicle=vehicle, window=window),
         f"{window:g} s long",
         "a shorter window",
     )
@@ -325,10 +324,10 @@ def samples_of(
     are zero until they are set from a fit; ``passed`` [s] is the duration of the previous logs."""
     g, count = vehicle.gravity, len(rows)
     weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
-    loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase
     v_x = motion.v_x[rows]
     speed = float(v_x.mean())
-    sliding = [_sliding(tire, load, speed) for tire, load in zip(tires, loads, strict=True)]
+    axles = zip(tires, axle_loads(vehicle), strict=True)
+    sliding = [_sliding(tire.tire, float(load), speed) for tire, load in axles]
     heading = motion.heading if vehicle.columns.motion == POSE else 0 * motion.time
     return Samples(
         speed=v_x,
@@ -343,10 +342,10 @@ def samples_of(
     )
 
 
-def _sliding(axle: GivenTire, load: float, speed: float) -> float:
+def _sliding(tire: AbstractTire, load: float, speed: float) -> float:
     """Slip above which a brush with slope and peak of the tire slides."""
-    slope = slope_at_rest(axle.tire, TireInputs(fz=load, v=speed), "y")
-    return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)
+    slope = slope_at_rest(tire, TireInputs(fz=load, v=speed), "y")
+    return float(3 * peak_ratio(tire, load, speed) * load / slope)
 
 
 def derived_rows(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle: str) -> TireData:
@@ -362,6 +361,5 @@ def derived_rows(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle:
             columns[key].extend(values)
     step = max(len(columns["run"]) // _START_ROWS, 1)
     cells = {k: np.array(v)[::step] for k, v in columns.items()}
-    arm = vehicle.l_r if axle == "front" else vehicle.l_f
-    load = vehicle.mass * vehicle.gravity * arm / (vehicle.l_f + vehicle.l_r)
+    load = axle_loads(vehicle)[axle == "rear"]
     return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(log_windows))
