@@ -17,7 +17,7 @@ from tirefit.vehicle.effects import CAR_EFFECTS, Samples
 from tirefit.vehicle.model import Model
 from tirefit.vehicle.shooting import Data
 from tirefit.vehicle.subject import Windows
-from tirefit.vehicle.windows import Cut
+from tirefit.vehicle.windows import JoinedWindows
 
 STEP, LENGTH, LEAD = 0.02, 8.0, 0.3
 """Time between samples, length of the drive, and of the steering before it [s]."""
@@ -55,7 +55,9 @@ def _drive():
         sliding=np.full(2, SLIDING),
     )
     data = Data(speed, steer, np.zeros((len(time), 2)), np.zeros(2))
-    cut = Cut(*(jax.tree.map(lambda x: jnp.asarray(x)[None], x) for x in (data, rows)), np.zeros(1))
+    cut = JoinedWindows(
+        *(jax.tree.map(lambda x: jnp.asarray(x)[None], x) for x in (data, rows)), np.zeros(1)
+    )
     drive = Windows(model, CAR, cut, STEP, (), np.ones(2))
     for _ in range(2):  # acceleration, yaw rate and heading are those of the drive itself
         found = drive.linear(np.zeros(model.size), data.start[None])[0].motion

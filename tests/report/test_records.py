@@ -76,7 +76,7 @@ def drive(folder):
     time = np.arange(0.0, 24.0, step)
     steering = 0.2 * np.sin(1.7 * time) + 0.1 * np.sin(6.1 * time)
     given = np.full_like(time, 3.0), steering
-    path = predicted(car_of(CAR, *AXLES), State(0, 0, 0, 0, 0), *given, step, 2)
+    path = predicted(car_of(CAR, *AXLES), State(0, 0, 0, 0, 0), *given, step, 2)[0]
     columns = {"time": time, "x": path.x, "y": path.y, "yaw": path.heading}
     noisy = {k: v + 1e-3 * generator.standard_normal(len(time)) for k, v in columns.items()}
     rows = noisy | {"time": time, "steering": steering}

@@ -15,6 +15,7 @@ from tirefit.vehicle.car import (
     LinearTire,
     State,
     accelerations,
+    axle_loads,
     predicted,
     stiffest,
 )
@@ -57,7 +58,7 @@ def test_a_predicted_second_agrees_with_scipy():
     time = STEP * np.arange(COUNT)
     v_x, steering = 3.0 + 0.5 * time, 0.5 * np.sin(4 * time)
     start = (-0.9, 1.0, 0.4, 1.0, 2.0)
-    found = jax.jit(predicted, static_argnums=5)(
+    found, _ = jax.jit(predicted, static_argnums=5)(
         car(), State(*start), jnp.asarray(v_x), jnp.asarray(steering), STEP, 4
     )
     true = solve_ivp(
@@ -81,7 +82,7 @@ def test_steady_cornering_of_linear_tires_is_the_understeer_gradient():
     linear = Car(LinearTire(front), LinearTire(rear), MASS, INERTIA, L_F, L_R, GRAVITY)
     speed, angle = 3.0, 1e-4
     given = jnp.full(500, speed), jnp.full(500, angle)
-    end = predicted(linear, State(0, 0, 0, 0, 0), *given, 0.01, 4)
+    end = predicted(linear, State(0, 0, 0, 0, 0), *given, 0.01, 4)[0]
     gradient = (1 / front - 1 / rear) / GRAVITY
     steady = speed / (L_F + L_R + gradient * speed**2)
     assert float(end.yaw_rate[-1]) / angle == pytest.approx(steady, rel=1e-6)
@@ -90,7 +91,7 @@ def test_steady_cornering_of_linear_tires_is_the_understeer_gradient():
 def test_the_fastest_rate_agrees_with_the_linear_car():
     front, rear, speed = 5.0, 7.0, 1.5
     linear = Car(LinearTire(front), LinearTire(rear), MASS, INERTIA, L_F, L_R, GRAVITY)
-    ahead, behind = (load * s for load, s in zip(linear.loads, (front, rear), strict=True))
+    ahead, behind = (load * s for load, s in zip(axle_loads(linear), (front, rear), strict=True))
     matrix = -np.array(
         [
             [(ahead + behind) / MASS, (L_F * ahead - L_R * behind) / MASS],

@@ -15,7 +15,7 @@ from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
 from tirefit.vehicle.effects import CAR_EFFECTS
-from tirefit.vehicle.simulated import _meanings, _spins, _without_bends
+from tirefit.vehicle.simulated import _first_of_twins, _forms, _meanings, _spins, _without_bends
 
 FEW = (
     "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
@@ -149,6 +149,33 @@ def test_the_measured_acceleration_does_not_check_a_simulator(car, tmp_path, mon
     monkeypatch.setattr("tirefit.vehicle.simulated.studied", begun)
     with pytest.raises(RuntimeError, match="begun"):
         with_states(car, tmp_path, v_y=2.0, yaw_rate=1.0)()
+
+
+def judged(*effects, **twins):
+    """A diagnosis by which these effects help."""
+    atoms = [SimpleNamespace(effect=SimpleNamespace(id=name)) for name in "abcd"]
+    each = {e: SimpleNamespace(twins=twins.get(e, ())) for e in effects}
+    fits = [SimpleNamespace(effects=(e,), atoms=(k,)) for k, e in enumerate("abcd")]
+    return SimpleNamespace(
+        base=SimpleNamespace(atoms=atoms),
+        verdict=SimpleNamespace(each=each),
+        chosen=SimpleNamespace(effects=effects, atoms=tuple(map("abcd".index, effects))),
+        search=SimpleNamespace(ranked=fits),
+    )
+
+
+def test_one_of_two_twins_is_compared_whichever_helps_more():
+    cases = judged("b", b=("c", "a")), judged("c", c=("a", "b")), judged("a", a=("b", "c"))
+    assert [_first_of_twins(case) for case in cases] == [
+        {"a": ("b", "b", "c")}, {"a": ("c", "b", "c")}, {"a": ("a", "b", "c")},
+    ]  # fmt: skip
+    assert _forms(cases[0], "a") == {"a": 0}
+
+
+def test_effects_that_help_together_do_not_replace_each_other():
+    two = judged("c", "d", c=("a",), d=("a", "b", "c"))
+    assert _first_of_twins(two) == {"a": ("c", "c"), "b": ("d", "d")}
+    assert _first_of_twins(judged("a", "b", b=("a",))) == {"a": ("a",), "b": ("b",)}
 
 
 def differing(pairs):

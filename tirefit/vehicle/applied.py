@@ -19,7 +19,7 @@ from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.vehicle.car import Changes, State
 from tirefit.vehicle.diagnose import CarExtension
 from tirefit.vehicle.effects import CAR_EFFECTS, Samples
-from tirefit.vehicle.model import PARAMETERS, Model, steered
+from tirefit.vehicle.model import PARAMETERS, Model, as_driven, steered
 from tirefit.vehicle.windows import samples_of
 
 
@@ -39,10 +39,10 @@ class Applied:
     def samples(self, motion: Motion, rows: Any, vehicle: Vehicle, tires: Any) -> Samples:
         """The quantities on which effects depend, at rows (w, k) of the motion of a log;
         the time is the middle of that of the diagnosis."""
-        found = samples_of(motion, rows, vehicle, tires)
+        samples = samples_of(motion, rows, vehicle, tires)
         across, turn = motion.a_y[rows] / vehicle.gravity, motion.yaw_rate[rows] / motion.v_x[rows]
-        speed = found.speed / self.speed
-        return found._replace(speed=speed, time=0 * found.time, across=across, turn=turn)
+        speed = samples.speed / self.speed
+        return samples._replace(speed=speed, time=0 * samples.time, across=across, turn=turn)
 
     def channels(
         self, vehicle: Vehicle, tires: Any, motion: Motion, channels: Any, rows: Any
@@ -51,33 +51,32 @@ class Applied:
         effects of steering and log; and samples at rows (w, k)."""
         v_x, a_y, steer, *state = channels
         steer = self.wheel_angle(steer, motion, vehicle, tires)
-        named = dict(zip(State._fields, state, strict=True))
-        named = self.corrected(named, v_x, vehicle)
+        driven = self.corrected(State(*state)._asdict(), v_x, vehicle)
         samples = self.samples(motion, rows, vehicle, tires)
-        return (v_x, a_y, steer, *named.values()), samples
+        return (v_x, a_y, steer, *driven.values()), samples
 
     def wheel_angle(self, steering: Any, motion: Motion, vehicle: Vehicle, tires: Any) -> Any:
         """Road wheel angle (n,) of a log, with the effects of the steering."""
         rows = np.arange(len(motion.time))[None]
         samples = jax.tree.map(lambda x: x[0], self.samples(motion, rows, vehicle, tires))
         of = self.model.setting(self.z, samples).steering
-        found = np.full(len(steering), np.nan)
+        angle = np.full(len(steering), np.nan)
         for stretch in motion.stretches:
-            own = stretch.start + np.flatnonzero(np.isfinite(steering[stretch]))
-            if len(own) > 2:
+            kept = stretch.start + np.flatnonzero(np.isfinite(steering[stretch]))
+            if len(kept) > 2:
                 step = 1 / vehicle.filter.sample_rate
-                across = np.nan_to_num(samples.across[own])
-                found[own] = steered(of, jnp.asarray(steering[own]), across, step)
-        return found
+                across = np.nan_to_num(samples.across[kept])
+                angle[kept] = steered(of, jnp.asarray(steering[kept]), across, step)
+        return angle
 
     def changes(self, samples: Samples) -> Changes:
         """The changes of the car at samples (w, k)."""
 
-        def one(samples: Samples) -> Any:
+        def of_window(samples: Samples) -> Any:
             each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), len(samples.speed))  # noqa: E731
             return jax.tree.map(each, self.model.setting(self.z, samples).car)
 
-        return jax.vmap(one)(jax.tree.map(jnp.asarray, samples))
+        return jax.vmap(of_window)(jax.tree.map(jnp.asarray, samples))
 
     def corrected(
         self, state: Mapping[str, Any], v_x: np.ndarray, vehicle: Vehicle
@@ -86,15 +85,10 @@ class Applied:
         wheelbase = vehicle.l_f + vehicle.l_r
         none = Samples(*[0.0] * len(Samples._fields))._replace(wheelbase=wheelbase)
         reading = self.model.setting(self.z, none._replace(sliding=np.ones(2))).reading
-        ahead, turned = float(reading.ahead), float(reading.sideslip)
-        found = dict(state)
-        found["yaw_rate"] = found["yaw_rate"] - float(reading.yaw_rate)
-        found["v_y"] = found["v_y"] - turned * v_x - ahead * found["yaw_rate"]
-        if vehicle.columns.motion == POSE:
-            found["heading"] = heading = found["heading"] + turned
-            found["x"] = found["x"] - ahead * np.cos(heading)
-            found["y"] = found["y"] - ahead * np.sin(heading)
-        return found
+        fields = State._fields[: 5 if vehicle.columns.motion == POSE else 2]
+        logged = dict(state) | {"yaw_rate": state["yaw_rate"] - float(reading.yaw_rate)}
+        driven = as_driven([logged[name] for name in fields], reading, v_x)
+        return logged | {name: np.asarray(getattr(driven, name)) for name in fields}
 
 
 def applied(source: Diagnosis | str | os.PathLike[str]) -> Applied:
@@ -109,8 +103,8 @@ def applied(source: Diagnosis | str | os.PathLike[str]) -> Applied:
     atoms = tuple(Atom(library[k], to.variants[k]) for k in document.sizes)
     scales = tuple(atom.effect.scale for atom in atoms)
     of_tires = [np.log(document.extended_parameters[name]) for name in PARAMETERS]
-    own = np.divide([*document.sizes.values()], scales)
-    return Applied(Model(atoms, scales, 2), np.array([*of_tires, *own], float), to.speed)
+    amplitudes = np.divide([*document.sizes.values()], scales)
+    return Applied(Model(atoms, scales, 2), np.array([*of_tires, *amplitudes], float), to.speed)
 
 
 class _Document(AnyDocument):
@@ -121,9 +115,7 @@ class _Document(AnyDocument):
     @property
     def sizes(self) -> dict[str, float]:
         """Effect -> amplitude."""
-        return {
-            name.partition(": ")[0]: amplitude.value for name, amplitude in self.amplitudes.items()
-        }
+        return {name.partition(": ")[0]: size.value for name, size in self.amplitudes.items()}
 
     @model_validator(mode="after")
     def _known(self) -> Any:

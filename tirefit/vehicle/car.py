@@ -73,11 +73,11 @@ class Car(eqx.Module):
     l_r: Float[Array, ""] | float
     gravity: Float[Array, ""] | float
 
-    @property
-    def loads(self) -> tuple[jax.Array | float, jax.Array | float]:
-        """Static load of the front and the rear axle [N]."""
-        weight = self.mass * self.gravity / (self.l_f + self.l_r)
-        return weight * self.l_r, weight * self.l_f
+
+def axle_loads(car: Car | Vehicle) -> tuple[jax.Array | float, jax.Array | float]:
+    """Static load of the front and the rear axle [N]."""
+    weight = car.mass * car.gravity / (car.l_f + car.l_r)
+    return weight * car.l_r, weight * car.l_f
 
 
 def car_of(vehicle: Vehicle, front: AbstractTire, rear: AbstractTire, inertia: Any = 1.0) -> Car:
@@ -146,8 +146,8 @@ def _across(
     angle = jnp.arctan(ratio * jnp.tan(slip + axle.slip))
     force = tire(TireInputs(alpha=angle, fz=fz * axle.load, v=v)).fy
     assert force is not None  # checked by axle_tire
-    far = (jnp.tan(angle) / axle.sliding) ** 2
-    return axle.friction * (1 - axle.fall * far / (1 + far)) * force + axle.force
+    beyond = (jnp.tan(angle) / axle.sliding) ** 2
+    return axle.friction * (1 - axle.fall * beyond / (1 + beyond)) * force + axle.force
 
 
 def accelerations(
@@ -198,31 +198,10 @@ def _slopes(car: Car, speed: jax.Array) -> jax.Array:
     return jax.jacfwd(moved)(jnp.zeros(2))
 
 
-def predicted(
-    car: Car,
-    start: State,
-    v_x: jax.Array,
-    steering: jax.Array,
-    step: float,
-    parts: int,
-    changes: Changes | None = None,
-) -> State:
-    """The states at every sample, from a start state: (n,) each.
-
-    Args:
-        start: the state at the first sample, scalars.
-        v_x, steering: (n,) at the samples, interpolated by :func:`cubic`.
-        step: time between samples [s].
-        parts: steps of Runge-Kutta of the fourth order from one sample to the next.
-        changes: numbers or (n,), each held until the next sample; None for none.
-    """
-    return followed(car, start, v_x, steering, step, parts, changes)[0]
-
-
 _Moving = tuple[State, jax.Array]  # the motion of a car, and the lags of its slip angles [rad]
 
 
-def followed(
+def predicted(
     car: Car,
     start: State,
     v_x: jax.Array,
@@ -231,7 +210,16 @@ def followed(
     parts: int,
     changes: Changes | None = None,
 ) -> tuple[State, jax.Array]:
-    """:func:`predicted`, and the lag (n, 2) of the slip angles [rad] at every sample."""
+    """The states at every sample, from a start state: (n,) each; and the lag (n, 2) of the slip
+    angles [rad].
+
+    Args:
+        start: the state at the first sample, scalars.
+        v_x, steering: (n,) at the samples, interpolated by :func:`cubic`.
+        step: time between samples [s].
+        parts: steps of Runge-Kutta of the fourth order from one sample to the next.
+        changes: numbers or (n,), each held until the next sample; None for none.
+    """
     width, count = step / parts, len(v_x) - 1
     lags = changes is not None
     each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1]  # noqa: E731
@@ -288,8 +276,8 @@ def followed(
 
     first = State(*(jnp.asarray(s, float) for s in start)), jnp.zeros(2)
     given = _with_bends(v_x), _with_bends(steering), held if lags else None
-    _, found = jax.lax.scan(onward, first, given)
-    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, found)
+    _, later = jax.lax.scan(onward, first, given)
+    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, later)
 
 
 def cubic(

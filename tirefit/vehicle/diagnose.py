@@ -137,9 +137,9 @@ def diagnose_vehicle(
     Example:
         >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
         >>> from tirefit.vehicle.effects import CAR_EFFECTS
-        >>> few = [one for one in CAR_EFFECTS if one.id == "steering_delay"]
-        >>> found = diagnose_vehicle([log], car, effects=few)
-        >>> str(found.verdict.status), found.data.channels
+        >>> few = [effect for effect in CAR_EFFECTS if effect.id == "steering_delay"]
+        >>> result = diagnose_vehicle([log], car, effects=few)
+        >>> str(result.verdict.status), result.data.channels
         ('none', ('all', 'heading', 'x', 'y'))
     """
     require_x64("a diagnosis")
@@ -149,31 +149,31 @@ def diagnose_vehicle(
     given = axle_tire(front), axle_tire(rear)
     tell = Steps(progress, _STEPS)
     tell("reading logs")
-    found = cut_in_windows(logs, stated, window)
-    kept = cut_in_windows(holdout, stated, window) if holdout else {}
+    log_windows = cut_in_windows(logs, stated, window)
+    held_out = cut_in_windows(holdout, stated, window) if holdout else {}
     tires = [
-        started(tire, derived_rows(found, stated, axle))
+        started(tire, derived_rows(log_windows, stated, axle))
         for axle, tire in zip(("front", "rear"), given, strict=True)
     ]
     library = [e for e in effects if e.id not in without]
-    case, others = studied(found, stated, tires, library, window, tell), None
-    if kept:
+    case, others = studied(log_windows, stated, tires, library, window, tell), None
+    if held_out:
         noise = {"noise": case.base.noise, "inflation": case.base.inflation}
-        others = kept, replace(subject_of(kept, stated, tires, library)[0], **noise)
+        others = held_out, replace(subject_of(held_out, stated, tires, library)[0], **noise)
     fitted = (
         f"the {axle} tire, {tire.name}, starts as fitted to the forces of derive"
         for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
         if tire is not of
     )
     notes = ["speed and steering are those of the log; axle loads are static", *fitted]
-    notes += merged((k, log.missing) for k, log in found.items())
+    notes += merged((k, log.missing) for k, log in log_windows.items())
     name = "vehicle" if isinstance(vehicle, Vehicle) else str(vehicle)
     model = "car on {} (front) and {} (rear)".format(*(tire.name for tire in tires))
-    return _document_of(case, found, others, name, model, notes, library, seed)
+    return _document_of(case, log_windows, others, name, model, notes, library, seed)
 
 
 def studied(
-    found: Logs,
+    log_windows: Logs,
     vehicle: Vehicle,
     tires: Sequence[GivenTire],
     library: Sequence[Effect],
@@ -181,7 +181,7 @@ def studied(
     tell: "Steps",
 ) -> Concluded:
     """The verdict on the windows of cut logs, for a car on these tires."""
-    subject, lacks = subject_of(found, vehicle, tires, library)
+    subject, lacks = subject_of(log_windows, vehicle, tires, library)
     if (count := len(subject.cut.log)) < LEAST_WINDOWS:
         reason = f"{count} windows of {window:g} s; a diagnosis needs {LEAST_WINDOWS}"
         raise DataError(reason, "give longer logs, or more of them")
@@ -205,14 +205,15 @@ class Steps:
 def _searched(subject: Windows) -> Search:
     """The search of the effects of a subject, with its noise; repeated if the remainder of its
     best set shows another noise."""
-    subject = replace(subject, noise=subject.rms(subject.coefficients()))
+    missed = subject.at_best_starts(subject.coefficients()).motion.missed
+    subject = replace(subject, noise=np.sqrt(np.mean(missed**2, axis=(0, 1))))
     for _ in range(_ROUNDS):
         subject = subject.following(subject.refit([subject.start], [()])[0])
         fit = subject.refit([subject.start], [()])[0]
         subject = subject.with_noise_of(fit)
     search = searched(subject, EFFORT)
     judged = subject.with_noise_of(search.ranked[0])
-    wide = (one.noise * np.sqrt(one.inflation) for one in (judged, subject))
+    wide = (windows.noise * np.sqrt(windows.inflation) for windows in (judged, subject))
     if np.any(np.abs(np.log(np.divide(*wide))) > _OTHER_NOISE):
         return searched(judged, EFFORT)
     return search
@@ -229,11 +230,11 @@ def check_effects(vehicle: Vehicle, effects: Sequence[Effect], without: Sequence
 
 
 def subject_of(
-    found: Logs, vehicle: Vehicle, tires: Sequence[GivenTire], library: Sequence[Effect]
+    log_windows: Logs, vehicle: Vehicle, tires: Sequence[GivenTire], library: Sequence[Effect]
 ) -> tuple[Windows, dict[str, tuple[str, ...]]]:
     """The subject of a diagnosis of cut logs with unit noise, and the needs that they do
     not meet, by effect."""
-    cut, has = joined_windows(found, vehicle, tires)
+    cut, has = joined_windows(log_windows, vehicle, tires)
     lacks = {e.id: tuple(n for n in e.needs if n not in has) for e in library}
     lacks = {name: needs for name, needs in lacks.items() if needs}
     atoms = atoms_of(library)
@@ -251,7 +252,7 @@ def subject_of(
 
 def _document_of(
     case: Concluded,
-    found: Logs,
+    log_windows: Logs,
     others: tuple[Logs, Windows] | None,
     vehicle: str,
     model: str,
@@ -259,7 +260,7 @@ def _document_of(
     library: Sequence[Effect],
     seed: int,
 ) -> Diagnosis:
-    """The document of the verdict on the windows of the logs ``found``.
+    """The document of the verdict on the windows of logs.
 
     Args:
         others: logs that were held out, and their windows; None without.
@@ -293,9 +294,9 @@ def _document_of(
             base.unit,
         ),
         data=DataSummary(
-            name=", ".join(found),
-            path=", ".join(log.path for log in found.values()),
-            sha256=", ".join(log.sha256 for log in found.values()),
+            name=", ".join(log_windows),
+            path=", ".join(log.path for log in log_windows.values()),
+            sha256=", ".join(log.sha256 for log in log_windows.values()),
             convention="",
             channels=tuple(gaps),
             assumptions=(f"{of_windows} fits best", *notes),
@@ -342,8 +343,8 @@ def _closure(
     generator: np.random.Generator,
 ) -> Shrinkage:
     """Closure of the gap of a channel from whitened residuals (m,) to others."""
-    unit, own = _channels(base)[channel]
-    before, after = (unit * base.over_noise(x)[:, own].ravel() for x in (before, after))
+    unit, columns = _channels(base)[channel]
+    before, after = (unit * base.over_noise(x)[:, columns].ravel() for x in (before, after))
     run = np.repeat(base.cut.log, before.size // len(base.cut.log))
     variance = np.full(before.size, unit**2)
     return closure_of(before, after, variance, run, base.inflation, generator)
@@ -359,7 +360,7 @@ def _held_out(
         for key, fit in fits_of(case, ladder).items()
     }
     closure = _closure(other, ALL, left[AS_GIVEN], left[case.verdict.key], generator)
-    missed = {key: other.over_noise(one).ravel() for key, one in left.items()}
+    missed = {key: other.over_noise(rest).ravel() for key, rest in left.items()}
     return on_files(ladder, closure, missed, 1.0, ", ".join(logs))
 
 
@@ -368,16 +369,16 @@ def _budgets(
 ) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of each channel in the order of the ladder: the parameters of the
     tires, the effects, the remainder and the noise."""
-    base, fits, found = case.base, fits_of(case, ladder), {}
+    base, fits, budgets = case.base, fits_of(case, ladder), {}
     names = [PARAMETERS, *(" + ".join({*b} - {*a}) for a, b in pairwise(fits))]
     left = base.given_residual, *(fit.residual for fit in fits.values())
-    squares = np.square([base.over_noise(one) for one in left])
+    squares = np.square([base.over_noise(rest) for rest in left])
     run = np.repeat(base.cut.log, base.cut.data.v_x.shape[1])
     fitted = len(case.chosen.pull) * base.inflation / squares[0].size
-    for channel, (unit, own) in _channels(base).items():
-        energy = unit**2 * squares[:, :, own].mean(axis=2)
+    for channel, (unit, columns) in _channels(base).items():
+        energy = unit**2 * squares[:, :, columns].mean(axis=2)
         parts = dict(zip(names, -np.diff(energy, axis=0), strict=True))
         floor = np.full(len(run), unit**2 * max(1 - fitted, 0.0))
         rest = energy[-1], floor, energy[0]
-        found[channel] = budget(parts, rest, run, base.inflation, generator)
-    return found
+        budgets[channel] = budget(parts, rest, run, base.inflation, generator)
+    return budgets

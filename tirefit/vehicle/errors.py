@@ -1,9 +1,11 @@
 """Errors of the prediction of a car, by quantity and horizon."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.diagnosis.engine.left_out import jackknife_error
@@ -28,13 +30,13 @@ class Errors(NamedTuple):
 
     def rms(self) -> dict[str, list[float | None]]:
         """Root mean square by quantity, for each horizon; None without windows."""
-        found = {}
+        rms_of = {}
         for name, values in self.of.items():
             count = np.isfinite(values).sum(axis=0)
             squares = np.nansum(values**2, axis=0)
             rms = np.sqrt(squares / np.maximum(count, 1))
-            found[name] = [float(x) if n else None for x, n in zip(rms, count, strict=True)]
-        return found
+            rms_of[name] = [float(x) if n else None for x, n in zip(rms, count, strict=True)]
+        return rms_of
 
 
 class Measured(NamedTuple):
@@ -53,7 +55,7 @@ class Measured(NamedTuple):
 def floor_of(tire: Errors, noisy: Sequence[Errors]) -> Errors:
     """The effect of the noise of the log on the errors: their change by added noise, at
     the start of a window and where it is compared."""
-    each = {k: [one.of[k] - missed for one in noisy] for k, missed in tire.of.items()}
+    each = {k: [noised.of[k] - missed for noised in noisy] for k, missed in tire.of.items()}
     return Errors({name: np.concatenate(parts) for name, parts in each.items()})
 
 
@@ -83,15 +85,11 @@ def errors_without_slip(vehicle: Vehicle, windows: Measured, steps: Sequence[int
     v_x, steering = windows.v_x, windows.steering
     yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
     sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
-
-    def summed(values: np.ndarray, start: np.ndarray) -> np.ndarray:
-        mean = 0.5 * (values[:, 1:] + values[:, :-1]) / rate
-        return start[:, None] + np.cumsum(np.pad(mean, ((0, 0), (1, 0))), axis=1)
-
-    heading = summed(yaw, windows.start.heading)
+    integral = partial(cumulative_trapezoid, dx=1 / rate, axis=1, initial=0)
+    heading = windows.start.heading[:, None] + integral(yaw)
     cos, sin = np.cos(heading), np.sin(heading)
-    x = summed(v_x * cos - sideways * sin, windows.start.x)
-    y = summed(v_x * sin + sideways * cos, windows.start.y)
+    x = windows.start.x[:, None] + integral(v_x * cos - sideways * sin)
+    y = windows.start.y[:, None] + integral(v_x * sin + sideways * cos)
     a_y = np.gradient(sideways, 1 / rate, axis=1) + v_x * yaw
     return errors_of(State(sideways, yaw, heading, x, y), a_y, windows, steps)
 

@@ -6,13 +6,14 @@ inputs, at every sample, give those of the whole motion by any number of coeffic
 linear recursion from sample to sample.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from tirefit.compiled import BRIEF
 from tirefit.diagnosis.effects.record import Atom
@@ -25,13 +26,13 @@ from tirefit.vehicle.car import (
     State,
     accelerations,
     delayed,
-    followed,
     lagged,
+    predicted,
     slip_angles,
     with_play,
 )
 from tirefit.vehicle.effects import Reading, Samples, Setting, Steering, scaled_axles
-from tirefit.vehicle.shooting import Data
+from tirefit.vehicle.shooting import Data, slopes_and_values
 
 PARAMETERS = ("front.stiffness", "front.friction", "rear.stiffness", "rear.friction")
 """Coefficients that are fitted with every set of effects: logarithms of factors on the
@@ -102,14 +103,14 @@ class Linear:
         top = np.concatenate([onward, gain @ late], axis=-1)
         move = np.concatenate([onward - eye, gain @ late], axis=-1)
         low = np.concatenate([0 * eye + 0 * onward, kept * eye], axis=-1)
-        one = np.concatenate([top, low - self.tied * slip @ move], axis=-2)
+        substep = np.concatenate([top, low - self.tied * slip @ move], axis=-2)
         push = np.concatenate([gain, -self.tied * slip @ gain], axis=-2)
         push = np.concatenate([push, np.broadcast_to(np.eye(4)[:, 2:], push.shape)], axis=-1)
         # Of inputs at the first sample, and of their change to the next one.
-        self.onward, self.push, self.ramp = one, push, 0.5 / parts * push
+        self.onward, self.push, self.ramp = substep, push, 0.5 / parts * push
         for part in range(1, parts):
-            self.onward, self.push = one @ self.onward, one @ self.push + push
-            self.ramp = one @ self.ramp + (part + 0.5) / parts * push
+            self.onward, self.push = substep @ self.onward, substep @ self.push + push
+            self.ramp = substep @ self.ramp + (part + 0.5) / parts * push
         # Rate of the lags by the relaxation length.
         rate = np.diff(now.angles, axis=1)[..., None] / step
         old = (_middle(now.late)[..., None] + time * rate) * kept
@@ -160,21 +161,16 @@ class Linear:
         if reads.shape[2] == 2:
             return reads[..., :2] @ moved
         s, v = self.motion.states, self.v_x
-        heading = first[2] + self._summed(moved[:, :, 1])
+        integral = partial(cumulative_trapezoid, dx=self.step, axis=1, initial=0)
+        heading = first[2] + integral(moved[:, :, 1])
         cos, sin = np.cos(s.heading), np.sin(s.heading)
         by_heading = -v * sin - s.v_y * cos, v * cos - s.v_y * sin
         place = [
-            start + self._summed(side[..., None] * moved[:, :, 0] + by[..., None] * heading)
+            start + integral(side[..., None] * moved[:, :, 0] + by[..., None] * heading)
             for start, side, by in zip(first[3:], (-sin, cos), by_heading, strict=True)
         ]
         whole = np.stack([moved[:, :, 0], moved[:, :, 1], heading, *place], axis=2)
         return reads @ whole
-
-    def _summed(self, rates: np.ndarray) -> np.ndarray:
-        """Integral (w, k, q) from the first sample, by the trapezoidal rule."""
-        found = np.zeros_like(rates)
-        np.cumsum(self.step * _middle(rates), axis=1, out=found[:, 1:])
-        return found
 
 
 def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -242,28 +238,28 @@ class Model(NamedTuple):
         return setting
 
 
+_Inputs = tuple[jax.Array, jax.Array, jax.Array]
+"""Of each window: wheel angle (w, k), changes (w, k, f) and errors of the log (w, 3)."""
+
+
 @partial(jax.jit, static_argnums=0, compiler_options=BRIEF)
 def inputs(
     model: Model, step: jax.Array, z: jax.Array, ways: jax.Array, data: Data, rows: Samples
-) -> tuple[tuple[jax.Array, jax.Array, jax.Array], Slopes]:
-    """The inputs at coefficients z: wheel angle (w, k), changes (w, k, f) and errors of the
-    log (w, 3); and their :class:`Slopes` along ``ways`` (p, q)."""
+) -> tuple[_Inputs, Slopes]:
+    """The inputs at coefficients z, and their :class:`Slopes` along ``ways`` (p, q)."""
 
-    def one(window: Data, rows: Samples) -> tuple[tuple[jax.Array, jax.Array, jax.Array], Slopes]:
-        def at(
-            along: jax.Array,
-        ) -> tuple[tuple[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]:
+    def of_window(window: Data, rows: Samples) -> tuple[_Inputs, Slopes]:
+        def at(along: jax.Array) -> _Inputs:
             setting = model.setting(z + ways @ along, rows)
             angle = steered(setting.steering, window.steering, rows.across, step)
             leaves = [jnp.broadcast_to(x, angle.shape) for x in jax.tree.leaves(setting.car)]
             reading = jnp.stack([jnp.asarray(x, float) for x in setting.reading])
-            found = angle, jnp.stack(leaves, axis=1), reading
-            return found, found
+            return angle, jnp.stack(leaves, axis=1), reading
 
-        slopes, found = jax.jacfwd(at, has_aux=True)(jnp.zeros(ways.shape[1]))
-        return found, Slopes(*slopes)
+        slopes, values = slopes_and_values(at)(jnp.zeros(ways.shape[1]))
+        return values, Slopes(*slopes)
 
-    return jax.vmap(one)(data, rows)
+    return jax.vmap(of_window)(data, rows)
 
 
 def logged(channels: int, state: State, reading: Reading, v_x: jax.Array) -> jax.Array:
@@ -276,8 +272,9 @@ def logged(channels: int, state: State, reading: Reading, v_x: jax.Array) -> jax
     return jnp.stack([state.heading - reading.sideslip, *place])
 
 
-def as_driven(start: jax.Array, reading: Reading, v_x: jax.Array) -> State:
-    """The state of which a log has the start state (s,): the inverse of :func:`logged`."""
+def as_driven(start: Values | Sequence[Values], reading: Reading, v_x: Values) -> State:
+    """The state of which a log has the start state (s, ...): the inverse of :func:`logged`, for
+    a true yaw rate."""
     v_y, yaw_rate, *place = start
     heading, x, y = place or jnp.zeros(3)
     heading = heading + reading.sideslip
@@ -288,12 +285,7 @@ def as_driven(start: jax.Array, reading: Reading, v_x: jax.Array) -> State:
 
 @partial(jax.jit, static_argnums=0, compiler_options=BRIEF)
 def moved(
-    channels: int,
-    car: Car,
-    grid: tuple[Any, Any],
-    start: jax.Array,
-    data: Data,
-    given: tuple[jax.Array, jax.Array, jax.Array],
+    channels: int, car: Car, grid: tuple[Any, Any], start: jax.Array, data: Data, given: _Inputs
 ) -> Moved:
     """The motion from start states (w, s) with the inputs that :func:`inputs` gives.
 
@@ -301,13 +293,13 @@ def moved(
     one to the next.
     """
 
-    def one(
+    def of_window(
         start: jax.Array, window: Data, angle: jax.Array, changes: jax.Array, reading: jax.Array
     ) -> Moved:
         split = jax.tree.unflatten(_TREE, [*changes.T])
         first = State(*start, *jnp.zeros(5 - len(start)))
         step, parts = grid
-        states, late = followed(car, first, window.v_x, angle, step, parts, split)
+        states, late = predicted(car, first, window.v_x, angle, step, parts, split)
 
         def rates(
             motion: jax.Array, angle: jax.Array, change: jax.Array, late: jax.Array, v_x: jax.Array
@@ -319,26 +311,22 @@ def moved(
 
         def slips(
             motion: jax.Array, angle: jax.Array, ahead: jax.Array, v_x: jax.Array
-        ) -> tuple[jax.Array, jax.Array]:
-            found = jnp.stack(slip_angles(car, v_x, angle, motion[0], motion[1], ahead))
-            return found, found
+        ) -> jax.Array:
+            return jnp.stack(slip_angles(car, v_x, angle, motion[0], motion[1], ahead))
 
-        def read(
-            state: jax.Array, reading: jax.Array, v_x: jax.Array
-        ) -> tuple[jax.Array, jax.Array]:
-            found = logged(channels, State(*state), Reading(*reading), v_x)
-            return found, found
+        def read(state: jax.Array, reading: jax.Array, v_x: jax.Array) -> jax.Array:
+            return logged(channels, State(*state), Reading(*reading), v_x)
 
         state, v_x = jnp.stack(states, axis=1), window.v_x
         motion, each = state[:, :2], jax.vmap(jax.jacfwd(rates, (0, 1, 2, 3), has_aux=True))
         (by_motion, by_angle, by_change, by_late), lateral = each(motion, angle, changes, late, v_x)
-        slip, angles = jax.vmap(jax.jacfwd(slips, has_aux=True))(motion, angle, split.ahead, v_x)
-        reader = jax.vmap(jax.jacfwd(read, (0, 1), has_aux=True), (0, None, 0))
+        slip, angles = jax.vmap(slopes_and_values(slips))(motion, angle, split.ahead, v_x)
+        reader = jax.vmap(slopes_and_values(read, (0, 1)), (0, None, 0))
         (reads, by_reading), values = reader(state, reading, v_x)
-        found: tuple[Any, ...] = (
+        fields: tuple[Any, ...] = (
             values - window.logged, by_motion, by_angle, by_change, by_late, slip, reads,
             by_reading, states, late, angles, lateral,
         )  # fmt: skip
-        return Moved(*found)
+        return Moved(*fields)
 
-    return jax.vmap(one)(start, data, *given)
+    return jax.vmap(of_window)(start, data, *given)

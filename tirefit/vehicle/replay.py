@@ -40,6 +40,7 @@ from tirefit.vehicle.car import (
     Changes,
     State,
     accelerations,
+    axle_loads,
     car_of,
     linear,
     predicted,
@@ -209,8 +210,8 @@ def replay(
 
     Example:
         >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
-        >>> found = replay([log], car, "brush", "brush", horizons=[0.5])
-        >>> found.windows, sorted(found.models)
+        >>> result = replay([log], car, "brush", "brush", horizons=[0.5])
+        >>> result.windows, sorted(result.models)
         ((38,), ['floor', 'linear tire', 'no slip', 'tire'])
     """
     require_x64("a replay")
@@ -228,7 +229,7 @@ def replay(
     named = None if effects is None else applied(effects)
     apply = named and partial(named.channels, vehicle, tires)
     thinned: list[str] = []
-    found = cut_logs(
+    log_windows = cut_logs(
         logs,
         vehicle,
         partial(_windows, vehicle, horizons, generator, apply, thinned, tell),
@@ -237,41 +238,39 @@ def replay(
     )
     joined, *noisy, changed = (
         jax.tree.map(lambda *each: np.concatenate(each), *same)
-        for same in zip(*(log.windows for log in found.values()), strict=True)
+        for same in zip(*(log.windows for log in log_windows.values()), strict=True)
     )
     steps = [round(h * rate) for h in horizons]
     car: Car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
-    speed = float(np.median(joined.v_x[np.isfinite(joined.a_y)]))
-    axles = zip((car.front, car.rear), car.loads, strict=True)
-    straight = replace_tires(car, *(linear(t, fz, speed) for t, fz in axles))
     parts = steps_a_sample(car, float(joined.v_x.min()), rate)
     tell("predictions")
-    tire, states = _compared(car, joined, steps, rate, parts)
+    predict = partial(_predicted, step=1 / rate, parts=parts)
+
+    def compared(car: Car, windows: Measured = joined, **more: Any) -> Errors:
+        return errors_of(*predict(car, windows, **more), windows, steps)
+
+    predictions = predict(car, joined)
+    tire = errors_of(*predictions, joined, steps)
     tell("predictions of other cars")
     models = {
         "tire": tire,
-        "linear tire": _compared(straight, joined, steps, rate, parts)[0],
+        "linear tire": compared(_linear(car, joined)),
         "no slip": errors_without_slip(vehicle, joined, steps),
     }
     if named is not None:
-        models["with the effects"], _ = _compared(
-            car, changed, steps, rate, 2 * parts, named.changes(changed.samples)
-        )
+        changes = named.changes(changed.samples)
+        models["with the effects"] = compared(car, changed, parts=2 * parts, changes=changes)
     tell("predictions with noise")
-    again = [_compared(car, each, steps, rate, parts)[0] for each in noisy]
-    models["floor"] = floor_of(tire, again)
-    left = merged((k, (*log.missing, *left_out(log.motion, vehicle))) for k, log in found.items())
+    models["floor"] = floor_of(tire, [compared(car, windows) for windows in noisy])
     tell("band of the tires' parameters")
-    held = _held(car, tires, joined, steps, rate, parts, generator)
-    counts = np.isfinite(tire.of["yaw_rate"]).sum(axis=0)
     return Replay(
-        {k: not fitted.isdisjoint(log.runs) for k, log in found.items()},
+        {k: not fitted.isdisjoint(log.runs) for k, log in log_windows.items()},
         tuple(horizons),
-        tuple(int(n) for n in counts),
+        tuple(np.isfinite(tire.of["yaw_rate"]).sum(axis=0).tolist()),
         models,
-        held,
-        _fans(found, states),
-        (*_notes(vehicle, tires), *dict.fromkeys(thinned), *left),
+        _held(compared, car, tires, generator),
+        _fans(log_windows, *predictions),
+        _notes(vehicle, tires, thinned, log_windows),
     )
 
 
@@ -290,7 +289,12 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
     return given
 
 
-def _notes(vehicle: Vehicle, tires: tuple[GivenTire, ...]) -> tuple[str, ...]:
+def _notes(
+    vehicle: Vehicle,
+    tires: tuple[GivenTire, ...],
+    thinned: Sequence[str],
+    log_windows: Mapping[str, CutLog[Any]],
+) -> tuple[str, ...]:
     notes = [
         "speed and steering are those of the log; start states are from the log, low-passed"
         f" at {vehicle.filter.bandwidth:.3g} Hz with zero phase",
@@ -307,7 +311,9 @@ def _notes(vehicle: Vehicle, tires: tuple[GivenTire, ...]) -> tuple[str, ...]:
         notes.append(
             "the log has no pose: heading and position are integrals of yaw rate and speeds"
         )
-    return tuple(notes)
+    logs = log_windows.items()
+    left = merged((k, (*log.missing, *left_out(log.motion, vehicle))) for k, log in logs)
+    return (*notes, *dict.fromkeys(thinned), *left)
 
 
 def _traced(module: Any) -> Any:
@@ -318,6 +324,13 @@ def _traced(module: Any) -> Any:
 def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
     """The same car on other tires."""
     return eqx.tree_at(lambda c: (c.front, c.rear), car, _traced((front, rear)))
+
+
+def _linear(car: Car, windows: Measured) -> Car:
+    """The same car on linear tires."""
+    speed = float(np.median(windows.v_x[np.isfinite(windows.a_y)]))
+    axles = zip((car.front, car.rear), axle_loads(car), strict=True)
+    return replace_tires(car, *(linear(tire, fz, speed) for tire, fz in axles))
 
 
 def _windows(
@@ -337,14 +350,14 @@ def _windows(
     tell("windows of a log")
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
+    step = max(round(EVERY * rate), 1)
     good = motion.settled & (motion.v_x > vehicle.v_min)
     good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
-    each = stretches(good, motion.part)
-    begun, step = starts_in(each, least, max(round(EVERY * rate), 1))
+    begun, thinner = starts_in(stretches(good, motion.part), least, step)
     if not begun:
         return None
-    if step > max(round(EVERY * rate), 1):
-        thinned.append(f"a log is long: its windows start every {step / rate:.3g} s")
+    if thinner > step:
+        thinned.append(f"a log is long: its windows start every {thinner / rate:.3g} s")
     starts, ends = np.array(begun).T
     rows = starts[:, None] + np.arange(most)
     there = rows < ends[:, None]
@@ -356,10 +369,10 @@ def _windows(
         if apply is not None:
             channels, samples = apply(motion, channels, rows)
         v_x, a_y, steer, *state = channels
-        *measured, a_y = (np.where(there, one[rows], np.nan) for one in (*state, a_y))
+        *measured, a_y = (np.where(there, x[rows], np.nan) for x in (*state, a_y))
         return Measured(
             motion.time[rows],
-            State(*(one[starts] for one in state)),
+            State(*(x[starts] for x in state)),
             v_x[rows],
             steer[rows],
             State(*measured),
@@ -392,50 +405,39 @@ def _states(
 ) -> tuple[State, jax.Array]:
     """States (w, k) of every window, and the lateral acceleration (w, k)."""
 
-    def one(
+    def of_window(
         start: State, v_x: jax.Array, steering: jax.Array, changes: Changes | None
     ) -> tuple[State, jax.Array]:
-        states = predicted(car, start, v_x, steering, step, parts, changes)
-        motion = v_x, steering, states.v_y, states.yaw_rate
-        if changes is None:
-            return states, jax.vmap(partial(accelerations, car))(*motion)[0]
-        return states, jax.vmap(partial(accelerations, car))(*motion, changes)[0]
+        states, _ = predicted(car, start, v_x, steering, step, parts, changes)
+        acting = () if changes is None else (changes,)
+        samples = v_x, steering, states.v_y, states.yaw_rate, *acting
+        return states, jax.vmap(partial(accelerations, car))(*samples)[0]
 
-    return jax.vmap(one)(start, v_x, steering, changes)
+    return jax.vmap(of_window)(start, v_x, steering, changes)
 
 
-def _compared(
-    car: Car,
-    windows: Measured,
-    steps: Sequence[int],
-    rate: float,
-    parts: int,
-    changes: Changes | None = None,
-) -> tuple[Errors, tuple[State, np.ndarray]]:
-    """Errors at the horizons, and the predicted states (w, k)."""
+def _predicted(
+    car: Car, windows: Measured, step: float, parts: int, changes: Changes | None = None
+) -> tuple[State, np.ndarray]:
+    """The predicted states (w, k), and the lateral acceleration (w, k)."""
     given = windows.start, windows.v_x, windows.steering, changes
-    states, lateral = _states(car, *given, 1 / rate, parts)
-    states, lateral = State(*map(np.asarray, states)), np.asarray(lateral)
-    return errors_of(states, lateral, windows, steps), (states, lateral)
+    return jax.tree.map(np.asarray, _states(car, *given, step, parts))
 
 
 def _held(
+    compared: Callable[[Car], Errors],
     car: Car,
     tires: tuple[GivenTire, ...],
-    windows: Measured,
-    steps: Sequence[int],
-    rate: float,
-    parts: int,
     generator: np.random.Generator,
 ) -> dict[str, list[float | None]]:
     """Share of the windows within the band of the tires' parameters, by horizon."""
     if all(tire.fit is None for tire in tires):
         return {}
-    drawn = zip(*(tire.drawn(generator, DRAWS) for tire in tires), strict=True)
-    each = [_compared(replace_tires(car, *pair), windows, steps, rate, parts)[0] for pair in drawn]
+    pairs = zip(*(tire.drawn(generator, DRAWS) for tire in tires), strict=True)
+    drawn = [compared(replace_tires(car, *pair)) for pair in pairs]
     held = {}
     for name in QUANTITIES:
-        missed = np.stack([errors.of[name] for errors in each])
+        missed = np.stack([errors.of[name] for errors in drawn])
         inside = np.abs(missed.mean(axis=0)) <= _NORMAL_95 * missed.std(axis=0)
         there = np.isfinite(missed[0])
         held[name] = [
@@ -445,23 +447,19 @@ def _held(
 
 
 def _fans(
-    found: Mapping[str, CutLog[Any]], predictions: tuple[State, np.ndarray]
+    log_windows: Mapping[str, CutLog[Any]], states: State, lateral: np.ndarray
 ) -> dict[str, Fans]:
     """The windows of the figures, for each log."""
-    (states, lateral), fans, first = predictions, {}, 0
-    for name, log in found.items():
+    predicted, fans, first = states._asdict() | {"a_y": lateral}, {}, 0
+    for name, log in log_windows.items():
         windows = log.windows[0]
         rows = slice(first, first + len(windows.v_x))
         first = rows.stop
-        measured = windows.measured._asdict() | {"a_y": windows.a_y}
         there = np.isfinite(windows.a_y)
         fans[name] = Fans(
             np.where(there, windows.time, np.nan),
-            measured,
-            {
-                k: np.where(there, one[rows], np.nan)
-                for k, one in (states._asdict() | {"a_y": lateral}).items()
-            },
+            windows.measured._asdict() | {"a_y": windows.a_y},
+            {k: np.where(there, values[rows], np.nan) for k, values in predicted.items()},
             log.epoch,
         )
     return fans

@@ -40,21 +40,30 @@ _BLOCKS = 40
 """Largest number of blocks of windows of the sandwich, whose scores are independent."""
 
 
+def slopes_and_values(
+    function: Callable[..., Any], by: int | tuple[int, ...] = 0
+) -> Callable[..., Any]:
+    """A function that returns the derivatives by some arguments, and the values."""
+
+    def twice(*arguments: Any) -> tuple[Any, Any]:
+        values = function(*arguments)
+        return values, values
+
+    return jax.jacfwd(twice, by, has_aux=True)
+
+
 def linearised(missed: Callable[..., Any], parts: int) -> Callable[..., Any]:
     """Residuals (w, k, c) and their derivatives by z (w, k, c, p) and by the start of
     the own window (w, k, c, s), compiled."""
 
-    def one(z: jax.Array, start: jax.Array, window: Data) -> tuple[jax.Array, jax.Array, jax.Array]:
-        def both(z: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array]:
-            found = missed(z, start, window, parts)
-            return found, found
+    def of_window(z: jax.Array, start: jax.Array, window: Data) -> tuple[jax.Array, ...]:
+        slopes, residual = slopes_and_values(missed, (0, 1))(z, start, window, parts)
+        return residual, *slopes
 
-        slopes, found = jax.jacfwd(both, (0, 1), has_aux=True)(z, start)
-        return found, *slopes
-
-    return jax.jit(jax.vmap(one, (None, 0, 0)))
+    return jax.jit(jax.vmap(of_window, (None, 0, 0)))
 
 
+@jax.jit
 def eliminated(
     missed: jax.Array,
     by_z: jax.Array,
@@ -81,18 +90,15 @@ def eliminated(
     r = jnp.concatenate([r, off], axis=1)
     a = jnp.pad(a, ((0, 0), (0, off.shape[1]), (0, 0)))
     b = jnp.concatenate([b, root[..., None] * jnp.eye(off.shape[1])[None]], axis=1)
-    own = jnp.einsum("wms,wmt->wst", b, b)
-    trace = jnp.trace(own, axis1=1, axis2=2)[:, None, None]
-    eye = jnp.eye(own.shape[1])[None]
-    own = own + damping * own * eye + 1e-9 * trace * eye
-    step = -jnp.linalg.solve(own, jnp.einsum("wms,wm->ws", b, r)[..., None])[..., 0]
-    tied = -jnp.linalg.solve(own, jnp.einsum("wms,wmp->wsp", b, a))
+    normal = jnp.einsum("wms,wmt->wst", b, b)
+    trace = jnp.trace(normal, axis1=1, axis2=2)[:, None, None]
+    eye = jnp.eye(normal.shape[1])[None]
+    normal = normal + damping * normal * eye + 1e-9 * trace * eye
+    step = -jnp.linalg.solve(normal, jnp.einsum("wms,wm->ws", b, r)[..., None])[..., 0]
+    tied = -jnp.linalg.solve(normal, jnp.einsum("wms,wmp->wsp", b, a))
     rest = a + jnp.einsum("wms,wsp->wmp", b, tied)
     score = jnp.einsum("wmp,wm->wp", rest, r)
     return score, jnp.einsum("wmp,wmq->wpq", rest, a), step, tied
-
-
-eliminate = jax.jit(eliminated)
 
 
 class Squares(NamedTuple):
@@ -124,7 +130,7 @@ class Squares(NamedTuple):
 
     def eliminated(self, end: "End", damping: float = 0.0) -> tuple[jax.Array, ...]:
         """:func:`eliminated` at an end."""
-        return eliminate(*end.now, self.noise, *self.held(end.starts), damping)
+        return eliminated(*end.now, self.noise, *self.held(end.starts), damping)
 
     def begun(self, z: Values, starts: Values) -> "End":
         """Where a search begins."""
@@ -184,8 +190,8 @@ def minimised(
     of it; ``rest`` as in :func:`on_host`."""
     at = _Windows(squares, start)
     solver, (lower, upper) = NormalEquations(tolerance), bounds
-    found = on_host(at, start.z, solver, lower=lower, upper=upper, max_steps=most, rest=rest)
-    return at.end._replace(z=jnp.asarray(at.end.z), converged=found.converged)
+    solved = on_host(at, start.z, solver, lower=lower, upper=upper, max_steps=most, rest=rest)
+    return at.end._replace(z=jnp.asarray(at.end.z), converged=solved.converged)
 
 
 def minimised_inside(

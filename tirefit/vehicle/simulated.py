@@ -120,65 +120,92 @@ def compare_with_simulator(
     Example:
         >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
         >>> from tirefit.vehicle.effects import CAR_EFFECTS
-        >>> few = [one for one in CAR_EFFECTS if one.id == "steering_delay"]
-        >>> found = compare_with_simulator([log], [log], car, effects=few)
-        >>> any(one.differs for one in (*found.numbers, *found.effects))
+        >>> few = [effect for effect in CAR_EFFECTS if effect.id == "steering_delay"]
+        >>> result = compare_with_simulator([log], [log], car, effects=few)
+        >>> any(number.differs for number in (*result.numbers, *result.effects))
         False
     """
     require_x64("a diagnosis")
     stated, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
     check_effects(stated, effects, without)
-    library = [one for one in effects if one.id not in without]
+    library = [effect for effect in effects if effect.id not in without]
     if len(logs) != len(sim_logs):
         raise DataError(f"{len(sim_logs)} simulated logs of {len(logs)}", "give one for each log")
     tell = Steps(progress, _STEPS)
     tell("reading logs")
-    found = cut_in_windows(logs, stated, window)
-    own = _own_vehicle(stated, sim_logs)
+    log_windows = cut_in_windows(logs, stated, window)
+    sim_vehicle = _of_sim_logs(stated, sim_logs)
     with TemporaryDirectory() as folder:
         pairs = zip(logs, sim_logs, strict=True)
-        whole = [_with_inputs(*pair, own, Path(folder)) for pair in pairs]
+        whole = [_with_inputs(*pair, sim_vehicle, Path(folder)) for pair in pairs]
         try:
-            motions = [read_motion(file_at(path), own)[1] for path in whole]
-            each = zip(found.values(), motions, sim_logs, strict=True)
-            DataError.raise_for([x for one in each for x in _unlike(*one, own)])
-            simulated = cut_in_windows(whole, own, window)
+            motions = [read_motion(file_at(path), sim_vehicle)[1] for path in whole]
+            triples = zip(log_windows.values(), motions, sim_logs, strict=True)
+            DataError.raise_for([x for triple in triples for x in _unlike(*triple, sim_vehicle)])
+            simulated = cut_in_windows(whole, sim_vehicle, window)
         except DataError as error:
             given = dict(zip(map(str, whole), map(str, sim_logs), strict=True))
             named = (replace(x, file=given.get(x.file, x.file)) for x in error.problems)
             DataError.raise_for(list(named))
             raise
     tires = [
-        started(axle_tire(tire), derived_rows(found, stated, axle))
+        started(axle_tire(tire), derived_rows(log_windows, stated, axle))
         for axle, tire in (("front", front), ("rear", rear))
     ]
-    car = studied(found, stated, tires, library, window, tell)
-    simulator = studied(_noisy(simulated, car.base.noise), own, tires, library, window, tell)
+    car = studied(log_windows, stated, tires, library, window, tell)
+    noisy = _noisy(simulated, car.base.noise)
+    simulator = studied(noisy, sim_vehicle, tires, library, window, tell)
     # The effects that help either, in the form of the car if it has them.
-    fits = [case.chosen for case in (simulator, car)]
-    forms = {e: atom for fit in fits for e, atom in zip(fit.effects, fit.atoms, strict=True)}
-    ranked = dict.fromkeys(e for one in fits[::-1] for e in one.effects)
+    helping = {"car": _first_of_twins(car), "simulator": _first_of_twins(simulator)}
+    forms = _forms(simulator, helping["simulator"]) | _forms(car, helping["car"])
+    ranked = dict.fromkeys(effect for of in helping.values() for effect in of)
     atoms = tuple(sorted([forms[effect] for effect in ranked][:MOST_EFFECTS]))
     sources = [
-        _described(name, case, atoms, stated, ", ".join(map(str, files)))
+        _described(name, case, helping[name], atoms, stated, ", ".join(map(str, files)))
         for name, case, files in (("simulator", simulator, sim_logs), ("car", car, logs))
     ]
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
     numbers = _without_bends(result.numbers)
-    meant = _meanings({one.name: one for one in (*numbers, *result.effects)})
-    meanings = (*_spins(found.values(), simulated.values()), *meant)
+    meant = _meanings({number.name: number for number in (*numbers, *result.effects)})
+    alike = [
+        f"{effect} in the {name} may be {' or '.join(twins)} instead: these logs cannot distinguish"
+        " them"
+        for name, of in helping.items()
+        for effect, (_, *twins) in of.items()
+        if twins
+    ]
+    meanings = (*_spins(log_windows.values(), simulated.values()), *meant, *alike)
     return replace(result, numbers=numbers, notes=(*result.notes, note), meanings=meanings)
 
 
-def _unlimited(found: Mapping[str, Apart]) -> dict[str, str]:
+def _first_of_twins(case: Concluded) -> dict[str, tuple[str, ...]]:
+    """The first in the library of each effect that helps and its twins -> the one that helps, and
+    the others of these: which helps more may change with a row of the log."""
+    order = [atom.effect.id for atom in case.base.atoms]
+    named = dict[str, tuple[str, ...]]()
+    for effect in case.chosen.effects:
+        twins = {*case.verdict.each[effect].twins} - {*named, *case.chosen.effects}
+        first, *others = sorted({effect, *twins}, key=order.index)
+        named[first] = (effect, *others)
+    return named
+
+
+def _forms(case: Concluded, effects: Iterable[str]) -> dict[str, int]:
+    """Effect -> its atom in the fit that helps, or in the best fit that has it."""
+    fits = [*case.search.ranked[::-1], case.chosen]
+    forms = {e: atom for fit in fits for e, atom in zip(fit.effects, fit.atoms, strict=True)}
+    return {effect: forms[effect] for effect in effects}
+
+
+def _unlimited(numbers: Mapping[str, Apart]) -> dict[str, str]:
     """Axle -> the one of simulator and car whose tires have no friction limit."""
     unlimited = {}
     for axle in ("front", "rear"):
-        one = found[f"{axle}.friction"]
-        (low, _), (high, name) = sorted((x.value, name) for name, x in one.values.items())
-        if one.differs and high > _UNLIMITED * low:
+        friction = numbers[f"{axle}.friction"]
+        (low, _), (high, name) = sorted((x.value, name) for name, x in friction.values.items())
+        if friction.differs and high > _UNLIMITED * low:
             unlimited[axle] = name
     return unlimited
 
@@ -186,29 +213,25 @@ def _unlimited(found: Mapping[str, Apart]) -> dict[str, str]:
 def _without_bends(numbers: Sequence[Apart]) -> tuple[Apart, ...]:
     """The factors on the tires; the stiffness of an axle without a friction limit does not differ
     if it only makes up for the bend of the brush that stands for it."""
-    axles = _unlimited({number.name: number for number in numbers})
-    return tuple(
-        one._replace(differs=False)
-        if one.name.endswith(".stiffness")
-        and one.name.split(".")[0] in axles
-        and float(np.ptp(np.log([x.value for x in one.values.values()]))) < _BEND
-        else one
-        for one in numbers
-    )
+    factors = {number.name: number for number in numbers}
+    for axle in _unlimited(factors):
+        stiffness = factors[f"{axle}.stiffness"]
+        if np.ptp(np.log([x.value for x in stiffness.values.values()])) < _BEND:
+            factors[stiffness.name] = stiffness._replace(differs=False)
+    return tuple(factors.values())
 
 
-def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
+def _meanings(numbers: Mapping[str, Apart]) -> Iterator[str]:
     """What differences mean: tires without a friction limit, or another mass."""
-    for axle, name in _unlimited(found).items():
+    for axle, name in _unlimited(numbers).items():
         yield (
             f"the {axle} tires of the {name} do not saturate in these logs: they have no"
             " friction limit, or a far higher one"
         )
     names = "front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia"
-    three = [found[name].values for name in names if name in found and found[name].differs]
-    if len(three) < len(names):
+    if not all(name in numbers and numbers[name].differs for name in names):
         return
-    pairs = [(values["car"], values["simulator"]) for values in three]
+    pairs = [[numbers[name].values[of] for of in ("car", "simulator")] for name in names]
     logs = np.log([ours.value / theirs.value for ours, theirs in pairs])
     weight = [1 / sum(((x.std or 0) / x.value) ** 2 for x in pair) for pair in pairs]
     mean = np.average(logs, weights=weight)
@@ -221,19 +244,20 @@ def _meanings(found: Mapping[str, Apart]) -> Iterator[str]:
 
 def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Iterator[str]:
     """A sentence if the simulated car spins where the car does not."""
-    car, own = (
+    car, simulator = (
         max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
-        for motions in ([one.motion for one in each] for each in (logs, simulated))
+        for motions in ([log.motion for log in cut] for cut in (logs, simulated))
     )
-    if own > max(_SPUN, _MORE * car):
+    if simulator > max(_SPUN, _MORE * car):
         yield (
-            f"the simulated car spins: its sideslip reaches {math.degrees(own):.0f} deg, that of"
+            "the simulated car spins: its sideslip reaches"
+            f" {math.degrees(simulator):.0f} deg, that of"
             f" the car {math.degrees(car):.0f} deg. What differs is uncertain: give a log in which"
             " the simulator does not spin"
         )
 
 
-def _own_vehicle(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
+def _of_sim_logs(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
     """The vehicle with the columns of simulated logs: their states, inputs, and no measurement
     of the car as a check of them."""
     columns, lacking, problems = vehicle.columns, set[str](), []
@@ -241,8 +265,8 @@ def _own_vehicle(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
         headers = read_table(file_at(path), []).headers
         lacks = {x for x in CHECKS if not {*_headers(columns, x)} <= {*headers}}
         states = POSE if columns.motion == POSE else ("v_y", "yaw_rate")
-        if own := [name for name in states if name in lacks]:
-            reason = f"it lacks {', '.join(own)}, which the simulator has to predict"
+        if absent := [name for name in states if name in lacks]:
+            reason = f"it lacks {', '.join(absent)}, which the simulator has to predict"
             problems.append(InputProblem(reason, "name the columns as in the log", str(path)))
         lacking |= lacks
     DataError.raise_for(problems)
@@ -265,12 +289,13 @@ def _unlike(
         if name == "v_y" and not vehicle.columns.a_y_follows:
             continue  # the simulator's own a_y or pose is compared with it
         logged = getattr(ours, name)[there]
-        own = np.interp(ours.time[there], theirs.time, getattr(theirs, name))
-        good = np.isfinite(own) & np.isfinite(logged)
-        if not good.any() or min(np.ptp(own[good]), np.ptp(logged[good])) == 0.0:
+        simulated = np.interp(ours.time[there], theirs.time, getattr(theirs, name))
+        good = np.isfinite(simulated) & np.isfinite(logged)
+        logged, simulated = logged[good], simulated[good]
+        if not good.any() or min(np.ptp(simulated), np.ptp(logged)) == 0.0:
             continue  # a state that never changes shows neither unit nor sign
-        correlation = np.corrcoef(own[good], logged[good])[0, 1]
-        ratio = float(np.std(own[good]) / np.std(logged[good]))
+        correlation = np.corrcoef(simulated, logged)[0, 1]
+        ratio = float(np.std(simulated) / np.std(logged))
         for unit, factor in {**units, "": 1.0}.items():
             sign = "" if correlation > 0 else "of the other sign"
             near = min(abs(math.log(ratio * by)) for by in (factor, 1 / factor)) < _NEAR
@@ -290,27 +315,27 @@ def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Pat
     """The simulated log, with the columns that it lacks from the log."""
     wanted = [x for name in vehicle.columns.model_dump() for x in _headers(vehicle.columns, name)]
     wanted += [vehicle.keep.active] if vehicle.keep.active else []
-    own = read_table(file_at(sim), [])
-    lacking = [name for name in wanted if name not in own.headers]
+    simulated = read_table(file_at(sim), [])
+    lacking = [name for name in wanted if name not in simulated.headers]
     if not lacking:
         return Path(sim)
-    other = read_table(file_at(log), wanted)
-    if len(own.lines) != len(other.lines):
-        reason = f"it lacks {', '.join(lacking)}, and has {len(own.lines)} rows; the log has"
+    logged = read_table(file_at(log), wanted)
+    if len(simulated.lines) != len(logged.lines):
+        reason = f"it lacks {', '.join(lacking)}, and has {len(simulated.lines)} rows; the log has"
         remedy = "add the columns, or write a row for each row of the log"
-        raise DataError(f"{reason} {len(other.lines)}", remedy, str(sim))
-    taken = [name for name in lacking if name in other.headers]
-    cells = [*own.cells, *(other.cells[other.headers.index(name)] for name in taken)]
+        raise DataError(f"{reason} {len(logged.lines)}", remedy, str(sim))
+    taken = [name for name in lacking if name in logged.headers]
+    cells = [*simulated.cells, *(logged.cells[logged.headers.index(name)] for name in taken)]
     path = folder / f"{Path(sim).stem}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([[*own.headers, *taken], *zip(*cells, strict=True)])
+        csv.writer(file).writerows([[*simulated.headers, *taken], *zip(*cells, strict=True)])
     return path
 
 
-def _noisy(found: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
+def _noisy(log_windows: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
     """Cut logs with as much noise again on their channels as the log has."""
     generator, noisy = np.random.default_rng(0), {}
-    for name, log in found.items():
+    for name, log in log_windows.items():
         data, rows = log.windows
         added = _NOISE * noise * generator.standard_normal(data.logged.shape)
         noisy[name] = log._replace(windows=(data._replace(logged=data.logged + added), rows))
@@ -318,7 +343,12 @@ def _noisy(found: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
 
 
 def _described(
-    name: str, case: Concluded, atoms: tuple[int, ...], vehicle: Vehicle, file: str
+    name: str,
+    case: Concluded,
+    helping: Mapping[str, tuple[str, ...]],
+    atoms: tuple[int, ...],
+    vehicle: Vehicle,
+    file: str,
 ) -> Source:
     """The description of logs: factors on the tires, and sizes of these effects."""
     base, chosen = case.base, case.chosen
@@ -337,5 +367,7 @@ def _described(
             quantity, unit, of = _STATED[effect.id]
             key, (size, slope) = f"{effect.id}: {quantity}", of(vehicle, size)
         sizes[key] = Number(size, std * slope, unit)
-    standing = standing_of(case.verdict, [one.effect for one in case.untestable])
+    standing = standing_of(case.verdict, [untestable.effect for untestable in case.untestable])
+    for effect_id, (helps, *_) in helping.items():
+        standing[effect_id], standing[helps] = standing[helps], standing.get(effect_id, "possible")
     return Source(name, "description", file, "car", "", numbers, {}, sizes, standing)

@@ -21,11 +21,11 @@ from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import Values
-from tirefit.vehicle.car import Car, steps_a_sample
+from tirefit.vehicle.car import Car, axle_loads, steps_a_sample
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
 from tirefit.vehicle.shooting import Data, Squares, minimised
-from tirefit.vehicle.windows import Cut
+from tirefit.vehicle.windows import JoinedWindows
 
 _COARSER = 2.0
 """Step of the integration over that of a replay: one time constant of the car at its slowest
@@ -55,8 +55,6 @@ LEAST_LOGS = 4
 
 _BLOCKS = 8  # number of parts of the time that are left out in turn if there are fewer logs
 
-_PLACES = {"share of the time": 12}
-_USUAL_PLACES = 8  # numbers of places of the covariates at which an unlisted force has its values
 _USUAL = 0.03  # usual change of a force over the load of its axle
 
 
@@ -82,7 +80,7 @@ class Windows:
 
     model: Model
     car: Car
-    cut: Cut
+    cut: JoinedWindows
     step: float
     testable: tuple[int, ...]
     noise: np.ndarray
@@ -115,8 +113,8 @@ class Windows:
             ways[some, range(len(some))] = 1.0
             given, more = inputs(self.model, grid[0], jnp.asarray(z), ways, data, rows)
             slopes.append([np.asarray(x)[:count, ..., : len(some)] for x in more])
-        found = moved(self.model.channels, car, grid, _filled(starts), data, given)
-        now = jax.tree.map(lambda part: np.asarray(part)[:count], found)
+        motion = moved(self.model.channels, car, grid, _filled(starts), data, given)
+        now = jax.tree.map(lambda part: np.asarray(part)[:count], motion)
         relaxation = np.asarray(given[1])[:count, :, -1]
         now = Linear(now, self.cut.data.v_x, relaxation, self.step, grid[1])
         joined = [np.concatenate(x, axis=-1) for x in zip(*slopes, strict=True)]
@@ -129,10 +127,10 @@ class Windows:
         amplitude: np.ndarray | tuple[Any, ...] = (),
     ) -> np.ndarray:
         """All coefficients (4 + K,) of the factors on the tires and of some atoms."""
-        found = np.zeros(self.model.size)
-        found[: len(z)] = z
-        found[[TIRES + k for k in atoms]] = amplitude
-        return found
+        whole = np.zeros(self.model.size)
+        whole[: len(z)] = z
+        whole[[TIRES + k for k in atoms]] = amplitude
+        return whole
 
     def at(self, fit: Fit, columns: Sequence[int] = ()) -> tuple[Linear, np.ndarray]:
         """:meth:`linear` at a fit."""
@@ -179,10 +177,6 @@ class Windows:
             step = np.where(better[:, None], onward, step / _SHORTER)
             least = np.where(better, squares, least)
         return self.linear(z, best)[0]
-
-    def rms(self, z: np.ndarray) -> np.ndarray:
-        """Rms (c,) of predicted - logged, from the best start states."""
-        return np.sqrt(np.mean(self.at_best_starts(z).motion.missed ** 2, axis=(0, 1)))
 
     # --- what the engine asks of its subject ---------------------------------------------
 
@@ -244,47 +238,47 @@ class Windows:
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
-        found = []
+        fits = []
         for start, atoms in zip(starts, sets, strict=True):
             tries = [self._refit(start, atoms)]
             if np.max(np.abs(start.z)) > _FAR:
                 fresh = Start(0 * start.z, start.amplitude, self.cut.data.start)
                 tries.append(self._refit(fresh, atoms))
-            found.append(max(tries, key=lambda fit: fit.log_evidence))
+            fits.append(max(tries, key=lambda fit: fit.log_evidence))
             self.tick()
-        return found
+        return fits
 
     def _refit(self, start: Start, atoms: tuple[int, ...]) -> Fit:
         size, fill = TIRES + len(atoms), MOST_EFFECTS - len(atoms)
         places = [*range(TIRES), *(TIRES + k for k in atoms)]
         # Sets of every size share the compiled programs.
 
-        def run(own: np.ndarray, starts: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def run(fitted_z: Values, starts: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             z = np.zeros(self.model.size)
-            z[places] = np.asarray(own)[:size]
+            z[places] = np.asarray(fitted_z)[:size]
             now, by = self.linear(z, starts, places)
             by = np.pad(by, ((0, 0), (0, 0), (0, 0), (0, fill)))
             return now.motion.missed, by, now.by_start(self._states)
 
         index, priors = list(atoms), self.priors
         sides = [
-            np.concatenate([[side] * TIRES, own[index], [0.0] * fill])
-            for side, own in ((-_MOST_OFF, priors.low), (_MOST_OFF, priors.high))
+            np.concatenate([[of_tires] * TIRES, of_atoms[index], [0.0] * fill])
+            for of_tires, of_atoms in ((-_MOST_OFF, priors.low), (_MOST_OFF, priors.high))
         ]
-        own = np.concatenate([start.z, start.amplitude, [0.0] * fill])
+        begun = jnp.asarray([*start.z, *start.amplitude, *[0.0] * fill])
         noise = jnp.asarray(self.noise * np.sqrt(self.inflation))
-        squares = Squares(run, noise, jnp.ones(len(own)))
-        first = squares.begun(jnp.asarray(own), jnp.asarray(start.state))
+        squares = Squares(run, noise, jnp.ones(len(begun)))
+        first = squares.begun(begun, jnp.asarray(start.state))
         end = minimised(squares, first, sides, _TOLERANCE, _STEPS)
-        own, states = np.asarray(end.z)[:size], end.starts
-        now, by = self.linear(self.coefficients(own[:TIRES], atoms, own[TIRES:]), states, places)
+        z, states = np.asarray(end.z)[:size], end.starts
+        now, by = self.linear(self.coefficients(z[:TIRES], atoms, z[TIRES:]), states, places)
         return fitted(
             atoms,
             [self.atoms[k].effect.id for k in atoms],
-            Start(own[:TIRES], own[TIRES:], np.asarray(states)),
+            Start(z[:TIRES], z[TIRES:], np.asarray(states)),
             (self._residual(now), self.projected(now, by)),
             np.ones(size),
-            own,
+            z,
             priors.sign[index],
             (priors.low[index], priors.high[index]),
         )
@@ -310,14 +304,15 @@ class Windows:
     def discrepancy(self) -> Discrepancy:
         """An unlisted force: of each axle, as a function of one covariate, and of both
         axles, of any course in time."""
-        now, loads = self._at_start, self.car.loads
+        now, loads = self._at_start, axle_loads(self.car)
         shape = now.motion.missed.shape[:2]
         columns, cells = list[np.ndarray](), list[Cell]()
         kinds: list[tuple[str, list[int], str, np.ndarray, np.ndarray]] = []
         for covariate, values in self.covariates.items():
             ends = np.quantile(values, [0.01, 0.99]) if "slip" in covariate else (-np.inf, np.inf)
-            inside, count = np.clip(values, *ends).ravel(), _PLACES.get(covariate, _USUAL_PLACES)
-            by = places_of(inside, None, count)
+            # Number of places at which an unlisted force has its values.
+            count = 12 if covariate == "share of the time" else 8
+            by = places_of(np.clip(values, *ends).ravel(), None, count)
             kinds += [("front force", [0], covariate, *by), ("rear force", [1], covariate, *by)]
         window = np.repeat(np.eye(shape[0]), shape[1], axis=0)
         kinds.append(("side force", [0, 1], "window", window, np.arange(shape[0])))
@@ -357,10 +352,10 @@ class Windows:
         of independent samples as inflation."""
         atoms, shape = self.tangents(fit), self.cut.data.logged.shape
         seen = np.concatenate([fit.columns, atoms, self.discrepancy.additive], axis=1)
-        own, listed = len(fit.pull), len(fit.pull) + atoms.shape[1]
+        of_fit, listed = len(fit.pull), len(fit.pull) + atoms.shape[1]
         pull = np.full(seen.shape[1], SIZES[1] ** -2.0)
-        pull[:own], off = fit.pull**2, np.zeros(len(pull))
-        off[:own] = pull[:own] * fit.off
+        pull[:of_fit], off = fit.pull**2, np.zeros(len(pull))
+        off[:of_fit] = pull[:of_fit] * fit.off
         gram = seen.T @ seen
         inverse = np.linalg.inv(gram + np.diag(pull))
         rest = fit.residual - seen @ (inverse @ (seen.T @ fit.residual - off))

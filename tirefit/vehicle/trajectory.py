@@ -114,7 +114,7 @@ class TrajectoryFit(Record):
     @property
     def reached(self) -> dict[str, float]:
         """Axle -> share of the peak of its tire that the slip angles of its rows reach."""
-        return {axle: _reached(one.tire, self.rows[axle]) for axle, one in self.axles.items()}
+        return {axle: _reached(tire.tire, self.rows[axle]) for axle, tire in self.axles.items()}
 
     @property
     def limits(self) -> dict[Outcome, str]:
@@ -178,8 +178,8 @@ class TrajectoryFit(Record):
 
 def _reached(tire: AbstractTire, rows: TireData) -> float:
     """Share of the peak of a tire that the slip angles of its rows reach."""
-    own = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
-    alpha = np.append(own, np.linspace(0.0, 1.0, 200) * np.pi / 2)
+    largest = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
+    alpha = np.append(largest, np.linspace(0.0, 1.0, 200) * np.pi / 2)
     at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
     force = np.abs(np.asarray(forces(tire, at).fy))
     return float(force[0] / force.max())
@@ -217,9 +217,9 @@ def fit_trajectory(
         DataError: a log that cannot be read, or no window in it.
 
     Example:
-        >>> found = fit_trajectory([samples / "drive.csv"], samples / "vehicle.toml")
-        >>> low, high = found.parameters["front.cpa2"].ci95
-        >>> str(found.status), low < 43.6e3 < high  # [N], that of the simulated car
+        >>> result = fit_trajectory([samples / "drive.csv"], samples / "vehicle.toml")
+        >>> low, high = result.parameters["front.cpa2"].ci95
+        >>> str(result.status), low < 43.6e3 < high  # [N], that of the simulated car
         ('friction rests on the shape of the model', True)
     """
     require_x64("a fit by trajectory")
@@ -228,14 +228,13 @@ def fit_trajectory(
     _check(vehicle, unknowns, given)
     tell = progress or (lambda share, note: None)
     tell(0.02, "reading logs")
-    found = cut_in_windows(logs, vehicle, window)
-    parts = [log.windows[0] for log in found.values()]
-    data = Data(*(jnp.concatenate(each) for each in zip(*parts, strict=True)))
-    rows = {axle: derived_rows(found, vehicle, axle) for axle in given}
+    log_windows = cut_in_windows(logs, vehicle, window)
+    parts = [log.windows[0] for log in log_windows.values()]
+    data = Data(*(jnp.concatenate(field) for field in zip(*parts, strict=True)))
+    rows = {axle: derived_rows(log_windows, vehicle, axle) for axle in given}
     tell(0.05, "starting with the tires of derive")
     tires = [within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
-    problem = _Problem(vehicle, tires, tuple(unknowns), vehicle.filter.sample_rate, data)
-    return problem.solved(rows, tell)
+    return _Problem(vehicle, tires, tuple(unknowns), data).solved(rows, tell)
 
 
 def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenTire]) -> None:
@@ -257,26 +256,19 @@ class _Problem:
     """
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        tires: Sequence[GivenTire],
-        unknowns: tuple[str, ...],
-        rate: float,
-        data: Data,
+        self, vehicle: Vehicle, tires: Sequence[GivenTire], unknowns: tuple[str, ...], data: Data
     ) -> None:
-        self.vehicle, self.tires, self.unknowns = vehicle, tires, unknowns
-        self.rate, self.data = rate, data
+        self.vehicle, self.tires, self.unknowns, self.data = vehicle, tires, unknowns, data
         fits = [tire.fit for tire in tires if tire.fit is not None]  # each has one
         self.steering = cast(Steering, vehicle.steering)
         self.layouts: list[Layout] = [fit[0] for fit in fits]
         self.first = np.cumsum([0, *(layout.size for layout in self.layouts)])
         first = {"steering_delay": self.steering.delay}
-        own = [first.get(name, 0.0) for name in unknowns]
-        self.z = np.concatenate([*(fit[1] for fit in fits), own])
+        of_car = [first.get(name, 0.0) for name in unknowns]
+        self.z = np.concatenate([*(fit[1] for fit in fits), of_car])
         self.names = CHANNELS[data.logged.shape[-1]]
-        slowest = float(np.min(data.v_x))
-        self.parts = steps_a_sample(self.car(self.z), slowest, rate)
-        run = linearised(self.missed, self.parts)
+        rate, slowest = vehicle.filter.sample_rate, float(np.min(data.v_x))
+        run = linearised(self.missed, steps_a_sample(self.car(self.z), slowest, rate))
         self.run = lambda z, starts: run(z, starts, data)
 
     def unknown(self, z: Values, name: str, default: float = 0.0) -> jax.Array | float:
@@ -299,7 +291,7 @@ class _Problem:
 
     def missed(self, z: jax.Array, start: jax.Array, window: Data, parts: int) -> jax.Array:
         """Predicted - logged (k, c) of one window."""
-        step = 1 / self.rate
+        step = 1 / self.vehicle.filter.sample_rate
         lead = window.steering.shape[0] - window.v_x.shape[0]
         delay = self.unknown(z, "steering_delay", self.steering.delay)
         steering = delayed(window.steering, delay / step)[lead:]
@@ -309,17 +301,17 @@ class _Problem:
         ahead = -self.unknown(z, "cg_ahead")
         reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
         first = as_driven(start, reading, window.v_x[0])
-        states = predicted(self.car(z), first, window.v_x, steering, step, parts)
+        states, _ = predicted(self.car(z), first, window.v_x, steering, step, parts)
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
 
     def solved(self, rows: Mapping[str, TireData], tell: Callable[..., None]) -> TrajectoryFit:
         tell(0.1, "compiling")
-        data = self.data
+        start, windows = self.data.start, len(self.data.v_x)
         ones = jnp.ones(len(self.names))
-        squares = Squares(self.run, ones, self.pulls(), data.start, data.std)
-        end = squares.begun(jnp.asarray(self.z), jnp.asarray(self.data.start))
+        squares = Squares(self.run, ones, self.pulls(), start, self.data.std)
+        end = squares.begun(jnp.asarray(self.z), jnp.asarray(start))
         for k in range(_ROUNDS):
-            tell(0.15 + 0.1 * k, f"search {k + 1} of {_ROUNDS}, {len(self.data.v_x)} windows")
+            tell(0.15 + 0.1 * k, f"search {k + 1} of {_ROUNDS}, {windows} windows")
             squares = squares._replace(noise=jnp.sqrt(jnp.mean(end.now[0] ** 2, axis=(0, 1))))
             end = minimised_inside(squares, end)
         at, missed = np.asarray(end.z), end.now[0]
@@ -329,6 +321,8 @@ class _Problem:
         covariance, blocks, widened = sandwich(squares, end)
         std, reach = np.sqrt(np.diag(covariance)), stdtrit(max(blocks - 1, 1), 0.975)
         ends, car = at + reach * np.outer((-1, 1), std), self.car(at)
+        # Distance of each unknown from its usual value, in standard errors of its prior.
+        strain = np.abs(at * np.sqrt(self.pulls()))[self.first[-1] :]
         # Profiles of a search that stopped short would begin at no minimum.
         converged = bool(end.converged) and left_to_gain(squares, end) < _LEFT
         for k, axle in enumerate(("front", "rear") if converged else ()):
@@ -337,28 +331,24 @@ class _Problem:
                     level = reach**2 * widened[e]
                     tell(0.4 + 0.5 * e / self.first[-1], f"interval of parameter {e + 1}")
                     ends[:, e] = profile_ends(squares, end, e, std[e], level)
-        found = self.estimates(at, std, ends)
+        parameters = self.estimates(at, std, ends)
         axles = {
-            axle: self.axle(k, axle, at, covariance, found, rows[axle])
+            axle: self.axle(k, axle, at, covariance, parameters, rows[axle])
             for k, axle in enumerate(("front", "rear"))
         }
         return TrajectoryFit(
             car.front,
             car.rear,
-            found,
+            parameters,
             {c: float(s) for c, s in zip(self.names, noise, strict=True)},
-            len(self.data.v_x),
+            windows,
             blocks,
-            self.found_vehicle(found),
-            tuple(n for n, far in zip(self.unknowns, self.strain(at), strict=True) if far > _FAR),
+            self.found_vehicle(parameters),
+            tuple(n for n, off in zip(self.unknowns, strain, strict=True) if off > _FAR),
             converged,
             axles,
             rows,
         )
-
-    def strain(self, z: np.ndarray) -> np.ndarray:
-        """Distance of each unknown from its usual value, in standard errors of its prior."""
-        return np.abs(z * np.sqrt(self.pulls()))[self.first[-1] :]
 
     def pulls(self) -> jax.Array:
         """Precision (p,) of the weak priors of the unknowns at zero."""
@@ -369,7 +359,7 @@ class _Problem:
     def estimates(self, z: np.ndarray, std: np.ndarray, ends: np.ndarray) -> dict[str, Estimate]:
         """Estimates of all parameters, from z with its standard errors (p,) and the
         ends (2, p) of the intervals."""
-        found = {}
+        parameters = {}
 
         Of = Callable[..., Any]
 
@@ -378,7 +368,7 @@ class _Problem:
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
             value, error = float(natural(z[k])), float(slope * std[k])
             known = bool(identified(low, high) and abs(z[k]) < AT_BOUND)
-            found[name] = Estimate(value, error, unit, (low, high), known)
+            parameters[name] = Estimate(value, error, unit, (low, high), known)
 
         for axle, layout in enumerate(self.layouts):
             for k, (label, free) in enumerate(layout.elements):
@@ -390,20 +380,20 @@ class _Problem:
                     partial(limited, free.spec),
                 )
         for k, name in enumerate(self.unknowns):
-            one, at = UNKNOWNS[name], self.first[-1] + k
+            unknown, at = UNKNOWNS[name], self.first[-1] + k
             scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
-            by = partial(_factor, scale) if one.is_factor else float
+            by = (lambda log, scale=scale: scale * np.exp(log)) if unknown.is_factor else float
             # Identified if below half of the prior standard error.
             wide = 0.5 / np.sqrt(self.pulls()[at])
-            add(name, one.unit, at, by, lambda *_, k=at, wide=wide: std[k] < wide)
-        return found
+            add(name, unknown.unit, at, by, lambda *_, k=at, wide=wide: std[k] < wide)
+        return parameters
 
-    def found_vehicle(self, found: Mapping[str, Estimate]) -> Vehicle:
+    def found_vehicle(self, parameters: Mapping[str, Estimate]) -> Vehicle:
         """The vehicle with the estimated values."""
         vehicle, steering = self.vehicle, self.steering
 
         def value(name: str, default: float = 0.0) -> float:
-            return found[name].value if name in found else default
+            return parameters[name].value if name in parameters else default
 
         ratio, offset = value("steering_ratio", 1.0), value("steering_offset")
         steering = steering.model_copy(
@@ -432,15 +422,15 @@ class _Problem:
         axle: str,
         z: np.ndarray,
         covariance: np.ndarray,
-        found: Mapping[str, Estimate],
+        estimates: Mapping[str, Estimate],
         rows: TireData,
     ) -> GivenTire:
         """The tire of an axle, with the content of its ``fit.json``."""
-        layout, own = self.layouts[k], slice(*self.first[k : k + 2])
-        fit = layout, z[own], covariance[own, own]
+        layout, elements = self.layouts[k], slice(*self.first[k : k + 2])
+        fit = layout, z[elements], covariance[elements, elements]
         parameters = {
-            name.removeprefix(f"{axle}."): asdict(one)
-            for name, one in found.items()
+            name.removeprefix(f"{axle}."): asdict(estimate)
+            for name, estimate in estimates.items()
             if name.startswith(f"{axle}.")
         }
         content = {
@@ -462,7 +452,3 @@ class _Problem:
             },
         }
         return replace(self.tires[k], tire=self.tire(z, k), fit=fit, content=json_safe(content))
-
-
-def _factor(scale: float, logarithm: float) -> float:
-    return scale * float(np.exp(logarithm))

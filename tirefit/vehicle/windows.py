@@ -6,12 +6,14 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from tirefit.data.read import read_frame
 from tirefit.data.readers.remote import file_at
@@ -31,8 +33,9 @@ from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
 from tirefit.files import listed
 from tirefit.fitting.source import GivenTire
-from tirefit.models import TireInputs
+from tirefit.models import AbstractTire, TireInputs
 from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.vehicle.car import axle_loads
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.shooting import Data
 
@@ -88,7 +91,7 @@ def cut_logs(
             channels contradict each other, or without a stretch that is long enough.
     """
     UsageError.raise_for(name_problems(logs))
-    found: dict[str, CutLog[Piece]] = {}
+    log_windows: dict[str, CutLog[Piece]] = {}
     problems: list[InputProblem] = []
     for path in logs:
         file = file_at(path)
@@ -99,10 +102,9 @@ def cut_logs(
             continue
         if faults := compare(track, motion, vehicle, str(file)).problems:
             # --believe is an option of derive only, so do not mention it here.
-            problems += [
-                replace(fault, remedy=re.sub(r",? or [^,]*--.*", "", fault.remedy))
-                for fault in faults
-            ]
+            for fault in faults:
+                remedy = re.sub(r",? or [^,]*--.*", "", fault.remedy)
+                problems.append(replace(fault, remedy=remedy))
             continue
         windows = cut(track, motion)
         if windows is None:
@@ -111,7 +113,7 @@ def cut_logs(
             remedy = f"use {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
-            found[run_name(file)] = CutLog(
+            log_windows[run_name(file)] = CutLog(
                 motion,
                 windows,
                 names_of_runs(file, track),
@@ -121,7 +123,7 @@ def cut_logs(
                 track.epoch,
             )
     DataError.raise_for(problems)
-    return found
+    return log_windows
 
 
 def left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
@@ -176,14 +178,10 @@ def starts_in(
 def integrated(motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Heading and position (n,) of a log of rates, relative to its first sample."""
     yaw, v_x, v_y = (np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y))
-    heading = _summed(yaw) / rate
+    integral = partial(cumulative_trapezoid, dx=1 / rate, initial=0)
+    heading = integral(yaw)
     cos, sin = np.cos(heading), np.sin(heading)
-    return (heading, _summed(v_x * cos - v_y * sin) / rate, _summed(v_x * sin + v_y * cos) / rate)
-
-
-def _summed(values: np.ndarray) -> np.ndarray:
-    """Cumulative integral by the trapezoidal rule, from zero."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
+    return heading, integral(v_x * cos - v_y * sin), integral(v_x * sin + v_y * cos)
 
 
 _LEAD = 0.3
@@ -215,12 +213,12 @@ def windows_of(
     if not starts:
         return None
     rows = np.array(starts)[:, None] + np.arange(-lead, count)
-    own = rows[:, lead:]
+    at = rows[:, lead:]
     # The noise of the log, through its filter.
     noisy = states_of(with_noise(track, motion, vehicle, np.random.default_rng(0)), vehicle)
-    std = np.tile(np.std((noisy - state)[good], axis=0) + _EXACT, (len(own), 1))
-    cut = motion.v_x[own], steering[rows], logged[own], state[own[:, 0]], std
-    return Data(*map(jnp.asarray, cut)), own
+    std = np.tile(np.std((noisy - state)[good], axis=0) + _EXACT, (len(at), 1))
+    cut = motion.v_x[at], steering[rows], logged[at], state[at[:, 0]], std
+    return Data(*map(jnp.asarray, cut)), at
 
 
 def cut_in_windows(
@@ -230,7 +228,7 @@ def cut_in_windows(
     return cut_logs(
         listed(logs),
         vehicle,
-        lambda track, motion: windows_of(track, motion, vehicle, window),
+        partial(windows_of, vehicle=vehicle, window=window),
         f"{window:g} s long",
         "a shorter window",
     )
@@ -241,11 +239,10 @@ def logged_channels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values of the log for the centre of gravity, on the grid, unfiltered: channels (n, c),
     and the steering command (n,), without the stated delay."""
-    names = [channel.quantity for channel in track.channels]
     raw = {
-        name: np.interp(motion.time, track.time, track.signals[:, k])
-        for k, name in enumerate(names)
-        if np.isfinite(track.signals[:, k]).all()
+        channel.quantity: np.interp(motion.time, track.time, values)
+        for channel, values in zip(track.channels, track.signals.T, strict=True)
+        if np.isfinite(values).all()
     }
     ahead, left = vehicle.cg_from_tracked
     command = raw.get("steering")
@@ -256,12 +253,10 @@ def logged_channels(
         yaw = raw["yaw"]
         cos, sin = np.cos(yaw), np.sin(yaw)
         place = raw["x"] + ahead * cos - left * sin, raw["y"] + ahead * sin + left * cos
-        logged = np.column_stack([yaw, *place])
-        return logged, command
+        return np.column_stack([yaw, *place]), command
     cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
     v_y = cos * raw["v_y"] + sin * raw["v_x"] + ahead * raw["yaw_rate"]
-    logged = np.column_stack([v_y, raw["yaw_rate"]])
-    return logged, command
+    return np.column_stack([v_y, raw["yaw_rate"]]), command
 
 
 def states_of(motion: Motion, vehicle: Vehicle) -> np.ndarray:
@@ -282,7 +277,7 @@ _VARIES = 0.02
 shows effects of these."""
 
 
-class Cut(NamedTuple):
+class JoinedWindows(NamedTuple):
     """Windows (w, k) of all logs: :class:`Data`, :class:`Samples` of effects, and the
     log (w,) of each."""
 
@@ -292,16 +287,16 @@ class Cut(NamedTuple):
 
 
 def joined_windows(
-    found: Mapping[str, CutLog[Any]], vehicle: Vehicle, tires: Sequence[GivenTire]
-) -> tuple[Cut, set[str]]:
+    log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, tires: Sequence[GivenTire]
+) -> tuple[JoinedWindows, set[str]]:
     """The windows of all logs, and the needs of effects that they meet."""
     data, rows, log = [], [], []
     passed = 0.0
-    for number, each in enumerate(found.values()):
-        motion, (windows, own) = each.motion, each.windows
+    for number, part in enumerate(log_windows.values()):
+        motion, (windows, at) = part.motion, part.windows
         data.append(windows)
-        rows.append(samples_of(motion, own, vehicle, tires, passed))
-        log.append(np.full(len(own), number))
+        rows.append(samples_of(motion, at, vehicle, tires, passed))
+        log.append(np.full(len(at), number))
         passed += float(motion.time[-1] - motion.time[0])
     whole = jax.tree.map(lambda *part: np.concatenate(part), *data)
     joint = jax.tree.map(lambda *part: np.concatenate(part), *rows)
@@ -310,7 +305,7 @@ def joined_windows(
     has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
     has |= {"acceleration"} if np.std(joint.along) > _VARIES else set()
     has |= {"speeds"} if np.std(speed) > _VARIES else set()
-    cut = Cut(whole, joint, np.concatenate(log))
+    cut = JoinedWindows(whole, joint, np.concatenate(log))
     most = max(_MOST_SAMPLES // speed.shape[1], LEAST_WINDOWS)
     if len(cut.log) > most:
         kept = np.linspace(0, len(cut.log) - 1, most).round().astype(int)
@@ -320,45 +315,43 @@ def joined_windows(
 
 def samples_of(
     motion: Motion,
-    own: np.ndarray,
+    rows: np.ndarray,
     vehicle: Vehicle,
     tires: Sequence[GivenTire],
     passed: float = 0.0,
 ) -> Samples:
     """The quantities on which effects depend, at the rows (w, k) of a log. ``across`` and ``turn``
     are zero until they are set from a fit; ``passed`` [s] is the duration of the previous logs."""
-    g, count = vehicle.gravity, len(own)
+    g, count = vehicle.gravity, len(rows)
     weight, wheelbase = vehicle.mass * g, vehicle.l_f + vehicle.l_r
-    loads = weight * vehicle.l_r / wheelbase, weight * vehicle.l_f / wheelbase
-    v_x = motion.v_x[own]
-    sliding = [
-        _sliding(one, load, float(v_x.mean())) for one, load in zip(tires, loads, strict=True)
-    ]
+    v_x = motion.v_x[rows]
+    speed = float(v_x.mean())
+    axles = zip(tires, axle_loads(vehicle), strict=True)
+    sliding = [_sliding(tire.tire, float(load), speed) for tire, load in axles]
     heading = motion.heading if vehicle.columns.motion == POSE else 0 * motion.time
     return Samples(
         speed=v_x,
-        along=motion.a_x[own] / g,
+        along=motion.a_x[rows] / g,
         across=0 * v_x,
         turn=0 * v_x,
-        time=passed + motion.time[own] - motion.time[0],
-        heading=heading[own],
+        time=passed + motion.time[rows] - motion.time[0],
+        heading=heading[rows],
         weight=np.full(count, weight),
         wheelbase=np.full(count, wheelbase),
         sliding=np.tile(sliding, (count, 1)),
     )
 
 
-def _sliding(axle: GivenTire, load: float, speed: float) -> float:
+def _sliding(tire: AbstractTire, load: float, speed: float) -> float:
     """Slip above which a brush with slope and peak of the tire slides."""
-    at_rest = TireInputs(fz=load, v=speed)
-    slope = slope_at_rest(axle.tire, at_rest, "y")
-    return float(3 * peak_ratio(axle.tire, load, speed) * load / slope)
+    slope = slope_at_rest(tire, TireInputs(fz=load, v=speed), "y")
+    return float(3 * peak_ratio(tire, load, speed) * load / slope)
 
 
-def derived_rows(found: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle: str) -> TireData:
+def derived_rows(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle: str) -> TireData:
     """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
     columns: dict[str, list[Any]] = {"alpha": [], "fy": [], "v": [], "run": []}
-    for log in found.values():
+    for log in log_windows.values():
         motion, (name, *_) = log.motion, log.runs
         alpha, force, speed = slip_and_force(motion, vehicle, axle)
         good = motion.settled & (motion.v_x > vehicle.v_min)
@@ -368,6 +361,5 @@ def derived_rows(found: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle: str) 
             columns[key].extend(values)
     step = max(len(columns["run"]) // _START_ROWS, 1)
     cells = {k: np.array(v)[::step] for k, v in columns.items()}
-    arm = vehicle.l_r if axle == "front" else vehicle.l_f
-    load = vehicle.mass * vehicle.gravity * arm / (vehicle.l_f + vehicle.l_r)
-    return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(found))
+    load = axle_loads(vehicle)[axle == "rear"]
+    return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(log_windows))

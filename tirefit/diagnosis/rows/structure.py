@@ -51,10 +51,10 @@ class Structure(NamedTuple):
 def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
     """The structures of the simulated forces over their own slip, most important first."""
     return tuple(
-        one
+        structure
         for channel in prepared.channels
         if channel in ("fx", "fy")
-        for one in _structures(prepared, channel, "alpha" if channel == "fy" else "sigma_x")
+        for structure in _structures(prepared, channel, "alpha" if channel == "fy" else "sigma_x")
     )
 
 
@@ -125,8 +125,8 @@ def _clipped(slip: np.ndarray, share: np.ndarray) -> tuple[float, float] | None:
         return np.clip(values[0] * slip + values[1], -top, top) - share
 
     start = np.polynomial.polynomial.polyfit(slip[inner], share[inner], 1)[::-1]
-    found = least_squares(missed, start).x
-    return None if rms(missed(found)) > _EXPLAINED * rms(share) else (top, float(found[0]))
+    line = least_squares(missed, start).x  # slope, and force at no slip
+    return None if rms(missed(line)) > _EXPLAINED * rms(share) else (top, float(line[0]))
 
 
 def _own_time(prepared: Prepared, channel: str, name: str) -> Iterator[Structure]:
@@ -180,7 +180,7 @@ def _stretches(data: TireData) -> tuple[list[tuple[Any, Any, Any]], float]:
     distance of the rows in time [s]."""
     time, run = data.usable("time"), data.run[data.used]
     speed = np.abs(data.usable("v")) if "v" in data else np.zeros(len(time))
-    runs, found, count = in_order(time, run), [], 0
+    runs, stretches, count = in_order(time, run), [], 0
     apart = float(np.median(np.concatenate([[0.0], *(np.diff(time[rows]) for rows in runs)])[1:]))
     for rows in runs:
         pauses = np.flatnonzero(np.diff(time[rows]) > 1.5 * apart) + 1
@@ -189,8 +189,8 @@ def _stretches(data: TireData) -> tuple[list[tuple[Any, Any, Any]], float]:
             if len(part) >= 4:  # a cubic needs four
                 count += len(part)
                 way = np.cumsum(np.append(0.0, np.diff(time[part]) * speed[part[1:]]))
-                found.append((part, time[part] - time[part[0]], way))
-    return found, apart
+                stretches.append((part, time[part] - time[part[0]], way))
+    return stretches, apart
 
 
 def _share_left(parts: list[Any], constant: float, kind: str) -> float:

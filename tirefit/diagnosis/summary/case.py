@@ -137,8 +137,8 @@ class Concluded:
     def parameters(self) -> tuple[np.ndarray, np.ndarray]:
         """Parameters z (p,) of the base, averaged over the ``parts``, and their standard
         errors: at least those of the jackknife over the data left out."""
-        found = [self.alone(self.weighed.best_of[key]) for key in self.parts]
-        values, variances = (np.array(part) for part in zip(*found, strict=True))
+        estimates = [self.alone(self.weighed.best_of[key]) for key in self.parts]
+        values, variances = (np.array(part) for part in zip(*estimates, strict=True))
         variances = np.maximum(self.widening * variances, 0.0)
         value, std = averaged(values, variances, np.array([*self.parts.values()]))
         return value, np.maximum(std, self._scatter)
@@ -190,15 +190,15 @@ class Case(Concluded):
         those of a fit with its effects of the tire, and their variances: effects that change the
         same forces, as a carcass in series with a stiffness, leave a parameter beside them open."""
         base, p = self.base, len(fit.z)
-        own = np.array([base.atoms[k].effect.of == "tire" for k in fit.atoms])
-        if not own.any():
+        of_tire = np.array([base.atoms[k].effect.of == "tire" for k in fit.atoms])
+        if not of_tire.any():
             return super().alone(fit)
-        forces = base.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude * own))
+        forces = base.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude * of_tire))
         observed = {c: pad_rows(x, len(base.design.keep)) for c, x in forces.items()}
         design = base.design._replace(observed=observed)
         z = refit(base.tire, [(fit.z, ())], [()], design).z[0]
         columns = base.columns_at(fit)
-        taken = np.linalg.lstsq(columns[:, :p], columns[:, p:] * own, rcond=UNSEEN)[0]
+        taken = np.linalg.lstsq(columns[:, :p], columns[:, p:] * of_tire, rcond=UNSEEN)[0]
         slopes = np.hstack([np.eye(p), taken])
         return z, np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes)
 
@@ -209,7 +209,7 @@ class Case(Concluded):
         out, fit = self.predicted, self.chosen
         atoms = zip(fit.effects, (self.base.atoms[k] for k in fit.atoms), strict=True)
         key = tuple(name for name, atom in atoms if atom.effect.of != "tire")
-        sets = [out.effects.index(one) for one in (key, ()) if one in out.effects]
+        sets = [out.effects.index(x) for x in (key, ()) if x in out.effects]
         return np.min([jackknife_error(out.parameters[k]) for k in sets], axis=0)
 
     @cached_property

@@ -89,7 +89,7 @@ def _of_simulator(
     """The description of the simulator's own forces, which have next to no noise."""
     data = as_measured(whole.data, whole.channels)
     generator, noise, columns = np.random.default_rng(0), {}, dict(data.columns)
-    if any(one.id == "no_load" for one in structure):  # it has the same load in every row
+    if any(fault.id == "no_load" for fault in structure):  # it has the same load in every row
         columns["fz"] = np.full(len(data), np.mean(data.usable("fz")))
     for channel in whole.channels:
         noise[channel] = _EXACT * float(np.sqrt(np.nanmean(data.usable(channel) ** 2)))
