@@ -205,8 +205,7 @@ class Steps:
 def _searched(subject: Windows) -> Search:
     """The search of the effects of a subject, with its noise; repeated if the remainder of its
     best set shows another noise."""
-    missed = subject.at_best_starts(subject.coefficients()).motion.missed
-    subject = replace(subject, noise=np.sqrt(np.mean(missed**2, axis=(0, 1))))
+    subject = replace(subject, noise=subject.rms(subject.coefficients()))
     for _ in range(_ROUNDS):
         subject = subject.following(subject.refit([subject.start], [()])[0])
         fit = subject.refit([subject.start], [()])[0]

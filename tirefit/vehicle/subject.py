@@ -178,6 +178,10 @@ class Windows:
             least = np.where(better, squares, least)
         return self.linear(z, best)[0]
 
+    def rms(self, z: np.ndarray) -> np.ndarray:
+        """Rms (c,) of predicted - logged, from the best start states."""
+        return np.sqrt(np.mean(self.at_best_starts(z).motion.missed ** 2, axis=(0, 1)))
+
     # --- what the engine asks of its subject ---------------------------------------------
 
     @property
