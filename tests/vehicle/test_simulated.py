@@ -172,6 +172,18 @@ def test_one_of_two_twins_is_compared_whichever_helps_more():
     assert _forms(cases[0], "a") == {"a": 0}
 
 
+@pytest.mark.long
+def test_a_lag_that_may_be_a_delay_is_compared_as_the_delay(car, tmp_path):
+    log, vehicle, tires = car
+    sim = simulated(one_of("steering_lag", 0.04), tmp_path)
+    few = [effect for effect in CAR_EFFECTS if effect.id in ("steering_delay", "steering_lag")]
+    result = tirefit.compare_with_simulator([log], [sim], vehicle, *tires, effects=few)
+    simulator, _ = result.sources
+    assert simulator.standing == {"steering_delay": "named", "steering_lag": "possible"}
+    assert [number.name for number in result.effects] == ["steering_delay: steering.delay"]
+    assert any("steering_lag instead" in meaning for meaning in result.meanings)
+
+
 def test_effects_that_help_together_do_not_replace_each_other():
     two = judged("c", "d", c=("a",), d=("a", "b", "c"))
     assert _first_of_twins(two) == {"a": ("c", "c"), "b": ("d", "d")}
