@@ -21,7 +21,8 @@ from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
 from tirefit.report.vehicle import conclusions, replay_text
 from tirefit.results import DataError, UsageError
-from tirefit.vehicle.errors import QUANTITIES, Errors
+from tirefit.vehicle.car import State
+from tirefit.vehicle.errors import QUANTITIES, Errors, Measured, errors_without_slip
 from tirefit.vehicle.replay import HORIZONS, replay
 from tirefit.vehicle.windows import integrated
 
@@ -385,3 +386,20 @@ def test_all_problems_of_a_replay_are_reported_at_once(drive):
     with pytest.raises(DataError) as error:
         replay([missing, drive / "other.csv"], toml, FRONT, REAR)
     assert len(error.value.problems) == 2
+
+
+def test_a_car_without_slip_drives_a_circle():
+    """The rear axle moves along its own heading, about a centre on its line."""
+    time, v_x, angle, l_f, l_r = np.arange(101) / 100.0, 2.0, 0.2, 0.2, 0.15
+    turn = v_x * np.tan(angle) / (l_f + l_r)
+    heading, radius = 0.3 + turn * time, v_x / turn
+    x = radius * np.sin(heading) + l_r * np.cos(heading)
+    y = -radius * np.cos(heading) + l_r * np.sin(heading)
+    states = State(*(row[None] for row in (0 * time + l_r * turn, 0 * time + turn, heading, x, y)))
+    start = State(*(row[:, 0] for row in states))
+    given = np.full((1, 101), v_x), np.full((1, 101), angle)
+    windows = Measured(time[None], start, *given, states, np.full((1, 101), v_x * turn))
+    car = SimpleNamespace(l_f=l_f, l_r=l_r, filter=SimpleNamespace(sample_rate=100.0))
+    missed = errors_without_slip(car, windows, [50, 100])
+    for values in missed.of.values():
+        np.testing.assert_allclose(values, 0.0, atol=2e-4)
