@@ -64,7 +64,7 @@ def test_predictions_agree_with_the_reference(run, path, angles, options):
 def test_a_tir_file_is_in_iso_w(run):
     rows = points_of(MF61)
     result = run("predict", MF61, "points.csv", "--out", "out.csv")
-    assert "(convention iso-w)" in result.stdout
+    assert "(convention iso-w, assumed" in result.stdout
     assert_reference(rows)
 
 
@@ -152,7 +152,7 @@ def test_data_and_tire_with_the_same_signs_give_the_values_of_iso_w(run, convent
     options = ("--convention", convention, "--signs", convention, "--out", "out.csv")
     result = run("predict", MF61, "points.csv", *options)
     assert f"in signs {convention}" in result.stdout
-    assert f"(convention {convention}), as declared" in result.stdout
+    assert f"(convention {convention}, as declared)" in result.stdout
     for name in ("fx", "fy", "mz"):
         np.testing.assert_allclose(predicted()[name], wanted[name], rtol=1e-9)
 
@@ -175,7 +175,7 @@ def test_signs_stated_in_a_data_file_override_those_of_the_tire(run):
     text = "# tirefit 0.1: convention braking\nkappa,fz\n0.1,4000\n-0.2,4000\n"
     Path("points.csv").write_text(text)
     result = run("predict", MF61, "points.csv", "--out", "out.csv")
-    assert "(convention braking), stated in line 1, not as 'iso-w'" in result.stdout
+    assert "(convention braking, stated in line 1, not as 'iso-w'" in result.stdout
     said = predicted()["fx"]
     Path("points.csv").write_text("kappa,fz\n-0.1,4000\n0.2,4000\n")
     run("predict", MF61, "points.csv", *ISO)

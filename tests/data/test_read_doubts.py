@@ -343,3 +343,13 @@ def test_masked_rows_do_not_suggest_masking():
     assert [problem.row for problem in masked] == [3, 5]
     assert all("correct the row" in problem.remedy for problem in masked)
     assert "--mask-bad-rows" not in "".join(map(str, masked))
+
+
+def test_masked_rows_beside_another_problem_do_not_suggest_masking(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("sigma_x,fx,fz\n0.01,100,x\n0.02,200,4000\n")
+    with pytest.raises(DataError) as caught:
+        read(path, mask_bad_rows=True)
+    slips, row = caught.value.problems
+    assert "constant slip" in slips.reason and "'x' is text" in row.reason
+    assert row.remedy == "correct the row"

@@ -421,10 +421,11 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
             whole.append(InputProblem("no usable rows are left", remedy, table.file))
     if any(problem.reason == IS_VEHICLE_LOG for problem in whole):
         of_rows = []  # a vehicle log has no slip and force to check
+    if mask:  # without the advice to mask them
+        of_rows = [replace(p, remedy=p.remedy.replace(check.OR_MASK, "")) for p in of_rows]
     if whole or (of_rows and not mask):
         raise DataError([*whole, *of_rows])
-    # Without the advice to mask them.
-    return tuple(replace(p, remedy=p.remedy.replace(check.OR_MASK, "")) for p in of_rows)
+    return tuple(of_rows)
 
 
 def _warnings(reading: _Reading, run: np.ndarray) -> tuple[str, ...]:
