@@ -257,9 +257,10 @@ def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
             wrong.append(_ratio_text(name, _SHORT.get(name, name), ratio, float(error), todo, used))
     if wrong:
         yield f"The simulator has {words.listing(wrong)}."
+    ranked = sorted(here.effects.items(), key=lambda pair: -(pair[1].probability or 0.0))
     lacks = [
         f"{words.sized_name(effect, size)} ({size.probability:.2f} that this is the cause)"
-        for effect, size in here.effects.items()
+        for effect, size in ranked
         if there is None or effect not in there.effects
     ]
     if lacks:
