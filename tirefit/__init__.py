@@ -23,7 +23,7 @@ O
     World Congress, Barcelona, 2002; Control Engineering Practice 11 (2003) 1361-1370.
 
 ``EQUATIONS.md`` of the repository has a line for each equation, and what is corrected
-in it. P(4.E...) are equations of Pacejka (2012). The other papers whose methods it uses are
+in it. P(4.E...) are equations of Pacejka (2012). Other papers whose methods the code uses are
 in ``docs/reference/sources.md``.
 """
 
