@@ -20,7 +20,7 @@ from tirefit.diagnosis.engine.search import searched
 from tirefit.diagnosis.rows.prepared import Prepared, prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import STAND_INS, Simulator, given_simulator, simulator_at
-from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
+from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise
 from tirefit.diagnosis.summary.case import Case, Untestable
 from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.readings import with_readings
@@ -301,14 +301,4 @@ def studied(
         left = (Untestable(effect.id, ("finite slips",)) for effect in effects if effect in endless)
         return replace(case, untestable=(*case.untestable, *left))
     base = replace(base, testable=tuple(testable))
-    search = searched(base)
-    # The remainder of the best set shows the noise better than that of no effect.
-    best = search.ranked[0]
-    judged = with_noise(base, rig, best.z, base.amplitudes(best.atoms, best.amplitude))
-    for channel, old in base.noise.items():
-        new = judged.noise[channel]
-        level = np.median(new.std) / np.median(old.std) * np.sqrt(new.inflation / old.inflation)
-        # Search again for a change of the noise level by a tenth, or of the excluded rows.
-        if abs(np.log(level)) > 0.1 or np.any(new.outlier != old.outlier):
-            return Case.of(searched(judged), lacks)
-    return Case.of(search, lacks)
+    return Case.of(searched(base), lacks)

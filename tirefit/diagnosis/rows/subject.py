@@ -296,7 +296,7 @@ def fit_base(
         rows=prepared, tire=tire, design=design, z=z, guess=guess, simulator=simulator,
         slip_fraction=size / (1.5 * float(mu) * prepared.inputs.fz / slope),
     )  # fmt: skip
-    base = with_noise(base, rig, z)
+    base = with_noise(base, rig)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
@@ -337,12 +337,10 @@ def shown_slip_noise(
     return max(scatter, moving) if sweeps else scatter or None
 
 
-def with_noise(
-    base: Base, rig: Rig, z: np.ndarray, amplitudes: np.ndarray | tuple[Any, ...] = ()
-) -> Base:
-    """The base refitted with the noise of the remainder of a fit (z, amplitudes), by channel."""
+def with_noise(base: Base, rig: Rig) -> Base:
+    """The base refitted with the noise of its remainder, by channel."""
     rows, fz = base.rows, np.asarray(base.rows.inputs.fz)
-    mean, spread = base.tire.moments(z, base.design, rows.n, amplitudes)
+    mean, spread = base.tire.moments(base.z, base.design, rows.n)
     levels, groups, unlisted = dict[str, NoiseLevel](), neighbours(rows), discrepancy_of(base)
     for k, c in enumerate(rows.channels):
         part, unit = slice(k * rows.n, (k + 1) * rows.n), base.design.scale[c][: rows.n]
