@@ -66,7 +66,7 @@ def sizes_of(rows: Covariates, slip: np.ndarray, mean_load: float, radius: float
     speeds = np.ptp(rows.v)
     return Sizes(
         slip=rise,
-        sliding=per(1.0, _largest(rows.sliding)),
+        sliding=per(1.0, float(rows.brisk[0])),
         rolling=per(1.0, speeds),
         growth=per(rise, speeds),
         period=per(spread, rms(rows.rate)),
@@ -170,6 +170,7 @@ def covariates_of(
     """Covariates that follow from the columns; the base fit adds the others."""
     fz, v, zero = data.usable("fz"), column(data, "v"), np.zeros(data.n)
     time, run, size = column(data, "time"), data.run[data.used], np.hypot(slip, second)
+    size = np.minimum(size, 10.0)  # beyond, all slides
     omega, force = column(data, "omega"), _force_of(data, mode)
     sigma, tan_alpha = column(data, "sigma_x"), np.tan(column(data, "alpha"))
     spin = slip_rate(omega, time, run).rate if "omega" in data else zero

@@ -329,7 +329,7 @@ def _smooth(
     smooth = _Smooth(basis, keep)
     for _ in range(_FEW):
         rest = np.where(keep, smooth.remainder(white), 0.0)
-        rest /= max(_scale(rest, smooth), NONZERO)
+        rest /= _scale(rest, smooth)
         likely = [(seen, wave) for wave in waves if (seen := wave_in(rest, wave)) is not None]
         if not likely:
             break
@@ -340,7 +340,7 @@ def _smooth(
         shapes = np.exp(2j * np.pi * turns).view(float) * wave.weight[:, None]
         more = _Smooth(np.concatenate([smooth.basis, shapes], axis=1), keep)
         left = np.where(keep, more.remainder(white), 0.0)
-        memory = more.memory(left / max(_scale(left, more), NONZERO), in_time)
+        memory = more.memory(left / _scale(left, more), in_time)
         rows_each = max(possible.rows_each for possible in memory)
         again = wave_in(rest / np.sqrt(rows_each), wave)
         if again is None or again.log_evidence < 6.0:

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.effects.record import Effect
@@ -67,27 +66,13 @@ class Base:
 
     @cached_property
     def shared_error(self) -> np.ndarray:
-        """Error of the residual that rows share through the unknown true slips, and what no
-        effect explains of it (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k),
-        each times an independent unit normal number."""
+        """Error of the residual that rows share through the unknown true slips, see
+        :func:`slip_proxies`: columns (m, k), each times an independent unit normal number."""
         rows, past = self.rows, self.rows.past
         path = None if past is None else past[:, AHEAD]
         proxies = slip_proxies(rows.slip_law, rows.slip, rows.moving, path, past)
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        forces = steep[:, None] * np.tile(proxies, (len(rows.channels), 1))
-        if self.simulator is None or self.simulator.given.tire is not None:
-            return forces
-        given = self.tire.layout.vector(self.simulator.z)
-        changed = np.abs(self.tire.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
-        around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
-        blocks = []
-        for c in rows.channels:
-            missed = np.asarray(self.design.offset[c])[: rows.n]
-            weight = (np.asarray(self.design.keep) / self.design.scale[c])[: rows.n, None]
-            blocks.append(fits.not_followed(missed, rows.slip, around, most) * weight)
-        beyond = block_diag(*blocks)
-        # A tenth of a standard error is not worth a column.
-        return np.hstack([forces, beyond[:, np.linalg.norm(beyond, axis=0) > 0.1]])
+        return steep[:, None] * np.tile(proxies, (len(rows.channels), 1))
 
     @cached_property
     def _shared(self) -> tuple[np.ndarray, np.ndarray]:
