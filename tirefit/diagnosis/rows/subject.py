@@ -327,13 +327,10 @@ def with_noise(base: Base, rig: Rig) -> Base:
     rows, fz = base.rows, np.asarray(base.rows.inputs.fz)
     mean, spread = base.tire.moments(base.z, base.design, rows.n)
     levels, groups, unlisted = dict[str, NoiseLevel](), neighbours(rows), discrepancy_of(base)
-    tangents = base.at_null.columns
-    shapes = np.hstack([unlisted.additive, tangents[:, np.isfinite(tangents).all(axis=0)]])
     for k, c in enumerate(rows.channels):
         part, unit = slice(k * rows.n, (k + 1) * rows.n), base.design.scale[c][: rows.n]
-        columns = shapes[part] * unit[:, None]
-        # The directions that listed and unlisted effects of usual size change most; more than a
-        # sixth of the rows would fit noise.
+        columns = unlisted.additive[part] * unit[:, None]
+        # Its directions that change the force most; more than a sixth of the rows would fit noise.
         basis = columns @ np.linalg.eigh(columns.T @ columns)[1][:, -(rows.n // 6) :]
         waves = [
             wave._replace(weight=wave.weight[part] * unit, clock=wave.clock[part])
