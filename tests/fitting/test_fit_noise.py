@@ -5,7 +5,7 @@ import pytest
 
 from tirefit.fitting.problem.latent_slip import OFFSETS, slips_of_nodes
 from tirefit.fitting.problem.noise import autocorrelation_time, effective_inflation, robust_scale
-from tirefit.fitting.problem.slip_noise import slip_density, slip_knots
+from tirefit.fitting.problem.slip_noise import slip_density, slip_distribution, slip_knots
 
 
 def autoregressive(rho, n, seed):
@@ -115,6 +115,56 @@ def test_slip_density_recovers_a_known_density():
 def test_slip_density_of_narrow_slips_stays_finite():
     density = density_of(np.full(30, 0.1), np.full(30, 0.01))
     assert np.isfinite(density).all() and (density > 0).all()
+
+
+def test_a_slip_that_many_rows_have_is_found():
+    """Free rolling between pulses: a third of the rows at one slip."""
+    generator = np.random.default_rng(2)
+    true = np.where(generator.random(900) < 0.3, 0.011, generator.uniform(0, 0.15, 900))
+    std = np.full(900, 0.002)
+    slip = true + std * generator.standard_normal(900)
+    found = slip_distribution(slip, std)
+    assert len(found.standing) == 1
+    assert found.standing[0] == pytest.approx(0.011, abs=0.0004)
+    assert found.shares[0] == pytest.approx(0.3, abs=0.04)
+    total = np.trapezoid(found.density, found.knots) + found.shares.sum()
+    assert total == pytest.approx(1.0, abs=1e-9)
+    mean, spread, common = found.moments(slip, std)
+    # What is left of the slip does not hang on where it was measured, as it does raw.
+    near = np.abs(slip - 0.011) < 0.004
+    assert np.abs(np.corrcoef((true - slip)[near], slip[near])[0, 1]) > 0.6
+    assert np.abs(np.corrcoef((true - mean)[near], slip[near])[0, 1]) < 0.25
+    assert np.mean((true - mean) ** 2) < 0.9 * np.mean((true - slip) ** 2)
+    # Rows of one standing slip keep all of their noise: they share its place, and
+    # scatter by the rest alone.
+    assert np.mean(spread[near] ** 2) == pytest.approx(0.002**2, rel=0.15)
+    own = np.mean((1 - common[near]) * spread[near] ** 2)
+    assert own < 0.6 * 0.002**2
+    assert own == pytest.approx(np.mean((true - mean)[near] ** 2), rel=0.5)
+
+
+def test_every_set_point_is_found():
+    """Many at once; each must be significant alone."""
+    generator = np.random.default_rng(3)
+    points, std = np.linspace(-0.29, 0.29, 25), np.full(300, 0.001)
+    slip = np.repeat(points, 12) + std * generator.standard_normal(300)
+    found = slip_distribution(slip, std)
+    order = np.argsort(found.standing)
+    mean = slip.reshape(25, 12).mean(axis=1)
+    # To the standard error of a mean of twelve.
+    np.testing.assert_allclose(found.standing[order], mean, atol=3e-4)
+    np.testing.assert_allclose(found.shares[order], 1 / 25, atol=0.005)
+
+
+def test_evenly_spread_slips_have_no_set_point():
+    generator = np.random.default_rng(5)
+    slip = generator.uniform(0, 0.3, 900) + 0.004 * generator.standard_normal(900)
+    std = np.full(900, 0.004)
+    found = slip_distribution(slip, std)
+    assert found.standing.size == 0
+    mean, spread, _ = found.moments(slip, 0 * std)
+    np.testing.assert_array_equal(mean, slip)
+    np.testing.assert_array_equal(spread, 0.0)
 
 
 def test_runs_that_differ_as_a_whole_count_by_the_scatter_of_their_sums():

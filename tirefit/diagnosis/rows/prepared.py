@@ -20,9 +20,9 @@ from tirefit.diagnosis.rows.covariates import (
     sizes_of,
 )
 from tirefit.diagnosis.rows.rig import Rig, SlipCheck, check_data, check_slip, unfit
-from tirefit.diagnosis.rows.slips import SlipLaw, slip_law, slip_rate
+from tirefit.diagnosis.rows.slips import slip_law, slip_rate
 from tirefit.fitting.problem.build import check_slip_noise
-from tirefit.fitting.problem.slip_noise import speed_of, std_with_speed
+from tirefit.fitting.problem.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
@@ -67,9 +67,17 @@ class Prepared:
         return len(self.slip)
 
     @cached_property
-    def slip_law(self) -> SlipLaw | None:
-        """The true slips; None without slip noise."""
+    def slip_law(self) -> SlipDistribution | None:
+        """Distribution of the true slips; None without slip noise."""
         return slip_law(self.slip, self.slip_std)
+
+    @cached_property
+    def common(self) -> np.ndarray:
+        """Share (n,) of the variance of each true slip that rows of one standing slip
+        have in common, see :class:`SlipDistribution`."""
+        if self.slip_law is None:
+            return np.zeros(self.n)
+        return self.slip_law.moments(self.slip, self.slip_std)[2]
 
     @property
     def past(self) -> np.ndarray | None:

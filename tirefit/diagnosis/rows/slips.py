@@ -9,7 +9,7 @@ from scipy.special import comb, softmax
 from tirefit.diagnosis.engine import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.problem.noise import MAD
-from tirefit.fitting.problem.slip_noise import SMOOTH, slip_density, slip_knots
+from tirefit.fitting.problem.slip_noise import SlipDistribution, slip_distribution
 from tirefit.params import Values
 
 _WINDOWS = (5, 9, 13, 19, 27, 41)  # rows of the local parabolas
@@ -250,45 +250,26 @@ def _steep(slip: np.ndarray, std: np.ndarray) -> bool:
     return float(np.median(std)) > 0.01 * large
 
 
-class SlipLaw(NamedTuple):
-    """The true slips of a file, given the measured ones: mean and standard deviation (n,)."""
-
-    mean: np.ndarray
-    std: np.ndarray
-
-
-def slip_law(slip: np.ndarray, std: np.ndarray) -> SlipLaw | None:
-    """The true slips of measured ones with noise (n,); None if it is zero. Their density is
-    estimated as that of a fit, from the slips alone."""
-    if not np.any(std > 0):
-        return None
-    std = np.maximum(std, FLAT)
-    offset = np.linspace(-4, 4, 41)
-    nodes, weights = slip[:, None] + std[:, None] * offset, np.exp(-0.5 * offset**2)
-    every = max(len(slip) // 4000, 1)  # more rows change the density little
-    some = nodes[::every]
-    each = np.tile(weights, (len(some), 1))
-    # A tenth of the weight in a fit: a wheel that rolls freely has many rows of one slip.
-    density = slip_density(slip_knots(slip, std), some, each, 0.1 * SMOOTH)
-    chance = weights * density.at(nodes)
-    chance /= chance.sum(axis=1, keepdims=True)
-    mean = np.sum(chance * nodes, axis=1)
-    return SlipLaw(mean, np.sqrt(np.sum(chance * (nodes - mean[:, None]) ** 2, axis=1)))
+def slip_law(slip: np.ndarray, std: np.ndarray) -> SlipDistribution | None:
+    """Distribution of the true slips from measured ones and noise (n,); None if zero."""
+    return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
 
 
 def slip_nodes(
-    law: SlipLaw | None, slip: np.ndarray, std: np.ndarray
+    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """True slips and their probabilities (n, k); without a law, the measured slips."""
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
     offset, mass = _MANY if _steep(slip, std) else _FEW
-    return law.mean[:, None] + law.std[:, None] * offset, np.tile(mass / mass.sum(), (len(slip), 1))
+    mean, spread, _ = law.moments(slip, std)
+    nodes = mean[:, None] + spread[:, None] * offset
+    return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
 def slip_proxies(
-    law: SlipLaw | None, slip: np.ndarray, measured: Sequence[np.ndarray],
-    path: np.ndarray | None = None, past: np.ndarray | None = None,
+    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray,
+    measured: Sequence[np.ndarray], path: np.ndarray | None = None, past: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Error of the estimated slips as predicted from other measurements: columns (n, k).
 
@@ -305,7 +286,8 @@ def slip_proxies(
     """
     if law is None:
         return np.zeros((len(slip), 0))
-    variance = np.mean(law.std**2)
+    believed, unsure, common = law.moments(slip, std)
+    variance = np.mean(unsure**2 * (1 - common))
     predictions = [] if path is None else [path]
     if measured:
         free = [np.ones((len(slip), 1)), *([] if past is None else [past])]
@@ -316,7 +298,7 @@ def slip_proxies(
         predictions.append(known @ np.linalg.lstsq(known, slip, rcond=None)[0])
     columns = []
     for predicted in predictions:
-        off = predicted - law.mean
+        off = predicted - believed
         known = variance / max(float(np.mean(off**2)), NONZERO)
         if known > 0.2:  # a smaller share of the noise is not worth a column
             columns.append(min(known, 1.0) * off)

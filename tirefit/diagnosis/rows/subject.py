@@ -70,7 +70,8 @@ class Base:
         :func:`slip_proxies`: columns (m, k), each times an independent unit normal number."""
         rows, past = self.rows, self.rows.past
         path = None if past is None else past[:, AHEAD]
-        proxies = slip_proxies(rows.slip_law, rows.slip, rows.moving, path, past)
+        slip = rows.slip_law, rows.slip, rows.slip_std
+        proxies = slip_proxies(*slip, rows.moving, path, past)
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
         return steep[:, None] * np.tile(proxies, (len(rows.channels), 1))
 
@@ -338,10 +339,12 @@ def with_noise(base: Base, rig: Rig) -> Base:
         ]
         column = f"{c}_std"
         stated = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
-        levels[c] = noise.judge_noise(
-            rows.observed[c] - mean[c], spread[c], fz, mean[c], stated, basis,
+        common = spread[c] * rows.common
+        level = noise.judge_noise(
+            rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], stated, basis,
             waves, groups, rows.time, rows.run,
         )  # fmt: skip
+        levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
     size, wide = len(base.design.keep), np.sqrt(max(x.inflation for x in levels.values()))
     scale = {c: pad_rows(level.std * wide, size) for c, level in levels.items()}
     keep = (np.arange(size) < rows.n).astype(float)

@@ -1,8 +1,8 @@
-"""The density of the true slips of a file, from slips measured with noise.
+"""The distribution of the true slips of a file, from slips measured with noise.
 
 It is the empirical-Bayes prior of the true slip of each row. A fit estimates it together with
-its parameters, from slips and forces; a diagnosis, which compares many models of the force, from
-the slips alone.
+its parameters, from slips and forces (:func:`slip_density`); a diagnosis, which compares many
+models of the force, from the slips alone (:func:`slip_distribution`).
 """
 
 from typing import NamedTuple
@@ -42,6 +42,17 @@ def std_with_speed(plain: float, of_speed: float, v: np.ndarray) -> np.ndarray:
     return np.hypot(plain, of_speed / np.maximum(size, _STANDS * np.median(size)))
 
 
+_HATS = 20
+"""Largest number of triangular functions of a density. There are fewer if their spacing
+would fall below the slip noise: the data do not resolve finer detail."""
+_STEPS, _STEPS_AFTER = 200, 60
+"""Steps of expectation maximisation, and those after each standing slip is added."""
+_MOST_STANDING, _MOST_PEAKS = 40, 8
+"""Largest number of standing slips, and of places that are tried for the next one."""
+
+
+_ENOUGH = 4000
+"""Rows from which a diagnosis estimates a distribution: more rows change it little."""
 _KNOTS = 30
 """Knots of a density. In 24 files each of 400 rows with five levels of noise, estimates with
 them scattered by 0.93 to 1.03 of those with the true density."""
@@ -146,3 +157,146 @@ def _scores(parts: np.ndarray, log: np.ndarray) -> np.ndarray:
 def _shares(log: np.ndarray) -> np.ndarray:
     share = np.exp(log - log.max())
     return share / share.sum()
+
+
+class SlipDistribution(NamedTuple):
+    """A piecewise linear density, and standing slips, each the true slip of many rows.
+    The density and the shares of the standing slips add up to one."""
+
+    knots: np.ndarray
+    density: np.ndarray
+    standing: np.ndarray  # (k,)
+    shares: np.ndarray  # (k,)
+
+    def moments(
+        self, slip: np.ndarray, std: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean and standard deviation (n,) of each latent slip given the measured one,
+        and the share (n,) of that variance which rows of one standing slip have in common.
+
+        The rows of a standing slip share the error of its place and do not scatter by
+        it. Each row is given the variance of its own noise instead: the variance of
+        their mean is then that of the place.
+        """
+        offset = np.linspace(-4, 4, 41)
+        nodes = slip[:, None] + std[:, None] * offset
+        moving = np.interp(nodes, self.knots, self.density, left=0.0, right=0.0)
+        moving = (moving + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
+        # A slip measured without noise is the true slip.
+        there = _standing_likelihood(slip, np.where(std > 0, std, 1.0), self.standing)
+        there = np.where(std[:, None] > 0, self.shares * there, 0.0)
+        total = moving.sum(axis=1) + there.sum(axis=1)
+        weight = np.concatenate([moving, there], axis=1) / total[:, None]
+        places = np.broadcast_to(self.standing, there.shape)
+        places = np.concatenate([nodes, places], axis=1) - slip[:, None]
+        mean = np.sum(weight * places, axis=1)
+        square = np.sum(weight * (places - mean[:, None]) ** 2, axis=1)
+        common = std**2 * there.sum(axis=1) / total
+        square = square + common
+        return slip + mean, np.sqrt(square), common / np.maximum(square, 1e-300)
+
+
+_NEW_SHARE = 0.05  # share that new standing slips begin with, together
+_SHARES = np.array([[0.003], [0.01], [0.03], [0.1], [0.3]])  # tried of one more standing slip
+
+
+def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
+    """Distribution of the true slips of measured ones (n,) with standard deviations
+    (n,): a density and standing slips.
+
+    A wheel that rolls freely between two pulses of the brake, or a rig that steps
+    through set points, has many rows of one slip, which a smooth density cannot
+    describe. Standing slips are added where the likelihood rises most, while it rises
+    by more than the penalty for two parameters (the place, found by search, and the
+    share): together those that exceed the penalty alone, then one by one.
+    """
+    every = max(len(slip) // _ENOUGH, 1)
+    slip, std = slip[::every], std[::every]
+    noise = float(np.median(std))
+    width = max(float(np.ptp(slip)), noise)
+    hats = int(np.clip(width / max(noise, 1e-300), 3, _HATS))
+    spacing = width / (hats - 1)
+    knots = slip.min() + spacing * np.arange(-1, hats + 1)
+    # Likelihood of each slip for each hat of unit area, (n, hats), by quadrature.
+    offset, mass = np.polynomial.hermite_e.hermegauss(15)
+    true = slip[:, None] + std[:, None] * offset
+    hat = np.maximum(1 - np.abs(true[..., None] - knots[1:-1]) / spacing, 0)
+    columns = smooth = np.einsum("q,nqk->nk", mass / mass.sum(), hat) / spacing
+    weight = _weights(columns, np.full(hats, 1 / hats), 3 * _STEPS_AFTER)
+    places = np.linspace(slip.min(), slip.max(), int(np.clip(2 * np.ptp(slip) / noise, 2, 2000)))
+    near = _standing_likelihood(slip, std, places)
+    standing, likely = np.zeros(0), _log_likelihood(columns, weight)
+    worth = 1.2 * np.log(len(slip))
+
+    def beside(more: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """The distribution with more places; None if it gains less than the penalty."""
+        wider = np.append(standing, places[more])
+        found = _with_more(slip, std, smooth, wider, weight, _STEPS_AFTER)
+        rise = _log_likelihood(*found[:2]) - likely
+        return found if rise >= worth * len(more) else None
+
+    while len(standing) < _MOST_STANDING:
+        together = columns @ weight
+        rises = np.pad(1 / np.maximum(together, 1e-300) @ near, 1, constant_values=-np.inf)
+        peaks = np.flatnonzero((rises[1:-1] >= rises[:-2]) & (rises[1:-1] >= rises[2:]))
+        peaks = peaks[np.argsort(-rises[1:-1][peaks])][:_MOST_PEAKS]
+        # From a share of one more part with the ratios of the others unchanged: a lower limit
+        # of the gain in log likelihood when all shares are fitted again.
+        ratios = near[:, peaks].T / np.maximum(together, 1e-300) - 1
+        gains = np.array([np.max(np.log1p(_SHARES * ratio).sum(axis=1)) for ratio in ratios])
+        # These exceed the penalty by themselves; the others are tried one by one.
+        sure = gains > worth
+        room = _MOST_STANDING - len(standing)
+        tries = [peaks[sure][:room]] if np.sum(sure) > 1 else []
+        order = np.argsort(-gains, kind="stable")[:4]
+        tries += [peaks[[k]] for k in order if gains[k] > 0.2 * worth]
+        best = next((found for found in map(beside, tries) if found is not None), None)
+        if best is None:
+            break
+        columns, weight, standing = best
+        likely = _log_likelihood(columns, weight)
+    density = np.concatenate([[0.0], weight[:hats] / spacing, [0.0]])
+    return SlipDistribution(knots, density, standing, weight[hats:])
+
+
+def _with_more(
+    slip: np.ndarray,
+    std: np.ndarray,
+    smooth: np.ndarray,
+    standing: np.ndarray,
+    weight: np.ndarray,
+    iterations: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(columns, weights, places) of the smooth parts and the standing slips, the last of
+    which are new; all places are refined."""
+    new = smooth.shape[1] + len(standing) - len(weight)
+    share = np.append((1 - _NEW_SHARE) * weight, np.full(new, _NEW_SHARE / new))
+    for _ in range(3):
+        alone = _standing_likelihood(slip, std, standing)
+        wider = np.concatenate([smooth, alone], axis=1)
+        share = _weights(wider, share, iterations // 3)
+        mine = alone * share[smooth.shape[1] :]
+        mine /= np.maximum(wider @ share, 1e-300)[:, None] * std[:, None] ** 2
+        standing = slip @ mine / np.maximum(mine.sum(axis=0), 1e-300)
+    return wider, share, standing
+
+
+def _standing_likelihood(slip: np.ndarray, std: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Likelihood of each measured slip for each place, (n, k)."""
+    return _gauss((slip[:, None] - places) / std[:, None]) / std[:, None]
+
+
+def _log_likelihood(columns: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.sum(np.log(np.maximum(columns @ weight, 1e-300))))
+
+
+def _gauss(x: np.ndarray) -> np.ndarray:
+    return np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
+
+
+def _weights(columns: np.ndarray, weight: np.ndarray, iterations: int) -> np.ndarray:
+    """Weights of the parts by expectation maximisation."""
+    for _ in range(iterations):
+        together = np.maximum(columns @ weight, 1e-300)
+        weight = weight * (1 / together @ columns) / len(columns)
+    return weight
