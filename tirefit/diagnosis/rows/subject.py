@@ -319,8 +319,8 @@ def shown_slip_noise(
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     in_time, fz = noise.in_order(prepared.time, prepared.run), np.asarray(prepared.inputs.fz)
-    scatter = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
-    return max(scatter, moving) if sweeps else scatter or None
+    found = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
+    return max(found, moving) if sweeps else found or None
 
 
 def with_noise(base: Base, rig: Rig) -> Base:
