@@ -4,17 +4,18 @@ All scales are Huber's proposal 2, which a few large residuals change little and
 row does not change abruptly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
 from scipy.special import chdtr, chdtrc
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
-from tirefit.diagnosis.engine.discrepancy import Wave, wave_in
 from tirefit.diagnosis.rows.covariates import LOADS
+from tirefit.diagnosis.rows.discrepancy import waves_within
 from tirefit.fitting.problem.noise import MAD, autocorrelation_time
 from tirefit.params import Values
 
@@ -156,8 +157,8 @@ class NoiseLevel(NamedTuple):
 
 def judge_noise(
     residual: np.ndarray, spread: np.ndarray, fz: np.ndarray, force: np.ndarray,
-    given: Values | None, basis: np.ndarray, waves: Sequence[Wave],
-    groups: Sequence[np.ndarray], time: Values | None, run: np.ndarray,
+    given: Values | None, basis: np.ndarray, waves: Callable[[np.ndarray], np.ndarray],
+    groups: Sequence[np.ndarray], time: Values | None, run: np.ndarray, refine: bool = True,
 ) -> NoiseLevel:  # fmt: skip
     """Noise of one channel.
 
@@ -167,16 +168,18 @@ def judge_noise(
         fz, force: (n,) load, and force of the fit.
         given: (n,) stated standard deviation, or None.
         basis: (n, m) smooth functions that represent any gap (unit columns, in N).
-        waves: those that are removed too if they are significant, with weights in N.
+        waves: remainder (n,) -> (n, 2 x waves) [N], those to compare; the significant ones
+            are removed too.
         groups: index arrays of rows whose neighbours differ only by noise.
         time, run: order of the rows (time may be None).
+        refine: exclude rows by the smooth remainder of a fit without a gross gap.
     """
     stated = given is not None
     base = np.ones(len(residual)) if given is None else np.asarray(given)
     std = np.sqrt(base**2 + spread) if stated else base
-    white, in_time, keep = residual / std, in_order(time, run), np.ones(len(residual), bool)
-    waves = [wave._replace(weight=wave.weight / std) for wave in waves]
-    smooth = _smooth(white, basis / std[:, None], waves, keep, in_time)
+    white, in_time = residual / std, in_order(time, run)
+    keep = ~_stray(residual, groups)
+    smooth = _smooth(white, basis / std[:, None], waves, std, keep, in_time)
     # A twentieth of the error of the best force transducers (class 0.02), over the load: computed
     # forces have no noise, and would make any gap certain.
     rest, floor = smooth.remainder(white) * std, 1e-5 * np.mean(fz)
@@ -188,7 +191,7 @@ def judge_noise(
         law = np.sqrt(np.maximum(law, _LEAST_VARIANCE * np.mean(law) + NONZERO))
         return law * _scale(rest / law, smooth)
 
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if refine else 0):
         shares = _shares(rest / std, fz, force, keep)
         good = np.abs(rest) < _OUTLIER * np.maximum(level(), floor)
         if np.array_equal(good, keep):
@@ -205,17 +208,17 @@ def judge_noise(
     else:
         std, source = np.maximum(level(), floor), "differences"
     memory = smooth.memory(rest / std, in_time)
-    if grows or not stated:
+    if not stated:
         apart = _CLEAR * max(one.rows_each for one in memory) * (memory[0].fade > 0)
         local = _between(residual / std, groups, keep, apart, in_time)
-        std = np.maximum(std * min(local, 1.0), floor)
-        memory = smooth.memory(rest / std, in_time)
-        # The noise is a part of the residual.
+        if local < 1:
+            std = np.maximum(std * local, floor)
+            memory = smooth.memory(rest / std, in_time)
         most = np.sqrt(np.mean(residual[keep] ** 2) / np.mean(std[keep] ** 2))
-        std = std * min(float(most), 1.0)
+        std = std * min(float(most), 1.0)  # the noise is a part of the residual
     std = np.maximum(std, floor)
-    # Forces from a formula have rounding errors but no noise.
-    memory = (FORGETFUL,) if np.all(std <= floor) else memory
+    if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
+        memory = (FORGETFUL,)
     if grows or (not stated and np.max(std) > (1 + _MISSTATED) ** 2 * np.min(std)):
         flags.append("heteroscedastic")
     elif stated and np.std(fz) > LOADS * np.mean(fz):
@@ -251,6 +254,22 @@ def _overruled(
         return scales[name], ["noise_misstated"], source
     small = scales["about smooth functions"] < 0.6
     return 1.0, ["noise_misstated"] if small else [], "given"
+
+
+def _stray(residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows (n,) bool far both from the median of their neighbours and from the line
+    between the two next to them."""
+    off = np.zeros((2, len(residual)))
+    for group in (group for group in groups if len(group) >= 7):
+        values = residual[group]
+        off[0, group] = values - median_filter(values, 7, mode="mirror")
+        off[1, group] = convolve1d(values, [-0.5, 1.0, -0.5], mode="mirror")
+    seen = np.any(off != 0, axis=0)
+    if not seen.any():
+        return seen
+    unit = MAD * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
+    stray = np.all(np.abs(off) > _OUTLIER * unit, axis=0) & seen
+    return stray & (stray.sum() > max(_FEW, 2 * _FLAGGED * len(residual)))
 
 
 _CLIPPED = float(chdtr(3, _CLIP**2) + _CLIP**2 * chdtrc(1, _CLIP**2))
@@ -321,29 +340,26 @@ class _Smooth:
 
 
 def _smooth(
-    white: np.ndarray, basis: np.ndarray, waves: Sequence[Wave], keep: np.ndarray,
-    in_time: Sequence[np.ndarray],
+    white: np.ndarray, basis: np.ndarray, waves: Callable[[np.ndarray], np.ndarray],
+    std: np.ndarray, keep: np.ndarray, in_time: Sequence[np.ndarray],
 ) -> _Smooth:  # fmt: skip
-    """Smooth functions and the few significant waves: those whose evidence is 400 to 1 beside a
-    noise with the correlation of what a wave leaves."""
+    """Smooth functions and the few significant waves.
+
+    A wave counts beyond what the correlation of the remainder without it explains.
+    """
     smooth = _Smooth(basis, keep)
+    least = np.log(len(white)) + 6.0  # log odds of 400 to 1: about one wave in each row
     for _ in range(_FEW):
         rest = np.where(keep, smooth.remainder(white), 0.0)
-        rest /= _scale(rest, smooth)
-        likely = [(seen, wave) for wave in waves if (seen := wave_in(rest, wave)) is not None]
-        if not likely:
-            break
-        seen, wave = max(likely, key=lambda pair: pair[0].log_evidence)
-        # One between two of the frequencies is a sum of three.
-        step = np.array([-0.5, 0.0, 0.5]) / (wave.clock.max() + 1)
-        turns = np.outer(wave.clock, wave.tick / seen.cell.places[-1] + step)
-        shapes = np.exp(2j * np.pi * turns).view(float) * wave.weight[:, None]
-        more = _Smooth(np.concatenate([smooth.basis, shapes], axis=1), keep)
+        shapes = waves(rest / std) / std[:, None]
+        chi2 = waves_within(shapes * keep[:, None], smooth.basis * keep[:, None], rest)
+        best = 2 * int(np.argmax(chi2))
+        near = shapes[:, max(best - 2, 0) : best + 4]  # one between two of them is three
+        more = _Smooth(np.concatenate([smooth.basis, near], axis=1), keep)
         left = np.where(keep, more.remainder(white), 0.0)
-        memory = more.memory(left / _scale(left, more), in_time)
-        rows_each = max(possible.rows_each for possible in memory)
-        again = wave_in(rest / np.sqrt(rows_each), wave)
-        if again is None or again.log_evidence < 6.0:
+        unit = max(_scale(rest, smooth) ** 2, NONZERO)
+        memory = more.memory(left / np.sqrt(unit), in_time)
+        if np.max(chi2) / unit < 2 * least * max(one.rows_each for one in memory):
             break
         smooth = more
     return smooth
@@ -358,9 +374,6 @@ def _shares(
     shares = [np.ones_like(fz)]
     if np.std(fz) > LOADS * np.mean(fz):
         shares.append((fz / np.mean(fz)) ** 2)
-        parts = np.stack(shares, axis=1)
-        law = parts @ _law(np.square(white[keep]), parts[keep])
-        white = white / np.sqrt(np.maximum(law, NONZERO))  # what grows with the load is known
     if _growth(white, used, keep) > _CLEAR:
         shares += [used, used**2]
     return shares

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.effects.record import Effect
@@ -28,7 +29,7 @@ from tirefit.diagnosis.rows.prepared import (
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, Simulated, Simulator, check_signs
-from tirefit.diagnosis.rows.slips import AHEAD, slip_proxies
+from tirefit.diagnosis.rows.slips import AHEAD, slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
@@ -65,26 +66,41 @@ class Base:
         return atoms_of(self.tire.effects)
 
     @cached_property
-    def shared_error(self) -> np.ndarray:
-        """Error of the residual that rows share through the unknown true slips, see
-        :func:`slip_proxies`: columns (m, k), each times an independent unit normal number."""
+    def doubt(self) -> np.ndarray:
+        """Error of the residual that rows share through the unknown true slips, and what no
+        effect explains of it (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k),
+        each times an independent unit normal number."""
         rows, past = self.rows, self.rows.past
-        path = None if past is None else past[:, AHEAD]
-        slip = rows.slip_law, rows.slip, rows.slip_std
-        proxies = slip_proxies(*slip, rows.moving, path, past)
+        slip, path = (rows.slip_law, rows.slip, rows.slip_std), None
+        if past is not None:  # the slips estimated from their neighbours in time
+            path = past[:, AHEAD]
+        off = [slip_doubt(*slip, path), slip_proxies(*slip, rows.moving, path, past)]
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        return steep[:, None] * np.tile(proxies, (len(rows.channels), 1))
+        forces = steep[:, None] * np.tile(np.hstack(off), (len(rows.channels), 1))
+        if self.simulator is None or self.simulator.given.tire is not None:
+            return forces
+        given = self.tire.layout.vector(self.simulator.z)
+        changed = np.abs(self.tire.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
+        around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
+        blocks = []
+        for c in rows.channels:
+            missed = np.asarray(self.design.offset[c])[: rows.n]
+            weight = (np.asarray(self.design.keep) / self.design.scale[c])[: rows.n, None]
+            blocks.append(fits.not_followed(missed, rows.slip, around, most) * weight)
+        beyond = block_diag(*blocks)
+        # A tenth of a standard error is not worth a column.
+        return np.hstack([forces, beyond[:, np.linalg.norm(beyond, axis=0) > 0.1]])
 
     @cached_property
-    def _shared(self) -> tuple[np.ndarray, np.ndarray]:
+    def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
         """Orthonormal directions (m, k) of the slip uncertainty, and the share (k,) of
         the residual along each that is removed."""
-        along, size, _ = np.linalg.svd(self.shared_error, full_matrices=False)
+        along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
         return along, 1 - 1 / np.sqrt(1 + size**2)
 
-    def projected(self, values: np.ndarray) -> np.ndarray:
+    def sure(self, values: np.ndarray) -> np.ndarray:
         """Whitened values (m, ...), also whitened for the slip uncertainty."""
-        along, unknown = self._shared
+        along, unknown = self._doubtful
         return values - (along * unknown) @ (along.T @ values)
 
     @cached_property
@@ -154,7 +170,7 @@ class Base:
     def discrepancy(self) -> Discrepancy:
         """The unlisted effect, with the slip uncertainty projected out."""
         plain = self.plain_discrepancy
-        return replace(plain, columns=self.projected(plain.columns))
+        return replace(plain, columns=self.sure(plain.columns))
 
     def columns_at(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, p + k) of the forces at a fit."""
@@ -207,8 +223,7 @@ class Base:
             pull, off = np.ones(len(atoms)), amplitude - priors.center[index]
             pull, off = (np.append(np.zeros(p), part) for part in (pull, off))
             ids = [self.atoms[a].effect.id for a in atoms]
-            start = Start(ends.z[k], amplitude)
-            linear = self.projected(residual), self.projected(columns)
+            start, linear = Start(ends.z[k], amplitude), (self.sure(residual), self.sure(columns))
             within = priors.low[index], priors.high[index]
             made.append(fitted(atoms, ids, start, linear, pull, off, priors.sign[index], within))
         return made
@@ -216,7 +231,7 @@ class Base:
     def tangents(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
         amplitudes = self.amplitudes(fit.atoms, fit.amplitude)
-        return self.projected(self.linearised(fit.z, amplitudes).columns)
+        return self.sure(self.linearised(fit.z, amplitudes).columns)
 
     def amplitudes(
         self, atoms: Sequence[int] = (), sizes: np.ndarray | tuple[Any, ...] = ()
