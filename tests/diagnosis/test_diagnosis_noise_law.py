@@ -24,11 +24,21 @@ def judged(std, given=40.0, seed=1):
     generator = np.random.default_rng(seed)
     residual = np.hypot(std, np.sqrt(SPREAD)) * generator.standard_normal(ROWS)
     basis = np.stack([SLIP**k for k in range(5)], axis=1)
+    waves = np.stack([f(40 * SLIP) for f in (np.sin, np.cos)], axis=1)
     zero = np.zeros(ROWS, int)
     order = [np.argsort(SLIP)]
     level = None if given is None else np.full(ROWS, given)
     return judge_noise(
-        residual, SPREAD, LOAD, FORCE, level, basis, (), order, np.arange(float(ROWS)), zero
+        residual,
+        SPREAD,
+        LOAD,
+        FORCE,
+        level,
+        basis,
+        lambda _: waves,
+        order,
+        np.arange(float(ROWS)),
+        zero,
     )
 
 
@@ -75,9 +85,10 @@ def test_noise_that_falls_with_the_force_is_not_modelled():
 def alike(residual, given, slip=SLIP, groups=None):
     """The noise of records with a constant force, in the order of time."""
     basis = np.stack([slip**k for k in range(5)], axis=1)
+    waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
     level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
     return judge_noise(
-        residual, zero, LOAD, LOAD, level, basis, (),
+        residual, zero, LOAD, LOAD, level, basis, lambda _: waves,
         [np.argsort(slip)] if groups is None else groups,
         np.arange(float(ROWS)), zero.astype(int),
     )  # fmt: skip

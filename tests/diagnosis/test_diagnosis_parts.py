@@ -20,10 +20,10 @@ from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.effects.state import _breakaway, force_of_state, null_state
-from tirefit.diagnosis.engine.discrepancy import Cell, Component, Wave
+from tirefit.diagnosis.engine.discrepancy import Cell, Component
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, waves_within
 from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
@@ -333,6 +333,22 @@ def test_segments_break_at_pauses_and_runs():
     assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
 
 
+def test_one_wave_among_many_is_found():
+    generator = np.random.default_rng(0)
+    x = np.linspace(0, 1, 400)
+    angle = 2 * np.pi * x[:, None] * np.arange(1, 13)
+    waves = np.stack([np.sin(angle), np.cos(angle)], 2).reshape(400, -1) / np.sqrt(200)
+    residual = generator.standard_normal(400) + 0.5 * np.sin(2 * np.pi * 7 * x + 1)
+    chi2 = waves_within(waves, np.ones((400, 1)), residual)
+    assert int(np.argmax(chi2)) == 6
+    assert chi2[6] > 30 and np.median(chi2) < 4
+    # At uneven places sine and cosine are correlated: the decrease by least squares.
+    few, one = x[:60] ** 2, np.ones((60, 1))
+    pair = np.stack([np.sin(4 * few), np.cos(4 * few)], axis=1)
+    left = [np.linalg.lstsq(a, residual[:60])[1][0] for a in (one, np.hstack([one, pair]))]
+    assert waves_within(pair, one, residual[:60])[0] == pytest.approx(left[0] - left[1], rel=1e-4)
+
+
 def test_shares_do_not_depend_on_the_order():
     """Compared with the sum over subsets, weighted by the orders in which each comes first."""
     worth = {(): 0.0, (1,): 2.0, (2,): 3.0, (3,): 0.0, (1, 2): 4.0, (1, 3): 2.5,
@@ -397,12 +413,12 @@ def test_the_noise_is_estimated_despite_a_gap():
     level = 0.01 * fz
     residual = 300 * x**3 + level * generator.standard_normal(1500)
     zero = np.zeros(1500)
-    waves = [Wave("force", "signed_slip", level, np.arange(1500), 2 / 1499)]
+    waves = np.stack([f(k * x) for k in (20, 33) for f in (np.sin, np.cos)], axis=1)
     groups = [np.arange(0, 1500, 2), np.arange(1, 1500, 2)]
     order = (np.arange(1500.0), zero.astype(int))
 
     def judged(residual, given, force=zero + 1.0):
-        return judge_noise(residual, zero, fz, force, given, basis, waves, groups, *order)
+        return judge_noise(residual, zero, fz, force, given, basis, lambda _: waves, groups, *order)
 
     found = judged(residual, None)
     np.testing.assert_allclose(found.std, level, rtol=0.1)
@@ -443,7 +459,9 @@ def test_regions_contain_all_the_energy(base):
 
 def test_a_rig_file_is_read_and_checked(tmp_path):
     path = tmp_path / "rig.toml"
-    path.write_text("rolling_radius = 0.3\n[noise]\nfx_relative = 0.02\nsigma_x = 1e-3\n")
+    path.write_text(
+        "rolling_radius = 0.3\n[noise]\nfx_relative = 0.02\nsigma_x = 1e-3\n"
+    )
     rig = load_rig(path)
     assert rig.rolling_radius == 0.3
     assert rig.slip_noise("sigma_x") == 0.001 and rig.slip_noise("alpha") is None
@@ -643,14 +661,11 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
             whole, side * found.columns[:, slice(*cells[name, "fz"][2:4])].sum(axis=1), atol=1e-9
         )
     waves = {(wave.quantity, wave.covariate): wave for wave in found.waves}
-    # The distance is not sampled evenly: two speeds.
-    time = {("friction", "time"), ("force", "time")}
-    assert waves.keys() == time | {("force", "signed_slip")}
+    assert {name for name, _ in waves} == {"friction", "force"}
     wave = waves["force", "time"]
     np.testing.assert_allclose(wave.weight, 0.01 * fz / unit, rtol=0.01)
-    for name, x in (("time", base.rows.time), ("signed_slip", slip)):
-        places = x.min() + waves["force", name].clock * waves["force", name].tick
-        np.testing.assert_allclose(places, x, atol=0.51 * waves["force", name].tick)
+    time = base.rows.time
+    np.testing.assert_allclose(time[0] + wave.clock * wave.tick, time, atol=0.51 * wave.tick)
 
 
 def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
