@@ -25,8 +25,8 @@ from tirefit.diagnosis.rows.prepared import (
     thinned,
 )
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
-from tirefit.diagnosis.rows.simulator import STAND_INS, Simulator, given_simulator, simulator_at
-from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise
+from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
+from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
 from tirefit.diagnosis.summary.case import Case, Untestable
 from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.readings import with_readings
@@ -48,7 +48,7 @@ def diagnose(
     data: DataLike,
     model: str | None = None,
     *,
-    sim: TireLike | Simulator | Mapping[str, Values] | Values | bool | None = None,
+    sim: TireLike | Given | Mapping[str, Values] | Values | bool | None = None,
     signs: str | None = None,
     rig: Rig | str | PathLike[str] | None = None,
     forces: str | Sequence[str] | None = None,
@@ -124,9 +124,9 @@ def diagnose(
     asked = None if forces is None else names(forces, "forces")
     if isinstance(sim, str | PathLike):
         sim = simulator_at(str(sim), signs=signs)
-    otherwise = sim.otherwise if isinstance(sim, Simulator) else None
+    otherwise = sim.otherwise if isinstance(sim, Given) else None
     data = as_data(data, otherwise=otherwise)
-    others = [as_data(other, otherwise=otherwise) for other in several(holdout)]
+    others = [as_data(one, otherwise=otherwise) for one in several(holdout)]
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, others)
     data, others = without_far(data), [without_far(other) for other in others]
@@ -136,16 +136,16 @@ def diagnose(
         # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
         sim = fit_magic_formula(data, model)
     plain = STAND_INS[0] if model is None else model
-    given, modelled_forces = None, modelled(MAGIC_FORMULAS.get(plain) or find_model(plain))
-    gives = modelled_forces
+    given, own = None, modelled(MAGIC_FORMULAS.get(plain) or find_model(plain))
+    gives = own
     if sim is not None:
         given = given_simulator(sim, data, signs)
         data, others = given.beside(data), [given.beside(x, True) for x in others]
-        gives = given.channels(data, modelled_forces)
-        modelled_forces = modelled_forces if given.tire is None else ()
+        gives = given.channels(data, own)
+        own = own if given.tire is None else ()
     data = data.in_order()  # the order of rows may change the course of a search
     if asked is not None:
-        gives = _asked_for(asked, data, gives, modelled_forces)
+        gives = _asked_for(asked, data, gives, own)
     library = tuple(effect for effect in effects if effect.id not in without)
     ids, digests = (tuple(e.id for e in library), tuple(other.source.sha256 for other in others))
     settings = Settings(rig=rig, effects=ids, forces=asked, holdout=digests)
@@ -163,14 +163,14 @@ def diagnose(
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
         made = settings, library, others, generator, name, seed
-        diagnosis = document_of(case, whole, *made)
-        if diagnosis.simulator is None or is_fitted:
-            return diagnosis
+        found = document_of(case, whole, *made)
+        if found.simulator is None or is_fitted:
+            return found
 
         def study(rows: Prepared, rig: Rig) -> Case:
             return studied(rows, form, rig, effects, without)
 
-        return with_readings(diagnosis, case, some, rig, form, study)
+        return with_readings(found, case, some, rig, form, study)
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------
@@ -181,7 +181,7 @@ def names(given: object, argument: str) -> tuple[str, ...]:
     several = (given,) if isinstance(given, str) else given
     if isinstance(several, Iterable):
         several = tuple(several)
-        if all(isinstance(name, str) for name in several):
+        if all(isinstance(one, str) for one in several):
             return several
     raise UsageError(f"{argument} = {given!r}", "give a name, or several")
 
@@ -189,7 +189,7 @@ def names(given: object, argument: str) -> tuple[str, ...]:
 def the_effects(given: object) -> tuple[Effect, ...]:
     """Effects to search, at least one."""
     several = tuple(given) if isinstance(given, Iterable) else ()
-    if several and all(isinstance(effect, Effect) for effect in several):
+    if several and all(isinstance(one, Effect) for one in several):
         return several
     reason = f"effects = {given!r}" if several else "effects: none to search"
     remedy = "leave the argument out for all of the library, or give Effect records: "
@@ -208,7 +208,7 @@ def a_model(given: object) -> str | None:
 def several(given: object) -> list[Any]:
     """The data of several held-out sets, of one, or of none."""
     every = given if isinstance(given, list | tuple) else [given]
-    return [value for value in every if value is not None]
+    return [one for one in every if one is not None]
 
 
 def a_rig(given: object) -> Rig:
@@ -292,7 +292,7 @@ def studied(
     rig: Rig,
     effects: tuple[Effect, ...],
     without: tuple[Any, ...],
-    given: Simulator | None = None,
+    given: Given | None = None,
 ) -> Case:
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
@@ -309,4 +309,15 @@ def studied(
         left = (Untestable(effect.id, ("finite slips",)) for effect in effects if effect in endless)
         return replace(case, untestable=(*case.untestable, *left))
     base = replace(base, testable=tuple(testable))
-    return Case.of(searched(base), lacks)
+    search = searched(base)
+    # The remainder of the best set shows the noise better than that of no effect.
+    best = search.ranked[0]
+    amplitudes = base.amplitudes(best.atoms, best.amplitude)
+    judged = with_noise(base, rig, best.z, amplitudes, outliers=True)
+    for channel, old in base.noise.items():
+        new = judged.noise[channel]
+        level = np.median(new.std) / np.median(old.std) * np.sqrt(new.inflation / old.inflation)
+        # Search again for a change of the noise level by a tenth, or of the excluded rows.
+        if abs(np.log(level)) > 0.1 or np.any(new.outlier != old.outlier):
+            return Case.of(searched(judged), lacks)
+    return Case.of(search, lacks)

@@ -139,8 +139,7 @@ class Discrepancy:
 
     def _of_waves(self, fit: "Fit") -> list[Component]:
         """The most probable wave of each quantity, with the evidence of all of them."""
-        rest = fit.remainder()
-        return [best for wave in self.waves if (best := wave_in(rest, wave)) is not None]
+        return [best for wave in self.waves if (best := _wave_in(fit, wave)) is not None]
 
     def local_share(self, fit: "Fit") -> float:
         """Share of the evidence beside a fit that local cells have."""
@@ -177,14 +176,13 @@ class Discrepancy:
         return np.concatenate([self.columns[:, :0], *parts], axis=1) / many
 
 
-def wave_in(rest: np.ndarray, wave: Wave) -> Component | None:
-    """The most probable wave in a whitened remainder, whose first rows are those of the wave: from
-    three half turns over a record of 16 places and more, with the evidence of all, averaged over
-    frequency and size."""
+def _wave_in(fit: "Fit", wave: Wave) -> Component | None:
+    """The most probable wave in the remainder of a fit, from three half turns over a record of 16
+    places and more, with the evidence of all, averaged over frequency and size."""
     count, weight, least = int(wave.clock.max(initial=-1)) + 1, wave.weight, 3
     if count < 16:
         return None
-    there = wave.clock >= 0
+    rest, there = fit.remainder(), wave.clock >= 0
     weighted = (weight * rest[: len(weight)])[there]
     sums = np.fft.rfft(np.bincount(wave.clock[there], weighted, count), 2 * count)[least:]
     # Sine and cosine of unit size share the square of the weights.

@@ -101,10 +101,10 @@ def _averaged(values: np.ndarray, time: np.ndarray, noise: float) -> _Path:
     value, slope, square = np.zeros((3, size))
     reach = np.zeros((size, 2 * _REACH + 1))
     for chance, (near, of_value, of_slope) in zip(softmax(logs, 0), parts, strict=True):
-        rate = np.einsum("nw,nw->n", of_slope, values[near])
+        one = np.einsum("nw,nw->n", of_slope, values[near])
         value += chance * np.einsum("nw,nw->n", of_value, values[near])
-        slope += chance * rate
-        square += chance * (rate**2 + noise**2 * np.sum(of_slope**2, axis=1))
+        slope += chance * one
+        square += chance * (one**2 + noise**2 * np.sum(of_slope**2, axis=1))
         reach[row[:, None], near - row[:, None] + _REACH] += chance[:, None] * of_value
     return _Path(value, slope, np.sqrt(np.maximum(square - slope**2, 0.0)), reach)
 
@@ -114,9 +114,9 @@ def _path_of(values: np.ndarray, time: Values, noise: float) -> _Path:
     pieces = []
     for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
-        near, inside = slice(start, end + _REACH), slice(first - start, end - start)
+        near, own = slice(start, end + _REACH), slice(first - start, end - start)
         path = _averaged(values[near], np.asarray(time)[near], noise)
-        pieces.append([column[inside] for column in path])
+        pieces.append([column[own] for column in path])
     return _Path(*map(np.concatenate, zip(*pieces, strict=True)))
 
 
@@ -158,7 +158,7 @@ class Past(NamedTuple):
         low, share = self.place(part, time)
         row = np.arange(len(part))[:, None]
 
-        def itself(at: np.ndarray) -> np.ndarray:
+        def own(at: np.ndarray) -> np.ndarray:
             """Weight of the value of each row in the path at that row."""
             weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
             return np.where(np.abs(row - at) > _REACH, 0.0, weight)
@@ -166,7 +166,7 @@ class Past(NamedTuple):
         alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
         noise = ((values - path.value) / alone)[:, None]
         mean = (1 - share) * path.value[low] + share * path.value[low + 1]
-        self.path[part] = mean - ((1 - share) * itself(low) + share * itself(low + 1)) * noise
+        self.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
 
 
 class Sweeps(NamedTuple):

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +14,7 @@ from tirefit.diagnosis.engine import FLAT
 from tirefit.diagnosis.engine.discrepancy import Discrepancy
 from tirefit.diagnosis.engine.fit import Fit, Folds, Key, Priors, Start, fitted
 from tirefit.diagnosis.rows import fits, noise
-from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of
+from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.forces import Design, Linear, Tire, with_force
 from tirefit.diagnosis.rows.noise import NoiseLevel
 from tirefit.diagnosis.rows.prepared import (
@@ -28,7 +28,7 @@ from tirefit.diagnosis.rows.prepared import (
 )
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
-from tirefit.diagnosis.rows.simulator import STAND_INS, Simulated, Simulator, check_signs
+from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
 from tirefit.diagnosis.rows.slips import AHEAD, slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
@@ -158,8 +158,8 @@ class Base:
     def unit(self) -> np.ndarray:
         """(m,) noise of the first channel [N], zero for other channels and excluded rows."""
         n, scale = self.rows.n, self.design.scale[self.rows.channels[0]]
-        values = np.asarray(scale)[:n] * np.asarray(self.design.keep)[:n]
-        return np.concatenate([values, np.zeros(n * (len(self.rows.channels) - 1))])
+        own = np.asarray(scale)[:n] * np.asarray(self.design.keep)[:n]
+        return np.concatenate([own, np.zeros(n * (len(self.rows.channels) - 1))])
 
     @cached_property
     def plain_discrepancy(self) -> Discrepancy:
@@ -199,8 +199,8 @@ class Base:
     def folds(self, effects: Key) -> Folds:
         """The parts that are left out, for the naming of these effects: whole runs cannot
         show an effect that belongs to one of them."""
-        of_runs = {a.effect.id for a in self.atoms if "runs" in a.effect.needs}
-        folds = folds_of(self.rows, self.inflation, not of_runs & {*effects})
+        own = {a.effect.id for a in self.atoms if "runs" in a.effect.needs}
+        folds = folds_of(self.rows, self.inflation, not own & {*effects})
         return folds._replace(code=np.tile(folds.code, len(self.rows.channels)))
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
@@ -210,20 +210,20 @@ class Base:
         free = [np.where(np.abs(s.z) > 6.0, self.guess, s.z) if atoms else s.z
                 for s, atoms in zip(starts, sets, strict=True)]  # fmt: skip
         begin = [(z, s.amplitude) for z, s in zip(free, starts, strict=True)]
-        ends = fits.refit(self.tire, begin, sets, self.design)
-        points = np.concatenate([ends.z, ends.amplitude], axis=1)
+        found = fits.refit(self.tire, begin, sets, self.design)
+        points = np.concatenate([found.z, found.amplitude], axis=1)
         n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
-        made, p, priors = [], ends.z.shape[1], self.priors
+        made, p, priors = [], found.z.shape[1], self.priors
         slopes = self.tire.slopes(points, sets, self.design)
         for k, (atoms, (mean, by)) in enumerate(zip(sets, slopes, strict=True)):
             index = list(atoms)
             residual = ((observed - mean) * weight)[:, :n].reshape(-1)
             columns = (by * weight)[..., :n].reshape(len(by), -1).T
-            amplitude = ends.amplitude[k, : len(atoms)]
+            amplitude = found.amplitude[k, : len(atoms)]
             pull, off = np.ones(len(atoms)), amplitude - priors.center[index]
             pull, off = (np.append(np.zeros(p), part) for part in (pull, off))
             ids = [self.atoms[a].effect.id for a in atoms]
-            start, linear = Start(ends.z[k], amplitude), (self.sure(residual), self.sure(columns))
+            start, linear = Start(found.z[k], amplitude), (self.sure(residual), self.sure(columns))
             within = priors.low[index], priors.high[index]
             made.append(fitted(atoms, ids, start, linear, pull, off, priors.sign[index], within))
         return made
@@ -260,7 +260,7 @@ def fit_base(
     name: str | None,
     effects: tuple[Effect, ...],
     rig: Rig,
-    given: Simulator | None = None,
+    given: Given | None = None,
 ) -> Base:
     """Fit the base model, judge the noise, and fit again under it.
 
@@ -285,8 +285,8 @@ def fit_base(
     tire, z, guess = fitted
     if given is not None:
         fits.check_followed(prepared, missed, stand_in)
-        wrong_signs = check_signs(prepared, tire, z, given)
-        simulator = Simulated(given=given, z=z, stand_in=stand_in, wrong_signs=wrong_signs)
+        doubt = check_signs(prepared, tire, z, given)
+        simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
         z = fits.refit(tire, [(z, ())], [()], design).z[0]
     # The slip of full sliding is 3 mu F_z / (2 c) for the brush with slope and peak of the base.
     slope, mu = tire.brush(z, design)
@@ -297,7 +297,7 @@ def fit_base(
         rows=prepared, tire=tire, design=design, z=z, guess=guess, simulator=simulator,
         slip_fraction=size / (1.5 * float(mu) * prepared.inputs.fz / slope),
     )  # fmt: skip
-    base = with_noise(base, rig)
+    base = with_noise(base, rig, z)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
@@ -338,26 +338,25 @@ def shown_slip_noise(
     return max(found, moving) if sweeps else found or None
 
 
-def with_noise(base: Base, rig: Rig) -> Base:
-    """The base refitted with the noise of its remainder, by channel."""
+def with_noise(
+    base: Base, rig: Rig, z: np.ndarray, amplitudes: np.ndarray | tuple[Any, ...] = (),
+    outliers: bool = False,
+) -> Base:  # fmt: skip
+    """The base refitted with the noise of the remainder of a fit (z, amplitudes), by channel.
+    ``outliers`` are excluded from a fit without a gross gap."""
     rows, fz = base.rows, np.asarray(base.rows.inputs.fz)
-    mean, spread = base.tire.moments(base.z, base.design, rows.n)
-    levels, groups, unlisted = dict[str, NoiseLevel](), neighbours(rows), discrepancy_of(base)
-    for k, c in enumerate(rows.channels):
-        part, unit = slice(k * rows.n, (k + 1) * rows.n), base.design.scale[c][: rows.n]
-        columns = unlisted.additive[part] * unit[:, None]
-        # Its directions that change the force most; more than a sixth of the rows would fit noise.
-        basis = columns @ np.linalg.eigh(columns.T @ columns)[1][:, -(rows.n // 6) :]
-        waves = [
-            wave._replace(weight=wave.weight[part] * unit, clock=wave.clock[part])
-            for wave in unlisted.waves
-        ]
+    mean, spread = base.tire.moments(z, base.design, rows.n, amplitudes)
+    typical, levels, groups = fz / np.mean(fz), dict[str, NoiseLevel](), neighbours(rows)
+    basis = smooth_basis(rows, base.slip_fraction, typical, rows.n // 6)
+    of_friction = np.minimum(np.abs(base.slip_fraction), 1.0)  # of a brush, within 0.2
+    for c in rows.channels:
         column = f"{c}_std"
-        stated = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
+        given = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
         common = spread[c] * rows.common
+        waves = partial(wave_basis, rows, typical, of_friction * mean[c])
         level = noise.judge_noise(
-            rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], stated, basis,
-            waves, groups, rows.time, rows.run,
+            rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
+            waves, groups, rows.time, rows.run, outliers,
         )  # fmt: skip
         levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
     size, wide = len(base.design.keep), np.sqrt(max(x.inflation for x in levels.values()))
