@@ -147,6 +147,8 @@ def test_slip_at_half_of_the_force():
     assert found == pytest.approx(right, rel=0.1)
     # Too few rows on the way up: the middle of what was driven.
     assert half_force_slip([0.1, 0.2, 0.3], np.ones(3)) == pytest.approx(0.2)
+    # An angle of 90 degrees is no unit of the error of a slip.
+    assert half_force_slip(np.full(3, np.tan(np.pi / 2)), np.ones(3)) == 1.0
 
 
 def _changed(effect, amplitude, rows, variant=0):

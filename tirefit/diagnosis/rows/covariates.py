@@ -43,8 +43,9 @@ def _largest(values: Values) -> float:
 
 def half_force_slip(slip: np.ndarray, share: np.ndarray) -> float:
     """Median size of the slips (n,) at 0.4 to 0.6 of the largest ``share``, the force
-    over load (n,); at least a thousandth of the largest slip."""
-    size, share = np.abs(slip), np.abs(share)
+    over load (n,); at least a thousandth of the largest slip, which counts as 1 at most."""
+    # At an angle of 90 degrees the slip is infinite: no unit for the error of a slip.
+    size, share = np.minimum(np.abs(slip), 1.0), np.abs(share)
     top = _largest(share)
     half = (share > 0.4 * top) & (share < 0.6 * top)
     middle = np.median(size[half] if half.any() else size)
@@ -54,7 +55,7 @@ def half_force_slip(slip: np.ndarray, share: np.ndarray) -> float:
 def sizes_of(rows: Covariates, slip: np.ndarray, mean_load: float, radius: float | None) -> Sizes:
     """Sizes of a file with these covariates, primary slips (n,), mean load [N] and
     rolling radius [m], None where unknown."""
-    spread, rise = float(np.std(slip)), float(rows.rise[0])
+    spread, rise = float(np.std(np.clip(slip, -1.0, 1.0))), float(rows.rise[0])
 
     def per(of: float, size: float | np.floating) -> float:  # the reciprocal of no range is 1
         return of / float(size) if size > ROUNDING else of
