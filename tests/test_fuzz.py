@@ -27,7 +27,7 @@ def test_damaged_inputs_give_results_or_clean_errors():
     assert [(f.kind, f.number, f.text) for f in found] == []
 
 
-_QUICK = ("inspect", "predict", "predict of a .tir", "derive", "derive by", "follow")
+_QUICK = ("inspect", "predict", "predict of a .tir", "derive", "derive by")
 
 
 def test_whole_commands_end_with_results_or_clean_errors():
