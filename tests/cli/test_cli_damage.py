@@ -39,7 +39,7 @@ INTO_FOLDERS = {
 }
 """Commands that write folders, their modules, and a word of their reports."""
 MODULES = {
-    name: import_module(f"tirefit.cli.{'fit_one' if name in ('fit', 'convert') else name}")
+    name: import_module(f"tirefit.cli.commands.{'fit_one' if name in ('fit', 'convert') else name}")
     for name in INTO_FOLDERS
 }
 REPORTS = {

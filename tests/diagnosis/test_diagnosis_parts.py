@@ -459,9 +459,7 @@ def test_regions_contain_all_the_energy(base):
 
 def test_a_rig_file_is_read_and_checked(tmp_path):
     path = tmp_path / "rig.toml"
-    path.write_text(
-        "rolling_radius = 0.3\n[noise]\nfx_relative = 0.02\nsigma_x = 1e-3\n"
-    )
+    path.write_text("rolling_radius = 0.3\n[noise]\nfx_relative = 0.02\nsigma_x = 1e-3\n")
     rig = load_rig(path)
     assert rig.rolling_radius == 0.3
     assert rig.slip_noise("sigma_x") == 0.001 and rig.slip_noise("alpha") is None
