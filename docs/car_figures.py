@@ -54,7 +54,7 @@ def _drive():
         wheelbase=np.float64(float(CAR.l_f) + float(CAR.l_r)),
         sliding=np.full(2, SLIDING),
     )
-    data = Data(speed, steer, np.zeros((len(time), 2)), np.zeros(2))
+    data = Data(speed, steer, np.zeros((len(time), 2)), np.zeros(2), std=np.ones(2))
     cut = JoinedWindows(
         *(jax.tree.map(lambda x: jnp.asarray(x)[None], x) for x in (data, rows)), np.zeros(1)
     )

@@ -213,8 +213,9 @@ def test_slip_noise_of_combined_rows_causes_no_bias():
         found = result.parameters[name]
         assert abs(found.value - value) < 3 * found.std
     # The band of F_y has the noise of sigma_x in it, by the slope of F_y over that.
-    for one in fit_curve(result, "fy").curves:
-        sigma_x = float(one.label.partition("≈")[2])
+    drawn = fit_curve(result, "fy")
+    for group, one in zip(drawn.groups, drawn.curves, strict=True):
+        sigma_x = float(group.label.partition("≈")[2])
         alpha, step = np.radians(one.slip), 1e-6
         high, low = (combined_force(sigma_x + s, alpha, FZ, **TRUTH)[1] for s in (step, -step))
         std = np.hypot(NOISE["fy"], (high - low) / (2 * step) * tau)
