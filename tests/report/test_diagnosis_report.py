@@ -55,6 +55,7 @@ from tirefit.report.diagnosis.sections import (
     missing_lines,
     stand_in_line,
     step_label,
+    step_lines,
 )
 from tirefit.report.diagnosis.words import (
     _NEEDS,
@@ -761,6 +762,22 @@ def test_an_effect_has_amplitude_probability_closure_and_twins():
         " gap on data left out friction is a power of the load; to do: fit brush-load"
     ) in flat(found)
     assert f"(force_offset): not named {words_on('force_offset')[0]}" in flat(found)
+
+
+def test_a_useless_measurement_is_not_suggested():
+    pair = ("load_friction", "d")
+    little = NextMeasurement("the same again", pair, 0.71, 0.75)
+    more = NextMeasurement("two more loads", pair, 0.71, 0.80)
+    much = NextMeasurement("other speeds", pair, 0.71, 0.95)
+    (line,) = step_lines(diagnosis(next_measurement=(little, more)))
+    assert line == (
+        "no single listed measurement would decide it: at best two more loads,"
+        " which separates load friction from d with probability 0.80, instead of"
+        " 0.71 now"
+    )
+    (line,) = step_lines(diagnosis(next_measurement=(much, more, little)))
+    assert line.startswith("measure other speeds: it separates load friction")
+    assert step_lines(diagnosis(next_measurement=())) == []
 
 
 def test_three_next_measurements_are_suggested():

@@ -21,7 +21,7 @@ from tirefit.models import modelled
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
 _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
-_WORTHWHILE = 0.1
+_WORTHWHILE = 0.02
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
 _SAME_AGAIN, _MOMENT = "the same again", "the aligning moment M_z on lateral runs"
 

@@ -261,12 +261,23 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
         yield f"smallest unlisted effect that would be detected: {smallest} {unit} rms"
 
 
-def _step_text(step: NextMeasurement) -> str:
+def step_lines(result: Diagnosis) -> list[str]:
+    """The next measurements that would tell effects apart; if none does, the best one."""
+    # Without a forecast (NaN) every measurement is listed.
+    useful = [x for x in result.next_measurement if not x.p_after - x.p_now < 0.1]
+    if useful or not result.next_measurement:
+        return [f"measure {step.add}: it {_tells_apart(step)}" for step in useful[:3]]
+    best = max(result.next_measurement, key=lambda step: step.p_after - step.p_now)
+    text = f"no single listed measurement would decide it: at best {best.add}, which"
+    return [f"{text} {_tells_apart(best)}"]
+
+
+def _tells_apart(step: NextMeasurement) -> str:
     first, second = (words.set_name([effect]) for effect in step.separates)
     forecast = f"with probability {step.p_after:.2f}, instead of {step.p_now:.2f} now"
     if np.isnan(step.p_after):
         forecast = f"(these rows: with probability {step.p_now:.2f})"
-    return f"measure {step.add}: it separates {first} from {second} {forecast}"
+    return f"separates {first} from {second} {forecast}"
 
 
 def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
@@ -310,13 +321,13 @@ def of_effects(result: Diagnosis) -> list[Section]:
     sections = []
     if result.simulator or result.verdict.helping:
         sections += [budget_section(result, channel) for channel in result.budgets]
-    steps = result.next_measurement if result.verdict.status != Status.NONE else ()
+    steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)
     return [
         *sections,
         Section("Effects", list(_effect_lines(result))),
         Section("What is left", list(left_lines(result))),
-        Section("Next measurement", [_step_text(step) for step in steps[:3]]),
+        Section("Next measurement", steps),
         Section("Not testable on this data (missing: effects that need it)", missing),
     ]
