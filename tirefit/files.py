@@ -113,8 +113,10 @@ def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> No
             _aside(last).mkdir()
         for path in reversed(places if lasts else []):
             kept = _aside(lasts[path.parent]) / path.name
-            # A folder states that there was no such file.
-            os.replace(path, kept) if os.path.lexists(path) else kept.mkdir()
+            if os.path.lexists(path):
+                os.replace(path, kept)
+            else:
+                kept.mkdir()  # states that there was no such file
         for path, new in made.items():
             os.replace(new, path)
     except BaseException as error:  # Ctrl-C too
@@ -140,8 +142,12 @@ def _end(last: Path, undo: bool) -> None:
         moved = aside.stat().st_mtime_ns
         for kept in sorted(aside.iterdir(), key=lambda kept: kept.name == last.name):
             path = last.with_name(kept.name)
-            if not os.path.lexists(path) or path.lstat().st_mtime_ns <= moved:
-                path.unlink(missing_ok=True) if kept.is_dir() else os.replace(kept, path)
+            if os.path.lexists(path) and path.lstat().st_mtime_ns > moved:
+                continue
+            if kept.is_dir():
+                path.unlink(missing_ok=True)
+            else:
+                os.replace(kept, path)
     shutil.rmtree(aside, ignore_errors=True)
 
 
@@ -163,7 +169,10 @@ def remove_left(folder: Path) -> None:
                 if age > _ENDED:
                     _end(last, undo=not os.path.lexists(last))
             elif age > 86_400.0:
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
+                if path.is_dir():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink()
 
 
 def _of(path: Path, error: OSError) -> OSError:

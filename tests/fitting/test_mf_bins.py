@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.fitting.mf.bins import labels_of, rig_settings
+from tirefit.fitting.mf.bins import rig_settings
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.models import TireInputs
 
@@ -70,7 +70,7 @@ def test_settings_are_found_if_the_load_follows_the_slip(force, wander):
     assert np.mean(found[held, 1] == (truth[held, 1] > 0)) > 0.95
     inclined = held & (truth[:, 1] == 2)
     assert np.mean(np.abs(found[inclined, 2] - 4 * DEG) < 1e-3) > 0.95
-    assert len(set(labels_of(settings))) == len(settings)
+    assert len(set(settings)) == len(settings)
 
 
 def test_in_a_grid_the_other_slip_is_a_setting():
@@ -101,4 +101,4 @@ def test_runs_are_separate_settings():
     assert [s.run for s in settings] == [4, 7]
     assert np.array_equal(code, np.repeat([0, 1], 60))
     labels = ["1000 N, rolling freely, run 5", "1000 N, rolling freely, run 8"]
-    assert labels_of(settings) == labels
+    assert [", ".join(map(s.text, ("fz", "held", "run"))) for s in settings] == labels

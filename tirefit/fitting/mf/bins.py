@@ -1,6 +1,6 @@
 """Find the settings of a rig test in its rows, and bin the rows by setting and slip."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -67,15 +67,6 @@ class SlipBins(NamedTuple):
     low: np.ndarray  # ends of the central 95 % of the forces
     high: np.ndarray
     rows: np.ndarray  # number in the bin
-
-
-def labels_of(settings: Sequence[Setting]) -> list[str]:
-    """The label of each setting. A condition that all settings share is omitted, except the
-    load and the slip that is held."""
-    several = {k for k in Setting._fields if len({getattr(s, k) for s in settings}) > 1}
-    several |= {"fz", "held"}
-    names = [k for k in ("fz", "gamma", "pressure", "held", "run") if k in several]
-    return [", ".join(setting.text(name) for name in names) for setting in settings]
 
 
 def _slips(rows: ForceRows) -> dict[str, np.ndarray]:
