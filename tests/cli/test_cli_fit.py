@@ -284,7 +284,7 @@ def test_force_option_selects_the_lateral_force(run, no_figures, tmp_path):
 def test_least_squares_results_are_written_before_the_posterior(
     run, unrendered, rig, tmp_path, monkeypatch
 ):
-    """Even if the sampling process is killed."""
+    """Even if the sampling process is killed; figures are drawn once, with the posterior."""
     from tirefit.fitting.uncertainty import posterior
 
     seen = {}
@@ -301,7 +301,7 @@ def test_least_squares_results_are_written_before_the_posterior(
     with pytest.raises(Killed):
         run("fit", rig, "--config", "fit.toml")
     assert seen["fit"]["posterior"] is None and "mu" in seen["fit"]["parameters"]
-    assert {"fit.json", "fit.png", "residuals.png", "profile.png"} <= seen["files"]
+    assert "fit.json" in seen["files"] and not any(".png" in name for name in seen["files"])
     assert content(tmp_path / "rig") == seen["fit"]
 
 

@@ -100,28 +100,24 @@ def fit_into(
 ) -> "FitResult":
     """Fit the data, and write the result and its figures into the directory."""
     from tirefit.fitting.estimate import fit as fit_data
+    from tirefit.report.fit.figures import save_figures
 
+    known = [path.name for path in fit_files(directory)]
     with claimed(directory):
         result = fit_data(data, config=settings)
         if posterior:
-            _save(result, directory, also)  # before sampling
-            say(f"least squares: written to {directory}; sampling the posterior\n")
+            # Without figures, which are drawn once: half a second each.
+            write_result(result, directory, known, {}, text="")
+            say(f"least squares: fit.json written to {directory}; sampling the posterior\n")
             result = _sampled(result, settings)
-        written = _save(replace(result, asked=asked), directory, also)
+        result = replace(result, asked=asked)
+        draw, page = partial(save_figures, result), PAGE if also.html else ""
+        written = write_result(result, directory, known, draw, page, text="")
     # The assumptions of several files are printed once, merged, at the end.
     record = result.data | ({"assumptions": []} if holds_notes() else {})
     say(replace(result, data=record).summary(full=also.full))
     say_written(directory, written)
     return result
-
-
-def _save(result: "FitResult", directory: Path, also: Also) -> list[str]:
-    """Write the result, its figures and its page; returns the names of the files."""
-    from tirefit.report.fit.figures import save_figures
-
-    known = [path.name for path in fit_files(directory)]
-    draw, page = partial(save_figures, result), PAGE if also.html else ""
-    return write_result(result, directory, known, draw, page, text="")
 
 
 def _sampled(result: "FitResult", settings: Any) -> "FitResult":
