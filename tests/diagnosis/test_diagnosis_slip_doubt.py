@@ -166,17 +166,17 @@ def doubted():
 
 def test_slip_doubt_acts_as_added_noise(doubted):
     """Sums of squares after whitening are those of the covariance I + doubt doubt'."""
-    assert doubted.doubt.shape[1] > 0
-    values = np.random.default_rng(0).standard_normal((len(doubted.doubt), 3))
-    covariance = np.eye(len(values)) + doubted.doubt @ doubted.doubt.T
-    sure = doubted.sure(values)
+    assert doubted.slip_uncertainty.shape[1] > 0
+    values = np.random.default_rng(0).standard_normal((len(doubted.slip_uncertainty), 3))
+    covariance = np.eye(len(values)) + doubted.slip_uncertainty @ doubted.slip_uncertainty.T
+    sure = doubted.whitened_for_slip(values)
     right = values.T @ np.linalg.solve(covariance, values)
     np.testing.assert_allclose(sure.T @ sure, right, atol=1e-9)
 
 
 def test_evidence_includes_the_slip_uncertainty(doubted):
     """Laplace's evidence of a set over none, with the dense covariance of its rows."""
-    doubt = doubted.doubt
+    doubt = doubted.slip_uncertainty
     covariance = np.eye(len(doubt)) + doubt @ doubt.T
     logs = []
     for fit in (refitted(doubted), refitted(doubted, "load_stiffness")):

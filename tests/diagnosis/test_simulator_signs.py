@@ -10,7 +10,7 @@ from tirefit.data.tir.tir import read_tir
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.simulator import Given, check_signs, simulator_at
+from tirefit.diagnosis.rows.simulator import GivenSimulator, check_signs, simulator_at
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.fitting.tir import tire_of
 from tirefit.models import TireInputs, forces
@@ -49,12 +49,12 @@ def frame(channels="fy mz", cambers=(0.0,), offset=0.0, mu=1.0, forces_of=None, 
 RIG = Rig(noise=NOISE)
 
 
-def rows_of(columns, given: Given, **declared):
+def rows_of(columns, given: GivenSimulator, **declared):
     data = given.beside(read_frame(columns, "rig", **declared))
     return prepare(data, RIG, given.channels(data, ("fx", "fy", "mz")))
 
 
-def doubt(columns, given: Given, stand_in: Given | None = None, **declared):
+def doubt(columns, given: GivenSimulator, stand_in: GivenSimulator | None = None, **declared):
     """The message about the signs, without the fit that follows it."""
     prepared = rows_of(columns, given, **declared)
     tire, z, _ = (stand_in or given).tire_for(prepared, FEW)
@@ -150,11 +150,11 @@ def test_columns_of_a_mirrored_simulator_are_reported():
     """Only the forces are known; the approximating tire is mirrored."""
     columns = frame("fy")
     simulated = frame("fy", signs="sae", mu=1.0)["fy"]
-    given = Given(kind="columns", source="columns")
+    given = GivenSimulator(kind="columns", source="columns")
     beside, sae = columns | {"fy_sim": simulated}, simulator_at(str(TIR), signs="sae")
     reason, remedy = refused(beside, given, sae, **BRAKING)
     assert "mirrored in alpha and fy" in reason and "in the simulator" in remedy
-    kept = Given(kind="columns", source="columns", signs="braking")
+    kept = GivenSimulator(kind="columns", source="columns", signs="braking")
     assert "mirrored in alpha and fy" in doubt(beside, kept, sae, **BRAKING)
     larger = columns | {"fy_sim": columns["fy"] * 1.1}
     assert doubt(larger, given, simulator_at(str(TIR)), **BRAKING) == ""
@@ -167,5 +167,5 @@ def test_simulated_columns_may_have_other_signs(signs):
     raw = columns["fy"]
     data = read_frame(columns | {"fy_sim": raw}, convention=signs)
     for name, convention in CONVENTIONS.items():
-        given = Given(kind="columns", source="columns", signs=name)
+        given = GivenSimulator(kind="columns", source="columns", signs=name)
         np.testing.assert_array_equal(given.beside(data)["fy_sim"], convention.fy * raw)

@@ -25,7 +25,12 @@ from tirefit.diagnosis.rows.prepared import (
     thinned,
 )
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
-from tirefit.diagnosis.rows.simulator import STAND_INS, Given, given_simulator, simulator_at
+from tirefit.diagnosis.rows.simulator import (
+    STAND_INS,
+    GivenSimulator,
+    given_simulator,
+    simulator_at,
+)
 from tirefit.diagnosis.rows.subject import fit_base, shown_slip_noise, with_noise
 from tirefit.diagnosis.summary.case import Case, Untestable
 from tirefit.diagnosis.summary.document import document_of
@@ -48,7 +53,7 @@ def diagnose(
     data: DataLike,
     model: str | None = None,
     *,
-    sim: TireLike | Given | Mapping[str, Values] | Values | bool | None = None,
+    sim: TireLike | GivenSimulator | Mapping[str, Values] | Values | bool | None = None,
     signs: str | None = None,
     rig: Rig | str | PathLike[str] | None = None,
     forces: str | Sequence[str] | None = None,
@@ -124,9 +129,9 @@ def diagnose(
     asked = None if forces is None else names(forces, "forces")
     if isinstance(sim, str | PathLike):
         sim = simulator_at(str(sim), signs=signs)
-    otherwise = sim.otherwise if isinstance(sim, Given) else None
+    otherwise = sim.otherwise if isinstance(sim, GivenSimulator) else None
     data = as_data(data, otherwise=otherwise)
-    others = [as_data(one, otherwise=otherwise) for one in several(holdout)]
+    others = [as_data(held_out, otherwise=otherwise) for held_out in several(holdout)]
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, others)
     data, others = without_far(data), [without_far(other) for other in others]
@@ -136,16 +141,16 @@ def diagnose(
         # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
         sim = fit_magic_formula(data, model)
     plain = STAND_INS[0] if model is None else model
-    given, own = None, modelled(MAGIC_FORMULAS.get(plain) or find_model(plain))
-    gives = own
+    given, channels = None, modelled(MAGIC_FORMULAS.get(plain) or find_model(plain))
+    gives = channels
     if sim is not None:
         given = given_simulator(sim, data, signs)
         data, others = given.beside(data), [given.beside(x, True) for x in others]
-        gives = given.channels(data, own)
-        own = own if given.tire is None else ()
+        gives = given.channels(data, channels)
+        channels = channels if given.tire is None else ()
     data = data.in_order()  # the order of rows may change the course of a search
     if asked is not None:
-        gives = _asked_for(asked, data, gives, own)
+        gives = _asked_for(asked, data, gives, channels)
     library = tuple(effect for effect in effects if effect.id not in without)
     ids, digests = (tuple(e.id for e in library), tuple(other.source.sha256 for other in others))
     settings = Settings(rig=rig, effects=ids, forces=asked, holdout=digests)
@@ -163,14 +168,14 @@ def diagnose(
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
         made = settings, library, others, generator, name, seed
-        found = document_of(case, whole, *made)
-        if found.simulator is None or is_fitted:
-            return found
+        document = document_of(case, whole, *made)
+        if document.simulator is None or is_fitted:
+            return document
 
         def study(rows: Prepared, rig: Rig) -> Case:
             return studied(rows, form, rig, effects, without)
 
-        return with_readings(found, case, some, rig, form, study)
+        return with_readings(document, case, some, rig, form, study)
 
 
 # --- arguments: a single value counts as a list of one; all raise UsageError ----------
@@ -181,7 +186,7 @@ def names(given: object, argument: str) -> tuple[str, ...]:
     several = (given,) if isinstance(given, str) else given
     if isinstance(several, Iterable):
         several = tuple(several)
-        if all(isinstance(one, str) for one in several):
+        if all(isinstance(name, str) for name in several):
             return several
     raise UsageError(f"{argument} = {given!r}", "give a name, or several")
 
@@ -189,7 +194,7 @@ def names(given: object, argument: str) -> tuple[str, ...]:
 def the_effects(given: object) -> tuple[Effect, ...]:
     """Effects to search, at least one."""
     several = tuple(given) if isinstance(given, Iterable) else ()
-    if several and all(isinstance(one, Effect) for one in several):
+    if several and all(isinstance(effect, Effect) for effect in several):
         return several
     reason = f"effects = {given!r}" if several else "effects: none to search"
     remedy = "leave the argument out for all of the library, or give Effect records: "
@@ -208,7 +213,7 @@ def a_model(given: object) -> str | None:
 def several(given: object) -> list[Any]:
     """The data of several held-out sets, of one, or of none."""
     every = given if isinstance(given, list | tuple) else [given]
-    return [one for one in every if one is not None]
+    return [data for data in every if data is not None]
 
 
 def a_rig(given: object) -> Rig:
@@ -292,7 +297,7 @@ def studied(
     rig: Rig,
     effects: tuple[Effect, ...],
     without: tuple[Any, ...],
-    given: Given | None = None,
+    given: GivenSimulator | None = None,
 ) -> Case:
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)

@@ -102,7 +102,7 @@ def _covariates(to: Extension, given: TireInputs, force: Any) -> Covariates:
         force: force of the base fit that the slip drives [N].
     """
     slip, across = given.sigma_x, jnp.tan(given.alpha)
-    own = across if to.mode == "y" else slip
+    driven = across if to.mode == "y" else slip
     mean, span = to.pressure
     pressure = jnp.where(given.pressure == 0, mean, given.pressure)
     load = jnp.maximum(given.fz, _NO_LOAD * to.load)
@@ -116,7 +116,7 @@ def _covariates(to: Extension, given: TireInputs, force: Any) -> Covariates:
         v=given.v,
         gamma=given.gamma,
         inflation=(pressure - mean) / span if span else 0.0,
-        side=jnp.sign(own),
+        side=jnp.sign(driven),
         force=share,
         usage=jnp.abs(share),
         traction=force / to.load,
@@ -160,10 +160,10 @@ class Extended(AbstractTire):
             at_rest = inputs._replace(sigma_x=0.0, alpha=0.0)
             carrier = slope_at_rest(tire, at_rest, to.mode) / 2, self.peak, arm_of(tire)
         across = jnp.asarray(lateral_slip(across, along))
-        found = force_of_state(tire, carrier, state, along, across, inputs)
-        own: TireForces = tire(inputs)
-        whole: Any = zip(("fx", "fy", "mz"), with_offsets(found, state, to.mode), strict=True)
-        return own._replace(**{k: v for k, v in whole if getattr(own, k) is not None})
+        extended = force_of_state(tire, carrier, state, along, across, inputs)
+        plain: TireForces = tire(inputs)
+        whole: Any = zip(("fx", "fy", "mz"), with_offsets(extended, state, to.mode), strict=True)
+        return plain._replace(**{k: v for k, v in whole if getattr(plain, k) is not None})
 
 
 class _Part(BaseModel):

@@ -100,7 +100,7 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
     motion = np.stack([data.usable(name) for name in needed], axis=1)
     if np.linalg.matrix_rank(motion - motion.mean(axis=0)) < motion.shape[1]:
         return None
-    found, across = [], [data.usable(channel)]
+    laws, across = [], [data.usable(channel)]
     if "steering" in data:
         angle = data.usable("steering")
         across.append(across[0] * np.cos(angle))
@@ -110,8 +110,8 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
         share = np.linalg.lstsq(motion, ahead)[0]
         missed = float(np.std(ahead - motion @ share) / np.std(ahead))
         mass, inertia = np.abs(share).tolist()
-        found.append((missed, Derived(mass, inertia, ahead is not across[0])))
-    best = min(found, key=lambda one: one[0])
+        laws.append((missed, Derived(mass, inertia, ahead is not across[0])))
+    best = min(laws, key=lambda law: law[0])
     # A measured force does not agree with accelerometers to a thousandth.
     return best[1] if best[0] < 1e-3 else None
 

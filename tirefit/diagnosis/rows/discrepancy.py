@@ -77,8 +77,8 @@ def discrepancy_of(base: "Base") -> Discrepancy:
     side = np.where(base.slip_fraction < 0, -1.0, 1.0)
     weights = {}
     for name, (field, usual) in PARAMETERS.items():
-        own = usual * fields[:, PLACE[field]]
-        weights[name] = own * np.tile(load, channels) if field == "force" else own
+        slope = usual * fields[:, PLACE[field]]
+        weights[name] = slope * np.tile(load, channels) if field == "force" else slope
     columns: list[np.ndarray] = [np.zeros((len(fields), 0))]
     cells, first = [], 0
     # Numbers of places at which a function has its values: 20 or 28, 12 for what a rig sets.
@@ -89,8 +89,8 @@ def discrepancy_of(base: "Base") -> Discrepancy:
         centers = settings.center if few else None
         shapes, places = places_of(np.asarray(values, float), centers, count)
         for parameter, weight in weights.items():
-            own = shapes * side[:, None] if is_mirrored(parameter, covariate) else shapes
-            columns.append(weight[:, None] * np.tile(own, (channels, 1)))
+            signed = shapes * side[:, None] if is_mirrored(parameter, covariate) else shapes
+            columns.append(weight[:, None] * np.tile(signed, (channels, 1)))
             cells.append(Cell(parameter, covariate, first, first + len(places), places, few))
             first += len(places)
     return Discrepancy(np.concatenate(columns, axis=1), tuple(cells), _waves(rows, weights))
@@ -138,8 +138,8 @@ def _modulations(prepared: Prepared) -> list[Values]:
     second: list[Values] = []
     if "runs" in prepared.has:
         runs = np.unique(prepared.run)[1 : _LEVELS + 1]
-        own = [_standard(prepared.run == run) for run in runs]
-        first += [unit for unit in own if unit is not None]
+        steps = [_standard(prepared.run == run) for run in runs]
+        first += [unit for unit in steps if unit is not None]
     plain = (rows.v, rows.time, rows.temperature, rows.gamma, rows.other)
     for values in (np.log(rows.fz), *plain):
         if (unit := _standard(values)) is not None:
@@ -173,7 +173,7 @@ def smooth_basis(
     width = max((centers[1] - centers[0]), FLAT)
     shapes = np.exp(-0.5 * ((size[:, None] - centers) / width) ** 2)
     chosen = factors[: max(most // (len(sides) * count), 1)]
-    columns = [shapes * (side * one)[:, None] for one in chosen for side in sides]
+    columns = [shapes * (side * factor)[:, None] for factor in chosen for side in sides]
     basis = np.concatenate(columns, axis=1) * scale[:, None]
     length = np.linalg.norm(basis, axis=0)
     basis = basis[:, length > FLAT] / length[length > FLAT]

@@ -16,7 +16,7 @@ from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.diagnosis.rows.forces import Design, Tire
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig, unfit
-from tirefit.diagnosis.rows.simulator import STAND_INS, Given
+from tirefit.diagnosis.rows.simulator import STAND_INS, GivenSimulator
 from tirefit.diagnosis.rows.slips import slip_nodes
 from tirefit.diagnosis.rows.structure import rms, structures_of
 from tirefit.fitting.mf.fit import fit_magic_formula
@@ -84,12 +84,12 @@ def refit(
         off = points - center[numbers]
         cost, gradient = np.sum(pull * off**2, axis=1), pull * off
         normal = np.tile(np.diag(pull), (len(points), 1, 1))
-        found = _weighted(model, points, [tuple(sets[number]) for number in numbers], design)
-        for k, (missed, rows) in enumerate(found):
-            own = slice(len(rows))
+        weighted = _weighted(model, points, [tuple(sets[number]) for number in numbers], design)
+        for k, (missed, rows) in enumerate(weighted):
+            used = slice(len(rows))
             cost[k] += missed @ missed
-            normal[k, own, own] += rows @ rows.T
-            gradient[k, own] -= rows @ missed
+            normal[k, used, used] += rows @ rows.T
+            gradient[k, used] -= rows @ missed
         return Normal(cost, normal, gradient)
 
     # At most 26 steps, until one more would gain less than 1e-3 of chi-squared: whole units of
@@ -120,8 +120,8 @@ def minimised(
         going = [k for k, state in enumerate(states) if not state.done]
         if not going:
             break
-        found = at(going, np.array([states[k].trial for k in going]))
-        for k, *normal in zip(going, *found[:3], strict=True):
+        normals = at(going, np.array([states[k].trial for k in going]))
+        for k, *normal in zip(going, *normals[:3], strict=True):
             given = z[k], states[k], Normal(*normal), low[k], high[k]
             z[k], states[k] = advanced(solver, *given)
     return z, np.array([float(state.best.cost) for state in states])
@@ -165,8 +165,8 @@ def with_offset(
 ) -> tuple[Design, dict[str, np.ndarray]]:
     """The design with the offset of a simulator from its tire at the measured slips;
     that offset by channel (n,)."""
-    own = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
-    missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
+    at_measured = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
+    missed = {c: prepared.column(f"{c}_sim") - at_measured[c] for c in prepared.channels}
     offset = {c: pad_rows(values, len(design.keep)) for c, values in missed.items()}
     return design._replace(offset=offset), missed
 
@@ -191,15 +191,15 @@ def first_fit(
     design = design._replace(observed=observed, scale=scale)
 
     def at(numbers: Sequence[int], points: np.ndarray) -> Normal:
-        found = []
+        normals = []
         for missed, by in _weighted(tire, points, [()] * len(points), design):
             size = np.abs(missed)
             root = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, HUBER**2))
-            far = size > HUBER
-            missed = np.where(far, np.sign(missed) * root, missed)
-            by = by * np.where(far, HUBER / root, 1.0)
-            found.append((missed @ missed, by @ by.T, -by @ missed))
-        return Normal(*(np.array(part) for part in zip(*found, strict=True)))
+            beyond = size > HUBER
+            missed = np.where(beyond, np.sign(missed) * root, missed)
+            by = by * np.where(beyond, HUBER / root, 1.0)
+            normals.append((missed @ missed, by @ by.T, -by @ missed))
+        return Normal(*(np.array(part) for part in zip(*normals, strict=True)))
 
     starts = np.asarray(starting_points(task, config.starts, 0))
     bounds = np.full_like(starts, -REACH), np.full_like(starts, REACH)
@@ -253,7 +253,11 @@ Fitted = tuple[Tire, np.ndarray, np.ndarray]
 
 
 def standing_in(
-    prepared: Prepared, name: str | None, effects: tuple[Effect, ...], rig: Rig, given: Given
+    prepared: Prepared,
+    name: str | None,
+    effects: tuple[Effect, ...],
+    rig: Rig,
+    given: GivenSimulator,
 ) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
     """(model, tire fitted to a simulator's forces, :func:`with_offset` of it): of the model
     ``name``, or the first of :data:`STAND_INS` that follows closely, else the better one."""
@@ -262,8 +266,8 @@ def standing_in(
     def tried(model: str) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
         if model in MAGIC_FORMULAS:
             # Its coefficients follow the simulator; only scaling factors are adapted.
-            own = replace(given, tire=fit_magic_formula(simulated, model).tire)
-            fitted = own.tire_for(prepared, effects)
+            followed = replace(given, tire=fit_magic_formula(simulated, model).tire)
+            fitted = followed.tire_for(prepared, effects)
         else:
             fitted = first_fit(prepared, model, simulated, effects, rig)
         design = design_of(prepared, effects, rig)
@@ -280,8 +284,8 @@ def standing_in(
     except DataError:  # too few rows for its coefficients
         return first
 
-    def energy(one: tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]) -> float:
-        return sum(float(np.mean(values**2)) for values in one[-1][1].values())
+    def energy(stand_in: tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]) -> float:
+        return sum(float(np.mean(values**2)) for values in stand_in[-1][1].values())
 
     return min(first, other, key=energy)
 

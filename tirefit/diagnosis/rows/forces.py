@@ -98,7 +98,7 @@ def _reference(
     tire: AbstractTire, where: _Where, mode: str
 ) -> tuple[jax.Array, jax.Array, Values | float]:
     """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
-    stiffness = jax.vmap(lambda one: slope_at_rest(tire, one, mode))(where.inputs) / 2
+    stiffness = jax.vmap(lambda inputs: slope_at_rest(tire, inputs, mode))(where.inputs) / 2
     return stiffness, peak_ratio(tire, *where.reference), arm_of(tire)
 
 
@@ -108,8 +108,8 @@ def _carrier(
     """:func:`_reference` for changes of shape, each (n,); None for the plain brush."""
     if is_plain(model):
         return None
-    found = _reference(with_values(model, layout.natural(z)), where, mode)
-    return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
+    brush = _reference(with_values(model, layout.natural(z)), where, mode)
+    return tuple(jnp.broadcast_to(value, where.second.shape) for value in brush)
 
 
 def _mean_and_spread(
@@ -129,9 +129,9 @@ def _mean_and_spread(
             pair: tuple[Any, Any] = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
-            found = force_of_state(tire, reference, state, *pair, inputs)
-            found = with_offsets(found, state, mode)
-            forces = dict(zip(("fx", "fy", "mz"), found, strict=True))
+            three = force_of_state(tire, reference, state, *pair, inputs)
+            three = with_offsets(three, state, mode)
+            forces = dict(zip(("fx", "fy", "mz"), three, strict=True))
             return tuple(forces[channel] for channel in where.offset)
 
         forces = jax.vmap(at)(slips)
@@ -143,15 +143,15 @@ def _mean_and_spread(
 
 
 def _each(
-    count: jax.Array, one: Callable[..., Any], z: jax.Array, states: jax.Array
+    count: jax.Array, of_fit: Callable[..., Any], z: jax.Array, states: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """``one`` for each of the first ``count`` fits in turn; zero for the others."""
-    shapes = jax.eval_shape(one, z[0], states[0])
+    """``of_fit`` for each of the first ``count`` fits in turn; zero for the others."""
+    shapes = jax.eval_shape(of_fit, z[0], states[0])
     blank = jax.tree.map(lambda a: jnp.zeros((len(z), *a.shape), a.dtype), shapes)
 
-    def body(k: jax.Array, found: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        here = one(z[k], states[k])
-        return jax.tree.map(lambda all, new: all.at[k].set(new), found, here)
+    def body(k: jax.Array, results: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        here = of_fit(z[k], states[k])
+        return jax.tree.map(lambda all, new: all.at[k].set(new), results, here)
 
     return jax.lax.fori_loop(0, count, body, blank)
 
@@ -166,12 +166,12 @@ def _forces_of(
     row = _mean_and_spread(model, layout, mode, where)
     row = jax.vmap(row, (None, 0, 0, 0, 0, 0, 0))
 
-    def one(z: jax.Array, state: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def of_fit(z: jax.Array, state: jax.Array) -> tuple[jax.Array, jax.Array]:
         carrier = _carrier(model, layout, mode, z, where)
         mean, spread = row(z, carrier, State(*state), *where.each())
         return jnp.stack(mean) + jnp.stack([*where.offset.values()]), jnp.stack(spread)
 
-    return _each(count, one, z, states)
+    return _each(count, of_fit, z, states)
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
@@ -184,7 +184,7 @@ def _slopes_of(
     alone: one pass back for each channel serves all, with a z for every row."""
     row = jax.vmap(_mean_and_spread(model, layout, mode, where))
 
-    def one(z: jax.Array, state: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def of_fit(z: jax.Array, state: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         def mean(z: jax.Array, carrier: tuple[Any, ...] | None, state: jax.Array) -> jax.Array:
             return jnp.stack(row(z, carrier, State(*state), *where.each())[0])
 
@@ -204,7 +204,7 @@ def _slopes_of(
                 by_z += by[:, None, :] * change[None]
         return value + jnp.stack([*where.offset.values()]), by_z, by_field
 
-    return _each(count, one, z, states)
+    return _each(count, of_fit, z, states)
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
@@ -242,9 +242,9 @@ class Tire:
             z[: len(some)] = some
             for state in several[: len(some)]:
                 state[:] = next(states)
-            found = program(self.model, self.layout, self.mode, z, several, len(some), where)
+            computed = program(self.model, self.layout, self.mode, z, several, len(some), where)
             yield from _one_by_one(waiting, count)
-            waiting, count = found, len(some)
+            waiting, count = computed, len(some)
         yield from _one_by_one(waiting, count)
 
     def moments(
@@ -274,8 +274,8 @@ class Tire:
             columns[atom] = _along(fields, slopes, float(scale[atom]))
         points = np.repeat(points, len(changes.ends), axis=0)
         ends = self._run(_forces_of, points, iter(changes.ends.values()), design)
-        for (atom, size), (far, _) in zip(changes.sizes.items(), ends, strict=True):
-            columns[atom] = (far - mean) / size
+        for (atom, size), (moved, _) in zip(changes.sizes.items(), ends, strict=True):
+            columns[atom] = (moved - mean) / size
 
         def flat(values: np.ndarray) -> np.ndarray:
             """Of the first n rows, whitened, from (..., C, n)."""
@@ -301,8 +301,8 @@ class Tire:
                 by_amplitude.append(slopes)
                 yield state
 
-        found = self._run(_slopes_of, points[:, :p], states(), design)
-        for atoms, (mean, by_z, by_field) in zip(sets, found, strict=True):
+        results = self._run(_slopes_of, points[:, :p], states(), design)
+        for atoms, (mean, by_z, by_field) in zip(sets, results, strict=True):
             columns = np.empty((p + len(atoms), *mean.shape))
             columns[:p] = np.swapaxes(by_z, 0, 1)
             each = zip(columns[p:], atoms, by_amplitude.pop(0), strict=True)
@@ -316,9 +316,9 @@ def _present(amplitudes: np.ndarray | tuple[Any, ...]) -> list[tuple[int, float]
     return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
 
 
-def _one_by_one(found: tuple[Any, ...], count: int) -> Iterator[tuple[np.ndarray, ...]]:
+def _one_by_one(results: tuple[Any, ...], count: int) -> Iterator[tuple[np.ndarray, ...]]:
     """Results of a program for each of the first ``count`` fits."""
-    parts = [np.asarray(part) for part in found]
+    parts = [np.asarray(part) for part in results]
     yield from (tuple(part[k] for part in parts) for k in range(count))
 
 

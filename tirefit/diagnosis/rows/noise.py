@@ -209,7 +209,7 @@ def judge_noise(
         std, source = np.maximum(level(), floor), "differences"
     memory = smooth.memory(rest / std, in_time)
     if not stated:
-        apart = _CLEAR * max(one.rows_each for one in memory) * (memory[0].fade > 0)
+        apart = _CLEAR * max(state.rows_each for state in memory) * (memory[0].fade > 0)
         local = _between(residual / std, groups, keep, apart, in_time)
         if local < 1:
             std = np.maximum(std * local, floor)
@@ -226,7 +226,7 @@ def judge_noise(
             flags.append("heteroscedastic")
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
-    inflation = sum(one.chance * one.rows_each for one in memory)
+    inflation = sum(state.chance * state.rows_each for state in memory)
     if inflation > 1:
         flags.append("autocorrelated")
         left = correlation(np.where(keep, rest, 0) / std, time, run)
@@ -359,7 +359,7 @@ def _smooth(
         left = np.where(keep, more.remainder(white), 0.0)
         unit = max(_scale(rest, smooth) ** 2, NONZERO)
         memory = more.memory(left / np.sqrt(unit), in_time)
-        if np.max(chi2) / unit < 2 * least * max(one.rows_each for one in memory):
+        if np.max(chi2) / unit < 2 * least * max(state.rows_each for state in memory):
             break
         smooth = more
     return smooth
@@ -423,11 +423,11 @@ def slip_scatter(
     second = np.concatenate([_middle(residual[rows], -0.5) for rows in alike])
     square = second**2
     # Score of the share of the slip, orthogonal to the other parts of the variance.
-    own = parts[:, :-1]
-    without = np.maximum(own @ _law(square, own), NONZERO)
+    of_force = parts[:, :-1]
+    without = np.maximum(of_force @ _law(square, of_force), NONZERO)
     over = _clipped(square / without) - 1
-    own, along = own / without[:, None], parts[:, -1] / without
-    along = along - own @ np.linalg.lstsq(own, along, rcond=None)[0]
+    of_force, along = of_force / without[:, None], parts[:, -1] / without
+    along = along - of_force @ np.linalg.lstsq(of_force, along, rcond=None)[0]
     chance = max(2.0, float(np.var(over))) * _TOGETHER * float(along @ along)
     if over @ along < _SIGNIFICANT * np.sqrt(max(chance, NONZERO)):
         return 0.0

@@ -240,8 +240,8 @@ def blocks_of_settings(prepared: Prepared) -> np.ndarray:
     change is a step there); a change of run has an infinite end.
     """
     rows = prepared.covariates
-    found = [levels(values) for values in (rows.fz, rows.v)]
-    codes = [one.code for one in found if one.few() and len(one.center) > 1]
+    settings = [levels(values) for values in (rows.fz, rows.v)]
+    codes = [setting.code for setting in settings if setting.few() and len(setting.center) > 1]
     if len(codes) == 2:
         codes.append(codes[0] * (1 + codes[1].max()) + codes[1])
     if "time" not in prepared.has:

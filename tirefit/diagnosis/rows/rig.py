@@ -269,20 +269,20 @@ def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
         return None
     alpha = data.usable("alpha")[good] if "alpha" in data else None
     read_as = data.source.slip_definition
-    own = "kappa" if read_as == "s" else read_as
+    declared = "kappa" if read_as == "s" else read_as
     logged = slip_from_sigma(sigma[good], read_as, alpha)
     definitions = ("sigma_x", "kappa", "slip_ratio")
     meant = {name: slip_from_sigma(computed[good], name) for name in definitions}
     lines = {name: _line(x, logged) for name, x in meant.items()}
     best = min(lines, key=lambda name: lines[name]["scatter"])
-    if lines[best]["scatter"] > _BETTER * lines[own]["scatter"]:
-        best = own
+    if lines[best]["scatter"] > _BETTER * lines[declared]["scatter"]:
+        best = declared
     others = [line["scatter"] for name, line in lines.items() if name != best]
     return SlipCheck(
         read_as=read_as,
-        fits=read_as if best == own else best,
+        fits=read_as if best == declared else best,
         radius=radius,
-        rms=float(np.sqrt(np.mean((logged - meant[own]) ** 2))),
+        rms=float(np.sqrt(np.mean((logged - meant[declared]) ** 2))),
         told_apart=lines[best]["scatter"] < _BETTER * min(others),
         **lines[best],
     )

@@ -44,25 +44,25 @@ def shrunk(values: np.ndarray, covariance: np.ndarray) -> tuple[RunOffsets, np.n
         covariance: (R, R) of their errors.
     """
     error, axes = np.linalg.eigh(covariance)
-    along, one = axes.T @ values, np.sum(axes, axis=0)
+    along, ones = axes.T @ values, np.sum(axes, axis=0)
     tried = np.linspace(0.0, 3 * max(np.ptp(values), NONZERO), 400)
     # In the principal axes of the errors the values are independent: (spreads, R).
     sharp = 1 / np.maximum(error + tried[:, None] ** 2, NONZERO)
-    weight = sharp @ one**2
-    common = sharp @ (one * along) / weight
-    off = along - common[:, None] * one
+    weight = sharp @ ones**2
+    common = sharp @ (ones * along) / weight
+    off = along - common[:, None] * ones
     square = np.sum(sharp * off**2, axis=1)
     logs = 0.5 * (np.sum(np.log(sharp), axis=1) - np.log(weight) - square)
     best = int(np.argmax(logs))
     inside = tried[logs > logs[best] - 1.353]  # half of chi-squared at 90 %
-    far = tried[best] ** 2 * sharp[best]
-    pull = 1 - axes @ (far * one)
+    trust = tried[best] ** 2 * sharp[best]
+    pull = 1 - axes @ (trust * ones)
     law = RunOffsets(
         "", float(common[best]), float(weight[best] ** -0.5), float(tried[best]),
         (float(inside[0]), float(inside[-1])), float(chdtrc(len(off[best]) - 1, square[0])), {},
     )  # fmt: skip
-    errors = np.sqrt(axes**2 @ (far * error) + pull**2 / weight[best])
-    return law, common[best] + axes @ (far * off[best]), errors
+    errors = np.sqrt(axes**2 @ (trust * error) + pull**2 / weight[best])
+    return law, common[best] + axes @ (trust * off[best]), errors
 
 
 def _estimates(
@@ -88,29 +88,29 @@ def _estimates(
         used_up = np.concatenate([linear.jacobian, linear.columns[:, other]], axis=1)
         # The offset of every row that the hypothesis has of this kind.
         sizes = {ids[k]: amplitudes[k] for k in atoms}
-        own = np.asarray(getattr(base.design.rows, offset.pattern))[: rows.n]
-        there = sizes.get(kind, 0.0) + sizes.get(f"{kind}_run", 0.0) * own
+        pattern = np.asarray(getattr(base.design.rows, offset.pattern))[: rows.n]
+        there = sizes.get(kind, 0.0) + sizes.get(f"{kind}_run", 0.0) * pattern
         if offset.of_load:
             there = there * PER_MILLE * rows.covariates.load
     run, field = np.tile(rows.run, len(rows.channels)), PLACE[offset.field]
     slope = linear.fields[:, field]
     if offset.unit == RELATIVE:
         slope = slope * np.tile(np.exp(there), len(rows.channels))
-    own = np.stack([np.where(run == code, slope, 0.0) for code in codes], axis=1)
-    left = without(own, used_up)
+    columns = np.stack([np.where(run == code, slope, 0.0) for code in codes], axis=1)
+    left = without(columns, used_up)
     value, vector = np.linalg.eigh(left.T @ left)
     if value[-1] <= 0:
         return None
     inverse = (vector / np.maximum(value, value[-1] * UNSEEN)) @ vector.T
     first = [int(np.argmax(rows.run == code)) for code in codes]
-    own = inverse @ (left.T @ linear.residual) + there[first]
+    values = inverse @ (left.T @ linear.residual) + there[first]
     if offset.unit == RELATIVE:
         # The common offset of the runs belongs to the parameter of the tire.
-        one = np.full((len(codes), len(codes)), 1 / len(codes))
-        own = own - own.mean()
-        inverse = inverse - one @ inverse - inverse @ one + one @ inverse @ one
-        inverse = inverse + one * np.trace(inverse) / max(len(codes) - 1, 1)
-    return codes, own, base.inflation * inverse
+        mean = np.full((len(codes), len(codes)), 1 / len(codes))
+        values = values - values.mean()
+        inverse = inverse - mean @ inverse - inverse @ mean + mean @ inverse @ mean
+        inverse = inverse + mean * np.trace(inverse) / max(len(codes) - 1, 1)
+    return codes, values, base.inflation * inverse
 
 
 def offsets_of_runs(base: Any, hypothesis: Fit) -> dict[str, RunOffsets]:
@@ -120,8 +120,8 @@ def offsets_of_runs(base: Any, hypothesis: Fit) -> dict[str, RunOffsets]:
         if (seen := _estimates(base, kind, hypothesis)) is not None:
             law, *each = shrunk(*seen[1:])
             names = (base.rows.data.runs[code] for code in seen[0])
-            own = zip(*(part.tolist() for part in each), strict=True)
-            values = dict(zip(names, own, strict=True))
+            estimates = zip(*(part.tolist() for part in each), strict=True)
+            values = dict(zip(names, estimates, strict=True))
             offsets[kind] = law._replace(unit=offset.unit, values=values)
     return offsets
 
@@ -172,7 +172,7 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
         code = _in_parts(np.lexsort((prepared.time, place[prepared.run])), count)
         return Folds(code, f"{count} blocks of time left out in turn")
     settings = [levels(prepared.inputs.fz), levels(prepared.covariates.v)]
-    each = [found.code for found in settings if found.few()]
+    each = [setting.code for setting in settings if setting.few()]
     if each:
         _, code, sizes = np.unique(each, axis=1, return_inverse=True, return_counts=True)
         if len(sizes) > 2 and sizes.min() >= least:

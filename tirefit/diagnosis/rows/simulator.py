@@ -56,7 +56,7 @@ _FELT = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Given:
+class GivenSimulator:
     """A given simulator.
 
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
@@ -79,8 +79,8 @@ class Given:
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
         """Its forces in ``data`` returned by :meth:`beside`, among those ``modelled``."""
-        own = modelled if self.tire is None else forces_modelled(self.tire)
-        return tuple(c for c in own if f"{c}_sim" in data)
+        channels = modelled if self.tire is None else forces_modelled(self.tire)
+        return tuple(c for c in channels if f"{c}_sim" in data)
 
     def beside(self, data: TireData, other: bool = False) -> TireData:
         """The data with the simulated forces as columns ``fx_sim``, ...; rows without
@@ -91,44 +91,44 @@ class Given:
                 then ignored, and the columns of the data are used.
         """
         columns = {k: v for k, v in data.columns.items() if k not in SIMULATED}
-        found = self._forces(data, other)
-        if not found:
+        simulated = self._forces(data, other)
+        if not simulated:
             reason = "no measured force has a simulated one (fx_sim, fy_sim)"
             remedy = (
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
             raise unfit(data, reason, remedy)
-        known = np.all([np.isfinite(force) for force in found.values()], axis=0)
-        for name, force in found.items():
+        known = np.all([np.isfinite(force) for force in simulated.values()], axis=0)
+        for name, force in simulated.items():
             _check_size(force, data, name, known & data.used)
         messages = [] if self.remarks is None else self.remarks(data)
         if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
             text = f"{lost} of {len(data)} rows without a simulated force are left out"
             messages = [*messages, text]
         source = replace(data.source, warnings=(*data.source.warnings, *messages))
-        return replace(data, columns=columns | found, source=source).where(known)
+        return replace(data, columns=columns | simulated, source=source).where(known)
 
     def _forces(self, data: TireData, other: bool) -> dict[str, np.ndarray]:
         """Its forces (n,) beside the measured ones, by column."""
-        found = {k: v for k, v in data.columns.items() if k in SIMULATED}
+        simulated = {k: v for k, v in data.columns.items() if k in SIMULATED}
         if self.forces is not None and not (other and self.tire is None):
-            found = {f"{c}_sim": force for c, force in self.forces(data).items()}
+            simulated = {f"{c}_sim": force for c, force in self.forces(data).items()}
         if self.tire is None and self.signs is not None:
-            own = (self.signs, data.source.convention)
-            for k in found:
-                found[k] = found[k] * np.prod([sign_of(name, k) for name in own])
+            conventions = (self.signs, data.source.convention)
+            for k in simulated:
+                simulated[k] = simulated[k] * np.prod([sign_of(name, k) for name in conventions])
         # A force that is not measured has no gap.
-        found = {k: v for k, v in found.items() if k.removesuffix("_sim") in data}
-        silent = [k for k, v in found.items() if not np.any(np.nan_to_num(v))]
+        simulated = {k: v for k, v in simulated.items() if k.removesuffix("_sim") in data}
+        silent = [k for k, v in simulated.items() if not np.any(np.nan_to_num(v))]
         if silent and self.tire is None:
-            there = bool(np.any(np.isfinite(found[silent[0]])))
+            there = bool(np.any(np.isfinite(simulated[silent[0]])))
             what = "zero" if there else "no number"
             reason = f"{what} in every row: no force of a simulator"
             remedy = "write the simulated force into it, or leave the column out"
             raise unfit(data, reason, remedy, silent[0])
         # A tire without coefficients of M_z has no moment.
-        return {k: v for k, v in found.items() if k not in silent}
+        return {k: v for k, v in simulated.items() if k not in silent}
 
     def tire_for(
         self, prepared: Prepared, effects: Sequence[Effect]
@@ -141,7 +141,7 @@ class Given:
             values = parameter_values(tire)
             if "LMUX" in values:
                 known, free = specs(tire), []
-                for name, text in (one for mode in prepared.mode for one in _SCALING[mode]):
+                for name, text in (item for mode in prepared.mode for item in _SCALING[mode]):
                     spec = known[name]._replace(
                         meaning=text, scale="log", lower=1 / _FACTOR, upper=_FACTOR
                     )
@@ -161,10 +161,10 @@ class Simulated:
     """A simulator in a diagnosis: parameters z of its tire, the name of the model that
     stands in for a missing one, and a remark on its signs."""
 
-    given: Given
+    given: GivenSimulator
     z: np.ndarray
     stand_in: str = ""
-    doubt: str = ""
+    remark_on_signs: str = ""
 
 
 def _check_size(force: np.ndarray, data: TireData, name: str, rows: np.ndarray) -> None:
@@ -173,8 +173,8 @@ def _check_size(force: np.ndarray, data: TireData, name: str, rows: np.ndarray) 
     rows = rows & np.isfinite(measured)
     if not rows.any():
         return
-    own, size = (float(np.mean(np.abs(part[rows]))) for part in (force, measured))
-    ratio = own / max(size, NONZERO)
+    simulated, size = (float(np.mean(np.abs(part[rows]))) for part in (force, measured))
+    ratio = simulated / max(size, NONZERO)
     if not 1 / _FACTOR < ratio < _FACTOR:
         reason = f"its mean size is {ratio:.3g} times that of the measured force"
         remedy = f"check unit and rows of {name}: no tire differs by that much"
@@ -183,14 +183,14 @@ def _check_size(force: np.ndarray, data: TireData, name: str, rows: np.ndarray) 
         raise unfit(data, reason, remedy, name)
 
 
-def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
+def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> GivenSimulator:
     """The simulator of an argument ``sim`` of :func:`tirefit.diagnose`; ``signs`` is
     that of columns ``fx_sim``, ... Raises UsageError."""
-    if isinstance(sim, Given):
+    if isinstance(sim, GivenSimulator):
         return sim
     if sim is True:
         source = f"columns in signs {signs}" if signs else "columns"
-        return Given(kind="columns", source=source, signs=signs)
+        return GivenSimulator(kind="columns", source=source, signs=signs)
     if isinstance(sim, MagicFormulaFit):
         return _of_tire(sim.tire, "fit", f"{sim.model} fitted to {sim.data['file']}")
     if isinstance(sim, FitResult):
@@ -209,7 +209,7 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
             raise UsageError(InputProblem(reason, remedy))
         sim = {measured[0]: sim}
     arrays = _arrays(sim, len(data))
-    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
+    return GivenSimulator(kind="columns", source="arrays", forces=lambda _: arrays)
 
 
 def _arrays(sim: Mapping[str, Any], n: int) -> dict[str, np.ndarray]:
@@ -243,7 +243,7 @@ def _of_fit(
     layout: Layout,
     source: str,
     sha256: str | None = None,
-) -> Given:
+) -> GivenSimulator:
     if any(parameter.per_run for parameter in layout.free):
         reason = f"{source}: a fit with parameters for each run is not one simulator"
         remedy = "write its forces into the data (`tirefit predict --beside`), and use --sim"
@@ -256,9 +256,11 @@ def _of_fit(
     return replace(given, z=np.asarray(fit.z), forces=partial(_predicted, fit))
 
 
-def _of_tire(tire: AbstractTire, kind: str, source: str, sha256: str | None = None) -> Given:
-    own = partial(_predicted, tire)
-    return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=own)
+def _of_tire(
+    tire: AbstractTire, kind: str, source: str, sha256: str | None = None
+) -> GivenSimulator:
+    predicted = partial(_predicted, tire)
+    return GivenSimulator(kind=kind, source=source, sha256=sha256, tire=tire, forces=predicted)
 
 
 def _predicted(model: Any, data: TireData) -> dict[str, np.ndarray]:
@@ -267,7 +269,7 @@ def _predicted(model: Any, data: TireData) -> dict[str, np.ndarray]:
 
 def simulator_at(
     text: str, values: Mapping[str, float] | None = None, **of_tir: str | None
-) -> Given:
+) -> GivenSimulator:
     """The simulator of a name or a file. Raises UsageError, or DataError for the file.
 
     Args:
@@ -283,11 +285,13 @@ def simulator_at(
         tire = tire_of(tir, values=values, **options)
         check_values(tire, text, values)
         tire, sha256 = with_values(tire, values), _digest(text)
-        own = partial(remarks, tir, tire, signs=signs)
+        remarks_of_file = partial(remarks, tir, tire, signs=signs)
         text += "".join(f", {name} = {value:g}" for name, value in values.items())
         text += "".join(f", {k} {v}" for k, v in of_tir.items() if v)
         given = _of_tire(tire, "tir", text, sha256)
-        return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=own)
+        return replace(
+            given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=remarks_of_file
+        )
     if kind == "fit":
         if values:
             reason, remedy = "--set with a fit.json", "use it with the name of a model"
@@ -307,7 +311,7 @@ def _digest(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def check_signs(prepared: Prepared, tire: Tire, z: np.ndarray, given: Given) -> str:
+def check_signs(prepared: Prepared, tire: Tire, z: np.ndarray, given: GivenSimulator) -> str:
     """A sentence if a simulator fits better with some signs reversed, as a tire written
     in other axes or for the other side of the vehicle does; else an empty text. Raises
     DataError for a file or columns without declared signs, as the diagnosis would name
@@ -321,7 +325,7 @@ def check_signs(prepared: Prepared, tire: Tire, z: np.ndarray, given: Given) -> 
     moved = [field for field, name in columns.items() if np.any(inputs[name])]
     there, left = frozenset((*moved, *prepared.channels)), {}
     # Differences of conventions, the other side of the vehicle, and single fields.
-    sets = [one.turned(other) for one, other in combinations(CONVENTIONS.values(), 2)]
+    sets = [first.turned(second) for first, second in combinations(CONVENTIONS.values(), 2)]
     sets += [OTHER_SIDE, *(frozenset((name,)) for name in ("gamma", "fx", "fy", "mz"))]
     rms, square, *_ = misfits(frozenset())
     for turned in dict.fromkeys(turned & there for turned in sets):
@@ -366,8 +370,8 @@ def _misfits(
 
     def of(z: np.ndarray, turned: frozenset[str] = turned) -> np.ndarray:
         model = with_values(tire.model, tire.layout.natural(z))
-        found = jax.tree.map(np.asarray, forces(model, turned_inputs(inputs, turned), run))
-        every = turned_forces(found, turned)._asdict()
+        predicted = jax.tree.map(np.asarray, forces(model, turned_inputs(inputs, turned), run))
+        every = turned_forces(predicted, turned)._asdict()
         return np.array([every[c][:n] for c in channels])
 
     def adapted(gap: np.ndarray, columns: np.ndarray) -> float:
@@ -396,7 +400,10 @@ def _misfits(
 
 
 def _remedies(
-    alike: Sequence[frozenset[str]], there: frozenset[str], prepared: Prepared, given: Given
+    alike: Sequence[frozenset[str]],
+    there: frozenset[str],
+    prepared: Prepared,
+    given: GivenSimulator,
 ) -> list[str]:
     """Ways to declare the signs of a hypothesis, or the present signs."""
     source, tir = prepared.data.source, given.kind == "tir"

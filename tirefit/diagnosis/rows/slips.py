@@ -101,10 +101,10 @@ def _averaged(values: np.ndarray, time: np.ndarray, noise: float) -> _Path:
     value, slope, square = np.zeros((3, size))
     reach = np.zeros((size, 2 * _REACH + 1))
     for chance, (near, of_value, of_slope) in zip(softmax(logs, 0), parts, strict=True):
-        one = np.einsum("nw,nw->n", of_slope, values[near])
+        rate = np.einsum("nw,nw->n", of_slope, values[near])
         value += chance * np.einsum("nw,nw->n", of_value, values[near])
-        slope += chance * one
-        square += chance * (one**2 + noise**2 * np.sum(of_slope**2, axis=1))
+        slope += chance * rate
+        square += chance * (rate**2 + noise**2 * np.sum(of_slope**2, axis=1))
         reach[row[:, None], near - row[:, None] + _REACH] += chance[:, None] * of_value
     return _Path(value, slope, np.sqrt(np.maximum(square - slope**2, 0.0)), reach)
 
@@ -114,9 +114,9 @@ def _path_of(values: np.ndarray, time: Values, noise: float) -> _Path:
     pieces = []
     for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
-        near, own = slice(start, end + _REACH), slice(first - start, end - start)
+        near, kept = slice(start, end + _REACH), slice(first - start, end - start)
         path = _averaged(values[near], np.asarray(time)[near], noise)
-        pieces.append([column[own] for column in path])
+        pieces.append([column[kept] for column in path])
     return _Path(*map(np.concatenate, zip(*pieces, strict=True)))
 
 
@@ -158,7 +158,7 @@ class Past(NamedTuple):
         low, share = self.place(part, time)
         row = np.arange(len(part))[:, None]
 
-        def own(at: np.ndarray) -> np.ndarray:
+        def own_weight(at: np.ndarray) -> np.ndarray:
             """Weight of the value of each row in the path at that row."""
             weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
             return np.where(np.abs(row - at) > _REACH, 0.0, weight)
@@ -166,7 +166,9 @@ class Past(NamedTuple):
         alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
         noise = ((values - path.value) / alone)[:, None]
         mean = (1 - share) * path.value[low] + share * path.value[low + 1]
-        self.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
+        self.path[part] = (
+            mean - ((1 - share) * own_weight(low) + share * own_weight(low + 1)) * noise
+        )
 
 
 class Sweeps(NamedTuple):
@@ -329,9 +331,9 @@ def _of_density(law: SlipDistribution, slip: np.ndarray, std: np.ndarray) -> np.
     # the true slip minus the measured one.
     unit, step = np.linspace(-4, 4, 41), np.diff(law.knots)[0]
     off = std[:, None] * unit
-    far = np.abs((slip[:, None] + off)[..., None] - law.knots[1:-1]) / step
+    distance = np.abs((slip[:, None] + off)[..., None] - law.knots[1:-1]) / step
     bell = np.exp(-0.5 * unit**2) * np.diff(unit)[0] / step
-    hats = np.maximum(1 - far, 0) * bell[:, None]
+    hats = np.maximum(1 - distance, 0) * bell[:, None]
     place = law.standing - slip[:, None]
     there = np.exp(-0.5 * (place / std[:, None]) ** 2) / std[:, None]
     likely = np.hstack([hats.sum(axis=1), there]) / np.sqrt(2 * np.pi)

@@ -51,10 +51,10 @@ class Structure(NamedTuple):
 def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
     """The structures of the simulated forces over their own slip, most important first."""
     return tuple(
-        one
+        structure
         for channel in prepared.channels
         if channel in ("fx", "fy")
-        for one in _structures(prepared, channel, "alpha" if channel == "fy" else "sigma_x")
+        for structure in _structures(prepared, channel, "alpha" if channel == "fy" else "sigma_x")
     )
 
 

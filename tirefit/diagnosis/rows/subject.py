@@ -28,7 +28,7 @@ from tirefit.diagnosis.rows.prepared import (
 )
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
-from tirefit.diagnosis.rows.simulator import STAND_INS, Given, Simulated, check_signs
+from tirefit.diagnosis.rows.simulator import STAND_INS, GivenSimulator, Simulated, check_signs
 from tirefit.diagnosis.rows.slips import AHEAD, slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
@@ -66,7 +66,7 @@ class Base:
         return atoms_of(self.tire.effects)
 
     @cached_property
-    def doubt(self) -> np.ndarray:
+    def slip_uncertainty(self) -> np.ndarray:
         """Error of the residual that rows share through the unknown true slips, and what no
         effect explains of it (:func:`slip_proxies`, :func:`fits.not_followed`): columns (m, k),
         each times an independent unit normal number."""
@@ -92,15 +92,15 @@ class Base:
         return np.hstack([forces, beyond[:, np.linalg.norm(beyond, axis=0) > 0.1]])
 
     @cached_property
-    def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
+    def _uncertain_directions(self) -> tuple[np.ndarray, np.ndarray]:
         """Orthonormal directions (m, k) of the slip uncertainty, and the share (k,) of
         the residual along each that is removed."""
-        along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
+        along, size, _ = np.linalg.svd(self.slip_uncertainty, full_matrices=False)
         return along, 1 - 1 / np.sqrt(1 + size**2)
 
-    def sure(self, values: np.ndarray) -> np.ndarray:
+    def whitened_for_slip(self, values: np.ndarray) -> np.ndarray:
         """Whitened values (m, ...), also whitened for the slip uncertainty."""
-        along, unknown = self._doubtful
+        along, unknown = self._uncertain_directions
         return values - (along * unknown) @ (along.T @ values)
 
     @cached_property
@@ -158,8 +158,8 @@ class Base:
     def unit(self) -> np.ndarray:
         """(m,) noise of the first channel [N], zero for other channels and excluded rows."""
         n, scale = self.rows.n, self.design.scale[self.rows.channels[0]]
-        own = np.asarray(scale)[:n] * np.asarray(self.design.keep)[:n]
-        return np.concatenate([own, np.zeros(n * (len(self.rows.channels) - 1))])
+        channel_noise = np.asarray(scale)[:n] * np.asarray(self.design.keep)[:n]
+        return np.concatenate([channel_noise, np.zeros(n * (len(self.rows.channels) - 1))])
 
     @cached_property
     def plain_discrepancy(self) -> Discrepancy:
@@ -170,7 +170,7 @@ class Base:
     def discrepancy(self) -> Discrepancy:
         """The unlisted effect, with the slip uncertainty projected out."""
         plain = self.plain_discrepancy
-        return replace(plain, columns=self.sure(plain.columns))
+        return replace(plain, columns=self.whitened_for_slip(plain.columns))
 
     def columns_at(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, p + k) of the forces at a fit."""
@@ -199,8 +199,8 @@ class Base:
     def folds(self, effects: Key) -> Folds:
         """The parts that are left out, for the naming of these effects: whole runs cannot
         show an effect that belongs to one of them."""
-        own = {a.effect.id for a in self.atoms if "runs" in a.effect.needs}
-        folds = folds_of(self.rows, self.inflation, not own & {*effects})
+        of_runs = {a.effect.id for a in self.atoms if "runs" in a.effect.needs}
+        folds = folds_of(self.rows, self.inflation, not of_runs & {*effects})
         return folds._replace(code=np.tile(folds.code, len(self.rows.channels)))
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
@@ -210,20 +210,23 @@ class Base:
         free = [np.where(np.abs(s.z) > 6.0, self.guess, s.z) if atoms else s.z
                 for s, atoms in zip(starts, sets, strict=True)]  # fmt: skip
         begin = [(z, s.amplitude) for z, s in zip(free, starts, strict=True)]
-        found = fits.refit(self.tire, begin, sets, self.design)
-        points = np.concatenate([found.z, found.amplitude], axis=1)
+        refit = fits.refit(self.tire, begin, sets, self.design)
+        points = np.concatenate([refit.z, refit.amplitude], axis=1)
         n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
-        made, p, priors = [], found.z.shape[1], self.priors
+        made, p, priors = [], refit.z.shape[1], self.priors
         slopes = self.tire.slopes(points, sets, self.design)
         for k, (atoms, (mean, by)) in enumerate(zip(sets, slopes, strict=True)):
             index = list(atoms)
             residual = ((observed - mean) * weight)[:, :n].reshape(-1)
             columns = (by * weight)[..., :n].reshape(len(by), -1).T
-            amplitude = found.amplitude[k, : len(atoms)]
+            amplitude = refit.amplitude[k, : len(atoms)]
             pull, off = np.ones(len(atoms)), amplitude - priors.center[index]
             pull, off = (np.append(np.zeros(p), part) for part in (pull, off))
             ids = [self.atoms[a].effect.id for a in atoms]
-            start, linear = Start(found.z[k], amplitude), (self.sure(residual), self.sure(columns))
+            start, linear = (
+                Start(refit.z[k], amplitude),
+                (self.whitened_for_slip(residual), self.whitened_for_slip(columns)),
+            )
             within = priors.low[index], priors.high[index]
             made.append(fitted(atoms, ids, start, linear, pull, off, priors.sign[index], within))
         return made
@@ -231,7 +234,7 @@ class Base:
     def tangents(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
         amplitudes = self.amplitudes(fit.atoms, fit.amplitude)
-        return self.sure(self.linearised(fit.z, amplitudes).columns)
+        return self.whitened_for_slip(self.linearised(fit.z, amplitudes).columns)
 
     def amplitudes(
         self, atoms: Sequence[int] = (), sizes: np.ndarray | tuple[Any, ...] = ()
@@ -260,7 +263,7 @@ def fit_base(
     name: str | None,
     effects: tuple[Effect, ...],
     rig: Rig,
-    given: Given | None = None,
+    given: GivenSimulator | None = None,
 ) -> Base:
     """Fit the base model, judge the noise, and fit again under it.
 
@@ -285,8 +288,8 @@ def fit_base(
     tire, z, guess = fitted
     if given is not None:
         fits.check_followed(prepared, missed, stand_in)
-        doubt = check_signs(prepared, tire, z, given)
-        simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
+        remark = check_signs(prepared, tire, z, given)
+        simulator = Simulated(given=given, z=z, stand_in=stand_in, remark_on_signs=remark)
         z = fits.refit(tire, [(z, ())], [()], design).z[0]
     # The slip of full sliding is 3 mu F_z / (2 c) for the brush with slope and peak of the base.
     slope, mu = tire.brush(z, design)
@@ -334,8 +337,8 @@ def shown_slip_noise(
     side, groups = prepared.slip > 0, neighbours(prepared)
     one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     in_time, fz = noise.in_order(prepared.time, prepared.run), np.asarray(prepared.inputs.fz)
-    found = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
-    return max(found, moving) if sweeps else found or None
+    scatter = noise.slip_scatter(residual, slope**2, fz, one_sided, in_time)
+    return max(scatter, moving) if sweeps else scatter or None
 
 
 def with_noise(

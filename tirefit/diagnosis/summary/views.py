@@ -77,7 +77,7 @@ def adjusted(p_values: np.ndarray) -> np.ndarray:
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
     """The file of a diagnosis: the table as it was read, with the fit to its rows."""
-    warning = base.simulator.doubt if base.simulator else ""
+    warning = base.simulator.remark_on_signs if base.simulator else ""
     warnings = (f"warning: {warning}",) if warning else ()
     return DataSummary(
         name=data.name,

@@ -231,9 +231,9 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
     def beside(more: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """The distribution with more places; None if it gains less than the penalty."""
         wider = np.append(standing, places[more])
-        found = _with_more(slip, std, smooth, wider, weight, _STEPS_AFTER)
-        rise = _log_likelihood(*found[:2]) - likely
-        return found if rise >= worth * len(more) else None
+        fitted = _with_more(slip, std, smooth, wider, weight, _STEPS_AFTER)
+        rise = _log_likelihood(*fitted[:2]) - likely
+        return fitted if rise >= worth * len(more) else None
 
     while len(standing) < _MOST_STANDING:
         together = columns @ weight
@@ -245,12 +245,12 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
         ratios = near[:, peaks].T / np.maximum(together, 1e-300) - 1
         gains = np.array([np.max(np.log1p(_SHARES * ratio).sum(axis=1)) for ratio in ratios])
         # These exceed the penalty by themselves; the others are tried one by one.
-        sure = gains > worth
+        large = gains > worth
         room = _MOST_STANDING - len(standing)
-        tries = [peaks[sure][:room]] if np.sum(sure) > 1 else []
+        tries = [peaks[large][:room]] if np.sum(large) > 1 else []
         order = np.argsort(-gains, kind="stable")[:4]
         tries += [peaks[[k]] for k in order if gains[k] > 0.2 * worth]
-        best = next((found for found in map(beside, tries) if found is not None), None)
+        best = next((fitted for fitted in map(beside, tries) if fitted is not None), None)
         if best is None:
             break
         columns, weight, standing = best
