@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 import tirefit
 from tirefit.cli.commands import app
 from tirefit.data.tir.tir import read_tir
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.fitting.source import axle_tire
 from tirefit.fitting.tir import tire_of
 from tirefit.models import Brush, TireInputs
@@ -24,7 +25,7 @@ from tirefit.results import DataError, UsageError
 from tirefit.vehicle.car import State
 from tirefit.vehicle.errors import QUANTITIES, Errors, Measured, errors_without_slip
 from tirefit.vehicle.replay import HORIZONS, replay
-from tirefit.vehicle.windows import integrated
+from tirefit.vehicle.windows import cut_in_windows, integrated
 
 FRONT, REAR = (Brush(cpa2=cpa2, mu=mu) for cpa2, mu in TIRES.values())
 ROOT = Path(__file__).parents[2]
@@ -94,6 +95,28 @@ def test_the_true_car_predicts_its_log(exact):
     assert exact.horizons == HORIZONS and list(rms) == list(QUANTITIES)
     # 14 s, 0.1 s lost at either end, a start every quarter of a second.
     assert exact.windows == (55, 54, 52, 48, 36)
+
+
+def test_what_keep_excludes_is_neither_replayed_nor_fitted(drive, exact, tmp_path):
+    """Two seconds pushed by hand with the wheels turned, and a jump of the motion tracking."""
+    rows = np.loadtxt(drive / "exact.csv", delimiter=",", skiprows=1)
+    driven = (rows[:, 0] < 5) | (rows[:, 0] > 7)
+    rows[~driven, 4] -= 0.2
+    rows[1000, 2] += 0.05
+    log, vehicle = tmp_path / "exact.csv", tmp_path / "vehicle.toml"
+    rows = np.column_stack([rows, driven])
+    np.savetxt(log, rows, "%.9g", ",", header="t,x,y,yaw,steer,on", comments="")
+    vehicle.write_text(TOML + "margin = 0.1\n")
+    worst = replay([log], vehicle, FRONT, REAR).models["tire"].rms()["yaw_rate"][0]
+    vehicle.write_text(TOML + 'margin = 0.1\nactive = "on"\na_y_max = 12\n')
+    kept = replay([log], vehicle, FRONT, REAR)
+    assert worst > 0.1 > 0.01 > kept.models["tire"].rms()["yaw_rate"][0]
+    assert kept.windows[0] < exact.windows[0] - 8
+    notes = " ".join(kept.notes)
+    assert "2.01 s are left out as not active" in notes and "near |a_y| above 12 m/s2" in notes
+    (cut,) = cut_in_windows([log], load_vehicle(vehicle), 0.5).values()
+    time = cut.motion.time[cut.windows[1]]
+    assert not np.any((time > 5) & (time < 7)) and not np.any(np.abs(time - 10) < 0.1)
 
 
 def test_rates_of_a_drifting_circle_are_integrated_to_its_path():

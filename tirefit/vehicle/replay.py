@@ -22,7 +22,7 @@ import numpy as np
 from tirefit import __version__
 from tirefit.data.merged import merged
 from tirefit.data.records import Row, frame
-from tirefit.data.vehicle.motion import Motion, road_wheel, with_noise
+from tirefit.data.vehicle.motion import Motion, not_ahead, road_wheel, with_noise
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -311,8 +311,10 @@ def _notes(
         notes.append(
             "the log has no pose: heading and position are integrals of yaw rate and speeds"
         )
-    logs = log_windows.items()
-    left = merged((k, (*log.missing, *left_out(log.motion, vehicle))) for k, log in logs)
+    left = merged(
+        (name, (*log.missing, *left_out(log.motion, not_ahead(log.motion, vehicle), vehicle)))
+        for name, log in log_windows.items()
+    )
     return (*notes, *dict.fromkeys(thinned), *left)
 
 

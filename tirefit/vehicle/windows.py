@@ -22,7 +22,7 @@ from tirefit.data.vehicle.contradictions import compare
 from tirefit.data.vehicle.derive import name_problems, names_of_runs, run_name
 from tirefit.data.vehicle.motion import (
     Motion,
-    not_ahead,
+    not_driven,
     read_motion,
     road_wheel,
     slip_and_force,
@@ -51,7 +51,7 @@ class CutLog(NamedTuple, Generic[Piece]):
     motion: Motion
     windows: Piece
     runs: tuple[str, ...]
-    missing: tuple[str, ...] = ()  # see :class:`tirefit.data.vehicle.track.Track`
+    missing: tuple[str, ...] = ()  # see ``Track``, and what ``[keep]`` leaves out
     path: str = ""
     sha256: str = ""
     epoch: float = 0.0  # see ``Track``
@@ -106,6 +106,9 @@ def cut_logs(
                 remedy = re.sub(r",? or [^,]*--.*", "", fault.remedy)
                 problems.append(replace(fault, remedy=remedy))
             continue
+        stopped = not_driven(track, motion, vehicle)
+        left = left_out(motion, stopped, vehicle)
+        motion = replace(motion, settled=motion.settled & ~np.any([*stopped.values()], axis=0))
         windows = cut(track, motion)
         if windows is None:
             reason = f"no stretch above {vehicle.v_min:.3g} m/s is {long_enough}"
@@ -117,7 +120,7 @@ def cut_logs(
                 motion,
                 windows,
                 names_of_runs(file, track),
-                track.missing,
+                (*track.missing, *left),
                 str(file),
                 track.sha256,
                 track.epoch,
@@ -126,10 +129,12 @@ def cut_logs(
     return log_windows
 
 
-def left_out(motion: Motion, vehicle: Vehicle) -> tuple[str, ...]:
-    """Sentences on the time in which the car does not drive forward, by reason."""
+def left_out(
+    motion: Motion, reasons: Mapping[str, np.ndarray], vehicle: Vehicle
+) -> tuple[str, ...]:
+    """Sentences on the settled time that is left out for each reason -> samples (n,) bool."""
     there, messages = motion.settled, []
-    for reason, rows in not_ahead(motion, vehicle).items():
+    for reason, rows in reasons.items():
         if span := np.count_nonzero(there & rows) / vehicle.filter.sample_rate:
             messages.append(f"{span:.3g} s are left out as {reason}")
         there = there & ~rows

@@ -37,6 +37,7 @@ from tirefit.data.vehicle.motion import (
     error_along,
     force_along,
     not_ahead,
+    not_driven,
     read_motion,
     road_wheel,
     slip_and_force,
@@ -315,17 +316,8 @@ def _kept(
     Raises:
         DataError: no sample is kept.
     """
-    last_row = np.searchsorted(track.time, motion.time, side="right") - 1
-    keep = vehicle.keep
-    reasons = {"near an edge or a gap": ~motion.settled, "not active": ~track.active[last_row]}
-    reasons |= not_ahead(motion, vehicle)
-    if keep.a_y_max is not None:
-        # The filter spreads a glitch over its settling time, which is dropped as well.
-        glitches = motion.time[np.abs(motion.a_y) > keep.a_y_max]
-        reach = vehicle.margin
-        until = np.searchsorted(glitches, motion.time + reach, side="right")
-        name = f"near |a_y| above {keep.a_y_max:g} m/s2"
-        reasons[name] = until > np.searchsorted(glitches, motion.time - reach)
+    reasons = {"near an edge or a gap": ~motion.settled}
+    reasons |= not_driven(track, motion, vehicle) | not_ahead(motion, vehicle)
     if axle == "front":
         assert vehicle.steering is not None  # checked by :func:`derive`
         command = vehicle.steering.command

@@ -97,6 +97,20 @@ def not_ahead(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
     }
 
 
+def not_driven(track: Track, motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
+    """Reason of ``[keep]`` -> samples (n,) bool in which the vehicle is not driven, or near a
+    glitch of the motion tracking; the first reason counts."""
+    keep, last_row = vehicle.keep, np.searchsorted(track.time, motion.time, side="right") - 1
+    reasons = {"not active": ~track.active[last_row]}
+    if keep.a_y_max is not None:
+        # The filter spreads a glitch over its settling time, which is dropped as well.
+        glitches = motion.time[np.abs(motion.a_y) > keep.a_y_max]
+        until = np.searchsorted(glitches, motion.time + vehicle.margin, side="right")
+        name = f"near |a_y| above {keep.a_y_max:g} m/s2"
+        reasons[name] = until > np.searchsorted(glitches, motion.time - vehicle.margin)
+    return reasons
+
+
 def slip_and_force(
     motion: Motion, vehicle: Vehicle, axle: str = "rear"
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
