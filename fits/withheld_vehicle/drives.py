@@ -130,7 +130,7 @@ def drive(one: Trial):
     wish *= car["grip"] * car["mu"] * G / 1.6
     # Steering of a driver who roughly knows the car without the effect.
     curvature = wish / v_x**2
-    angle = np.arctan(wheelbase * curvature) + 0.02 * wish / G
+    angle = np.arctan(car.get("known_wheelbase", wheelbase) * curvature) + 0.02 * wish / G
     logged = angle.copy()
     if is_("steering_delay"):
         angle = np.interp(time - sizes["steering_delay"], time, angle)

@@ -105,7 +105,7 @@ def test_changes_of_the_car_enter_newton_and_euler():
     """Every change at once; stiffness and friction are those of another brush."""
     front = Axle(1.3, 0.8, load=1.1, slip=0.01, fall=0.2, sliding=0.3, force=2.0)
     rear = Axle(0.9, 1.2, load=0.95, slip=-0.02, fall=0.1, sliding=0.2, force=-1.5)
-    changes = Changes(front, rear, inertia=1.4, ahead=0.02, force=3.0, moment=-0.5)
+    changes = Changes(front, rear, inertia=1.4, l_f=-0.02, l_r=0.02, force=3.0, moment=-0.5)
     v_x, steering, v_y, turn, late = 3.0, 0.1, -0.25, 1.2, (0.015, -0.01)
     found = accelerations(car(), v_x, steering, v_y, turn, changes, late)
     forces, arms = [], (L_F - 0.02, -L_R - 0.02)

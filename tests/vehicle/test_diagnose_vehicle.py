@@ -27,7 +27,14 @@ from tirefit.vehicle import subject
 from tirefit.vehicle.applied import Applied, applied
 from tirefit.vehicle.car import State, cubic, delayed, lagged, with_play
 from tirefit.vehicle.diagnose import subject_of
-from tirefit.vehicle.effects import CAR_EFFECTS, Reading, Samples, Setting, Steering
+from tirefit.vehicle.effects import (
+    CAR_EFFECTS,
+    SIMULATOR_EFFECTS,
+    Reading,
+    Samples,
+    Setting,
+    Steering,
+)
 from tirefit.vehicle.model import Model, as_driven, steered
 from tirefit.vehicle.model import logged as seen_in_log
 from tirefit.vehicle.windows import cut_in_windows
@@ -258,7 +265,9 @@ CHANGED = {
     "steering_play": [{"steering.play": A}],
     "compliance_steer": [{"steering.yields": A}],
     "yaw_inertia": [{"car.inertia": np.exp(A)}],
-    "centre_of_gravity": [{"car.ahead": A * WHEELBASE}],
+    "centre_of_gravity": [{"car.l_f": -A * WHEELBASE, "car.l_r": A * WHEELBASE}],
+    "front_axle": [{"car.l_f": A * WHEELBASE}],
+    "rear_axle": [{"car.l_r": A * WHEELBASE}],
     "longitudinal_load_transfer": [
         {"car.front.load": 1 - 2 * A * ALONG, "car.rear.load": 1 + 2 * A * ALONG}
     ],
@@ -281,7 +290,7 @@ CHANGED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("effect", CAR_EFFECTS, ids=lambda effect: effect.id)
+@pytest.mark.parametrize("effect", SIMULATOR_EFFECTS, ids=lambda effect: effect.id)
 def test_an_effect_changes_its_number_by_its_formula(effect):
     for constants, changed in zip(effect.variants, CHANGED[effect.id], strict=True):
         for size, right in ((0.0, {}), (A, changed)):

@@ -1,6 +1,7 @@
 """What a simulator has wrong of a car: faults put into a simulator by hand, found from its output.
 Car and simulator are an independent program (fits/withheld_vehicle/drives.py)."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,7 @@ from tirefit.diagnosis.summary.compare import Apart, Number
 from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
-from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.effects import CAR_EFFECTS, SIMULATOR_EFFECTS
 from tirefit.vehicle.simulated import _first_of_twins, _forms, _meanings, _spins, _without_bends
 
 FEW = (
@@ -88,6 +89,22 @@ def test_a_fault_put_into_a_simulator_is_found_with_its_size(effect, car, tmp_pa
     simulator, _ = found.sources
     assert simulator.standing[effect] == "named"
     assert f"{effect} is named in simulator only; " in str(found)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("axle", "quantity"), [("front_axle", "l_f"), ("rear_axle", "l_r")])
+def test_an_axle_of_a_simulator_at_another_place_is_found(axle, quantity, car, tmp_path):
+    log, vehicle, tires = car
+    one = one_of()
+    size = 0.1 * one.car[quantity]
+    changed = {quantity: one.car[quantity] + size, "known_wheelbase": WHEELBASE}
+    sim = simulated(replace(one, car=one.car | changed), tmp_path)
+    few = [x for x in SIMULATOR_EFFECTS if x.id in (*FEW, "front_axle", "rear_axle")]
+    few += [x for x in SIMULATOR_EFFECTS if x.id in ("steering_ratio", "tracked_point")]
+    found = tirefit.compare_with_simulator([log], [sim], vehicle, *tires, effects=few)
+    (differing,) = (x for x in (*found.numbers, *found.effects) if x.differs)
+    assert differing.name == f"{axle}: {quantity}"
+    assert abs(differing.difference + size) < 3 * differing.std
 
 
 @pytest.mark.long

@@ -24,7 +24,7 @@ from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of
 from tirefit.vehicle import trajectory
 from tirefit.vehicle.start import started, within
-from tirefit.vehicle.windows import cut_in_windows
+from tirefit.vehicle.windows import cut_in_windows, derived_rows, lateness
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
 TRUE = {
@@ -119,6 +119,33 @@ def test_the_error_of_a_start_state_is_stated(drive):
     there = np.array([np.interp(cut.motion.time[rows[:, 0]], time, one) for one in true])
     error = np.sqrt(np.mean((np.asarray(data.start) - there.T) ** 2, axis=0))
     np.testing.assert_allclose(error, data.std[0], rtol=0.35)  # three errors of 46 windows
+
+
+def test_a_late_steering_is_not_a_reversed_one(tmp_path):
+    """So late that the force of the front axle falls with its slip angle as logged."""
+    (tmp_path / "vehicle.toml").write_text(TOML)
+    vehicle = load_vehicle(tmp_path / "vehicle.toml")
+
+    def quick(time):
+        return 0.12 * np.sin(8.0 * time) + 0.08 * np.sin(11.3 * time + 1)
+
+    logs = {}
+    for name, late, sign in (("late", 0.2, 1.0), ("reversed", 0.0, -1.0), ("prompt", 0.0, 1.0)):
+        log = tmp_path / f"{name}.csv"
+        write_drive(log, quick, lambda t, by=late, sign=sign: sign * quick(t + by), 5)
+        logs[name] = log
+    cut = cut_in_windows([logs["late"]], vehicle, 0.5)
+    assert 0.2 <= lateness(cut, vehicle) < 0.28  # the car follows its wheels a little later
+    rows = derived_rows(cut, vehicle, "front")
+    assert np.corrcoef(rows["alpha"], rows["fy"])[0, 1] > 0.5  # -0.24 of the logged steering
+    with pytest.raises(DataError, match="wrong sign"):
+        cut_in_windows([logs["reversed"]], vehicle, 0.5)
+    (prompt,) = cut_in_windows([logs["prompt"]], vehicle, 0.5).values()
+    turned = replace(prompt.motion, command=-prompt.motion.command)
+    turned = {"reversed": prompt._replace(motion=turned)}
+    assert lateness(turned, vehicle) == 0.0
+    with pytest.raises(DataError, match="signs contradict"):
+        derived_rows(turned, vehicle, "front")
 
 
 def test_no_window_has_the_steering_of_before_a_gap(drive, tmp_path):

@@ -275,7 +275,7 @@ def trajectory_text(fit: TrajectoryFit) -> str:
 
 def trajectory_figure(fit: TrajectoryFit) -> Picture:
     """Lateral force of both axles with its 95 % band, over the points that ``derive``
-    gives, with the steering as it was logged."""
+    gives, with the steering as late as the yaw rate shows."""
     generator, panels = np.random.default_rng(0), []
     labels = "slip angle [rad]", "lateral force of the axle [N]"
 

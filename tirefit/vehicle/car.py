@@ -115,7 +115,8 @@ class Changes(NamedTuple):
     front: Axle = Axle()
     rear: Axle = Axle()
     inertia: Any = 1.0  # factor
-    ahead: Any = 0.0  # of the centre of gravity, forward [m]
+    l_f: Any = 0.0  # added [m]
+    l_r: Any = 0.0  # added [m]
     force: Any = 0.0  # to the left [N]
     moment: Any = 0.0  # counter-clockwise [N m]
     relaxation: Any = 0.0  # distance [m] by which the slip angles lag
@@ -130,11 +131,11 @@ def slip_angles(
     steering: jax.Array | float,
     v_y: jax.Array,
     yaw_rate: jax.Array,
-    ahead: jax.Array | float = 0.0,
+    changes: Changes = NO_CHANGES,
 ) -> tuple[jax.Array, jax.Array]:
     """Slip angle [rad] of the front and the rear axle."""
-    front = jnp.arctan2(v_y + (car.l_f - ahead) * yaw_rate, v_x) - steering
-    return front, jnp.arctan2(v_y - (car.l_r + ahead) * yaw_rate, v_x)
+    front = jnp.arctan2(v_y + (car.l_f + changes.l_f) * yaw_rate, v_x) - steering
+    return front, jnp.arctan2(v_y - (car.l_r + changes.l_r) * yaw_rate, v_x)
 
 
 def _across(
@@ -166,9 +167,9 @@ def accelerations(
         changes: of this sample.
         late: what is added to the slip angles [rad].
     """
-    l_f, l_r = car.l_f - changes.ahead, car.l_r + changes.ahead
+    l_f, l_r = car.l_f + changes.l_f, car.l_r + changes.l_r
     weight = car.mass * car.gravity / (l_f + l_r)
-    front, rear = slip_angles(car, v_x, steering, v_y, yaw_rate, changes.ahead)
+    front, rear = slip_angles(car, v_x, steering, v_y, yaw_rate, changes)
     f = _across(car.front, front + late[0], weight * l_r, v_x, changes.front)
     r = _across(car.rear, rear + late[1], weight * l_f, v_x, changes.rear)
     f = f * jnp.cos(steering)
@@ -250,7 +251,7 @@ def predicted(
 
         def slips(part: jax.Array, state: State) -> jax.Array:
             motion = state.v_y, state.yaw_rate
-            return jnp.stack(slip_angles(car, *steered(part), *motion, change.ahead))
+            return jnp.stack(slip_angles(car, *steered(part), *motion, change))
 
         def small(k: jax.Array, carried: _Moving) -> _Moving:
             now, late = carried

@@ -101,6 +101,11 @@ def _tilt(slope: jax.Array, constants: Constants, rows: Samples) -> jax.Array:
     return slope * rows.weight * towards
 
 
+def _longer(setting: Setting, name: str, by: Any) -> Setting:
+    """The setting with a distance of the car longer by a number of metres."""
+    return setting._replace(car=setting.car._replace(**{name: getattr(setting.car, name) + by}))
+
+
 CODE: Code = {
     "steering_ratio": adds("steering.ratio", lambda a, c, rows: a),
     "steering_offset": adds("steering.offset", lambda a, c, rows: a),
@@ -109,7 +114,11 @@ CODE: Code = {
     "steering_play": adds("steering.play", lambda a, c, rows: a),
     "compliance_steer": adds("steering.yields", lambda a, c, rows: a),
     "yaw_inertia": adds("car.inertia", lambda a, c, rows: jnp.expm1(a)),
-    "centre_of_gravity": adds("car.ahead", lambda a, c, rows: a * rows.wheelbase),
+    "centre_of_gravity": lambda setting, a, c, rows: _longer(
+        _longer(setting, "l_f", -a * rows.wheelbase), "l_r", a * rows.wheelbase
+    ),
+    "front_axle": lambda setting, a, c, rows: _longer(setting, "l_f", a * rows.wheelbase),
+    "rear_axle": lambda setting, a, c, rows: _longer(setting, "l_r", a * rows.wheelbase),
     "lateral_load_transfer": _scales("friction", lambda a, rows: -a * rows.across**2),
     # The load that moves, over that at rest: height over wheelbase times the acceleration.
     "longitudinal_load_transfer": lambda setting, height, c, rows: scaled_axles(
@@ -131,5 +140,8 @@ CODE: Code = {
     "tracked_point": adds("reading.ahead", lambda a, c, rows: a * rows.wheelbase),
 }
 
-CAR_EFFECTS = library("tirefit.vehicle", CODE)
-"""The effects that ``tirefit diagnose --vehicle`` searches."""
+SIMULATOR_EFFECTS = library("tirefit.vehicle", CODE)
+"""The effects that ``tirefit diagnose --vehicle --sim-log`` searches."""
+
+CAR_EFFECTS = tuple(x for x in SIMULATOR_EFFECTS if x.id not in ("front_axle", "rear_axle"))
+"""The effects that ``tirefit diagnose --vehicle`` searches: the wheelbase of a car is measured."""

@@ -310,9 +310,9 @@ def moved(
             return jnp.stack([lateral - v_x * turn, yaw]), lateral
 
         def slips(
-            motion: jax.Array, angle: jax.Array, ahead: jax.Array, v_x: jax.Array
+            motion: jax.Array, angle: jax.Array, change: Changes, v_x: jax.Array
         ) -> jax.Array:
-            return jnp.stack(slip_angles(car, v_x, angle, motion[0], motion[1], ahead))
+            return jnp.stack(slip_angles(car, v_x, angle, motion[0], motion[1], change))
 
         def read(state: jax.Array, reading: jax.Array, v_x: jax.Array) -> jax.Array:
             return logged(channels, State(*state), Reading(*reading), v_x)
@@ -320,7 +320,7 @@ def moved(
         state, v_x = jnp.stack(states, axis=1), window.v_x
         motion, each = state[:, :2], jax.vmap(jax.jacfwd(rates, (0, 1, 2, 3), has_aux=True))
         (by_motion, by_angle, by_change, by_late), lateral = each(motion, angle, changes, late, v_x)
-        slip, angles = jax.vmap(slopes_and_values(slips))(motion, angle, split.ahead, v_x)
+        slip, angles = jax.vmap(slopes_and_values(slips))(motion, angle, split, v_x)
         reader = jax.vmap(slopes_and_values(read, (0, 1)), (0, None, 0))
         (reads, by_reading), values = reader(state, reading, v_x)
         fields: tuple[Any, ...] = (

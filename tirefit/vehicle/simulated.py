@@ -36,7 +36,7 @@ from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem
 from tirefit.vehicle.diagnose import WINDOW, Steps, check_effects, studied
-from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.effects import SIMULATOR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS, TIRES
 from tirefit.vehicle.start import started
 from tirefit.vehicle.windows import CutLog, cut_in_windows, derived_rows, known_vehicle
@@ -72,6 +72,16 @@ _STATED: dict[str, tuple[str, str, Callable[[Vehicle, float], tuple[float, float
         "l_f",
         "m",
         lambda car, x: (car.l_f - x * (car.l_f + car.l_r), car.l_f + car.l_r),
+    ),
+    "front_axle": (
+        "l_f",
+        "m",
+        lambda car, x: (car.l_f + x * (car.l_f + car.l_r), car.l_f + car.l_r),
+    ),
+    "rear_axle": (
+        "l_r",
+        "m",
+        lambda car, x: (car.l_r + x * (car.l_f + car.l_r), car.l_f + car.l_r),
     ),
     "yaw_inertia": ("yaw_inertia", "kg m2", lambda car, x: (car.yaw_inertia * math.exp(x),) * 2),
     "steering_delay": (
@@ -119,14 +129,14 @@ def compare_with_simulator(
 
     Example:
         >>> log, car = samples / "drive.csv", samples / "vehicle.toml"
-        >>> from tirefit.vehicle.effects import CAR_EFFECTS
-        >>> few = [effect for effect in CAR_EFFECTS if effect.id == "steering_delay"]
+        >>> from tirefit.vehicle.effects import SIMULATOR_EFFECTS
+        >>> few = [effect for effect in SIMULATOR_EFFECTS if effect.id == "steering_delay"]
         >>> result = compare_with_simulator([log], [log], car, effects=few)
         >>> any(number.differs for number in (*result.numbers, *result.effects))
         False
     """
     require_x64("a diagnosis")
-    stated, effects = known_vehicle(vehicle), CAR_EFFECTS if effects is None else effects
+    stated, effects = known_vehicle(vehicle), SIMULATOR_EFFECTS if effects is None else effects
     check_effects(stated, effects, without)
     library = [effect for effect in effects if effect.id not in without]
     if len(logs) != len(sim_logs):

@@ -57,6 +57,7 @@ from tirefit.vehicle.windows import (
     cut_in_windows,
     derived_rows,
     known_vehicle,
+    lateness,
     steering_problems,
 )
 
@@ -234,7 +235,8 @@ def fit_trajectory(
     rows = {axle: derived_rows(log_windows, vehicle, axle) for axle in given}
     tell(0.05, "starting with the tires of derive")
     tires = [within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
-    return _Problem(vehicle, tires, tuple(unknowns), data).solved(rows, tell)
+    late = lateness(log_windows, vehicle)
+    return _Problem(vehicle, tires, tuple(unknowns), data, late).solved(rows, tell)
 
 
 def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenTire]) -> None:
@@ -256,14 +258,19 @@ class _Problem:
     """
 
     def __init__(
-        self, vehicle: Vehicle, tires: Sequence[GivenTire], unknowns: tuple[str, ...], data: Data
+        self,
+        vehicle: Vehicle,
+        tires: Sequence[GivenTire],
+        unknowns: tuple[str, ...],
+        data: Data,
+        late: float,
     ) -> None:
         self.vehicle, self.tires, self.unknowns, self.data = vehicle, tires, unknowns, data
         fits = [tire.fit for tire in tires if tire.fit is not None]  # each has one
         self.steering = cast(Steering, vehicle.steering)
         self.layouts: list[Layout] = [fit[0] for fit in fits]
         self.first = np.cumsum([0, *(layout.size for layout in self.layouts)])
-        first = {"steering_delay": self.steering.delay}
+        first = {"steering_delay": self.steering.delay + late}
         of_car = [first.get(name, 0.0) for name in unknowns]
         self.z = np.concatenate([*(fit[1] for fit in fits), of_car])
         self.names = CHANNELS[data.logged.shape[-1]]

@@ -192,6 +192,8 @@ def integrated(motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray, np.
 _LEAD = 0.3
 """Time [s] of steering before a window, for its delay beyond the stated one."""
 
+_LESS = 0.5  # share of the curvature left unexplained up to which a later steering explains more
+
 _EXACT = 1e-9  # smallest standard error of a state, of a log without noise
 
 CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
@@ -354,10 +356,15 @@ def _sliding(tire: AbstractTire, load: float, speed: float) -> float:
 
 
 def derived_rows(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle: str) -> TireData:
-    """Slip angle and force of an axle by the equations of ``derive``, of all logs."""
+    """Slip angle and force of an axle by the equations of ``derive``, of all logs.
+
+    Slip angles of the front axle are those of the steering at :func:`lateness`: of a steering that
+    is late, the force may seem to fall with the slip.
+    """
+    late = lateness(log_windows, vehicle) if axle == "front" else 0.0
     columns: dict[str, list[Any]] = {"alpha": [], "fy": [], "v": [], "run": []}
     for log in log_windows.values():
-        motion, (name, *_) = log.motion, log.runs
+        motion, (name, *_) = _later(log.motion, late), log.runs
         alpha, force, speed = slip_and_force(motion, vehicle, axle)
         good = motion.settled & (motion.v_x > vehicle.v_min)
         good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
@@ -368,3 +375,26 @@ def derived_rows(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle:
     cells = {k: np.array(v)[::step] for k, v in columns.items()}
     load = axle_loads(vehicle)[axle == "rear"]
     return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(log_windows))
+
+
+def _later(motion: Motion, late: float) -> Motion:
+    """The motion with its steering command later by a time [s]."""
+    return replace(motion, command=np.interp(motion.time - late, motion.time, motion.command))
+
+
+def lateness(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle) -> float:
+    """Delay [s] beyond the stated one, up to :data:`_LEAD`, at which steering and curvature of the
+    path have the largest correlation; 0 if that is negative, as of a reversed steering, or explains
+    hardly more of the curvature."""
+    correlations = dict[float, float]()
+    for late in np.arange(0.0, _LEAD, 1 / vehicle.filter.sample_rate):
+        pairs = []
+        for log in log_windows.values():
+            motion = _later(log.motion, late)
+            good = motion.settled & (motion.v_x > vehicle.v_min)
+            curvature = motion.yaw_rate[good] / motion.v_x[good]
+            pairs.append(np.stack([road_wheel(motion, vehicle)[good], curvature]))
+        correlations[float(late)] = float(np.corrcoef(np.concatenate(pairs, axis=1))[0, 1])
+    best = max(correlations, key=lambda late: abs(correlations[late]))
+    first, largest = correlations[0.0], correlations[best]
+    return best if largest > 0 and 1 - largest**2 < _LESS * (1 - first**2) else 0.0
