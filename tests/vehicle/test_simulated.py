@@ -11,12 +11,20 @@ from typer.testing import CliRunner
 import tirefit
 from fits.withheld_vehicle.drives import STEP, Trial, drive, trial, written
 from tirefit.cli.commands import app
+from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.diagnosis.summary.compare import Apart, Number
 from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
 from tirefit.vehicle.effects import CAR_EFFECTS, SIMULATOR_EFFECTS
-from tirefit.vehicle.simulated import _first_of_twins, _forms, _meanings, _spins, _without_bends
+from tirefit.vehicle.simulated import (
+    _first_of_twins,
+    _forms,
+    _meanings,
+    _no_slip,
+    _spins,
+    _without_bends,
+)
 
 FEW = (
     "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
@@ -264,3 +272,18 @@ def test_a_simulated_log_without_inputs_needs_the_rows_of_the_log(car, tmp_path)
         assert CliRunner().invoke(app, [*line, *more, "--out", str(tmp_path / "o")]).exit_code == 2
     without = ["diagnose", str(log), "--sim-log", str(path), "--out", str(tmp_path / "o")]
     assert "--vehicle" in CliRunner().invoke(app, without).output
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.05])
+def test_a_simulated_car_without_slip_is_told(slip, car):
+    """Its yaw rate follows the wheels; with slip it follows them later than the speed sideways."""
+    vehicle, time = load_vehicle(car[1]), np.arange(0, 30, 0.02)
+    v_x, steer = 15 + np.sin(0.3 * time), 0.05 * np.sin(time) + 0.03 * np.sin(2.7 * time)
+    yaw_rate = v_x * np.tan(steer) / 2.9
+    v_y = 1.4 * yaw_rate - slip * np.gradient(yaw_rate, time)
+    motion = SimpleNamespace(
+        settled=time > 1, v_x=v_x, v_y=v_y, yaw_rate=yaw_rate, command=steer, time=time
+    )
+    text = _no_slip([SimpleNamespace(motion=motion)], vehicle)
+    assert bool(text) is (slip == 0.0)
+    assert slip or "wheelbase of 2.9 m" in text and "1.4 m ahead of the rear axle" in text

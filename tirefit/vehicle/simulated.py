@@ -17,7 +17,7 @@ import numpy as np
 
 from tirefit.data.read import read_table
 from tirefit.data.readers.remote import file_at
-from tirefit.data.vehicle.motion import Motion, read_motion
+from tirefit.data.vehicle.motion import Motion, read_motion, road_wheel
 from tirefit.data.vehicle.vehicle import CHECKS, POSE, Columns, Vehicle
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine.fit import Start
@@ -61,6 +61,9 @@ _BEND = 0.1
 on its friction, which loses a tenth of the force of a linear tire at 0.28 of its limit."""
 
 _ALIKE = 9.21  # chi-square of three factors about their mean that one of 100 equal ones exceeds
+
+_WITHOUT_SLIP = 0.01
+"""Rms of the yaw rate that slip explains, over the whole, below which a simulator has none."""
 
 _RELATED, _NEAR = 0.95, 0.15
 """Least correlation of a state with that of the log, and largest distance [log] of its factor
@@ -177,6 +180,8 @@ def compare_with_simulator(
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
+    if no_slip := _no_slip(simulated.values(), sim_vehicle):
+        return _bare(result, no_slip)
     numbers = _without_bends(result.numbers)
     meant = _meanings({number.name: number for number in (*numbers, *result.effects)})
     alike = [
@@ -265,6 +270,38 @@ def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Ite
             f" the car {math.degrees(car):.0f} deg. What differs is uncertain: give a log in which"
             " the simulator does not spin"
         )
+
+
+def _bare(result: Comparison, meaning: str) -> Comparison:
+    """The comparison with one sentence in place of numbers and effects."""
+    sources = tuple(x._replace(numbers={}, effects={}, standing={}) for x in result.sources)
+    return replace(result, sources=sources, numbers=(), effects=(), meanings=(meaning,))
+
+
+def _no_slip(simulated: Iterable[CutLog[Any]], vehicle: Vehicle) -> str:
+    """A sentence if the yaw rate of the simulated car is that of its wheels without slip, and its
+    sideways speed in proportion to the yaw rate; else empty."""
+    parts = []
+    for log in simulated:
+        motion = log.motion
+        good = motion.settled & (motion.v_x > vehicle.v_min)
+        turn = motion.v_x * np.tan(road_wheel(motion, vehicle))
+        parts.append(np.stack([motion.yaw_rate, motion.v_y, turn, motion.v_x])[:, good])
+    yaw_rate, v_y, *wheels = np.concatenate(parts, axis=1)
+    arms = []
+    for values, by in ((yaw_rate, np.transpose(wheels)), (v_y, yaw_rate[:, None])):
+        (arm, *_), *_ = np.linalg.lstsq(by, values)
+        missed = values - by @ np.linalg.lstsq(by, values)[0]
+        if np.std(missed) > _WITHOUT_SLIP * np.std(yaw_rate) * (
+            1.0 if by.shape[1] > 1 else vehicle.l_r
+        ):
+            return ""
+        arms.append(float(arm))
+    return (
+        "the simulated car has no slip: its yaw rate is that of its wheels with a wheelbase of"
+        f" {1 / arms[0]:.3g} m, and it describes a point {arms[1]:.3g} m ahead of the rear axle."
+        " Nothing else is compared: give it tires first"
+    )
 
 
 def _of_sim_logs(vehicle: Vehicle, sim_logs: Sequence[str | Path]) -> Vehicle:
