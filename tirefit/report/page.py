@@ -208,16 +208,19 @@ def image_of(picture: Any, alternative: str, least: int = 0) -> dict[str, Any]:
 
 def record_fragment(record: Record) -> str:
     """The text and the figure of any record as a fragment of HTML, for notebooks."""
-    pictures = []
-    with suppress(UsageError):  # a fit of another process has no data to draw
-        pictures.append(image_of(record.plot(), ""))
-    return fragment("", [Section("", text=record.summary(), pictures=pictures)])
+    return fragment("", [_whole(record)])
 
 
 def record_page(record: Record) -> str:
     """The notebook form of a record as a page that needs no other file."""
-    pictures = [image_of(record.plot(), "")]
-    return page(type(record).__name__, [Section("", text=record.summary(), pictures=pictures)])
+    return page(type(record).__name__, [_whole(record)])
+
+
+def _whole(record: Record) -> Section:
+    pictures = []
+    with suppress(UsageError):  # some have no figure, as a fit of another process
+        pictures.append(image_of(record.plot(), ""))
+    return Section("", text=record.summary(), pictures=pictures)
 
 
 def _range_row(data: TireData, name: str) -> tuple[str, ...]:

@@ -116,6 +116,14 @@ def _one_each(prepared: "Prepared") -> float:
 
 _IN_PROPORTION = adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz)
 
+_OF_RUNS: Code = {
+    "slip_offset": adds("shift", lambda a, _, rows: a * rows.run_slip),
+    "force_offset": adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
+    "friction": multiplies("friction", lambda a, _, rows: xp.exp(a * rows.run_friction)),
+    "stiffness": multiplies("stiffness", lambda a, _, rows: xp.exp(a * rows.run_stiffness)),
+}
+"""Changes by the patterns of :data:`RUN_OFFSETS`."""
+
 CODE: Code = {
     "slip_offset": dict(
         change=adds("shift", lambda a, _, rows: a), odds=_offset_odds, prior=_seen_between_slips
@@ -144,19 +152,5 @@ CODE: Code = {
     ),
     "force_crosstalk": adds("force", lambda a, _, rows: a * rows.across),
     "force_hysteresis": adds("force", _force_hysteresis),
-    "slip_offset_run": dict(
-        change=adds("shift", lambda a, _, rows: a * rows.run_slip), odds=_one_each
-    ),
-    "force_offset_run": dict(
-        change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
-        odds=_one_each,
-    ),
-    "friction_run": dict(
-        change=multiplies("friction", lambda a, _, rows: xp.exp(a * rows.run_friction)),
-        odds=_one_each,
-    ),
-    "stiffness_run": dict(
-        change=multiplies("stiffness", lambda a, _, rows: xp.exp(a * rows.run_stiffness)),
-        odds=_one_each,
-    ),
+    **{f"{kind}_run": dict(change=change, odds=_one_each) for kind, change in _OF_RUNS.items()},
 }

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -199,8 +198,6 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
         return _of_fit(sim, sim.tire, sim.layout, sim.model)
     if isinstance(sim, AbstractTire):
         return _of_tire(sim, "model", type(sim).__name__)
-    if isinstance(sim, str | PathLike):
-        return simulator_at(str(sim))
     if not isinstance(sim, Mapping):
         measured = [c for c in ("fx", "fy") if c in data]
         if len(measured) != 1:
