@@ -114,7 +114,7 @@ def test_a_summary_has_every_column_of_every_fit(by_run):
     rows = [line for line in lines if line.startswith("  run02 ")]
     assert sum(line.count("±") for line in rows) == 28
     assert rows[-1].split()[-1] == "ok"
-    assert all(line.startswith(("  run0", "  fit ", "  ---")) for line in lines[2:] if line)
+    assert all(line.startswith(("  run0", "  file ", "  ---")) for line in lines[2:] if line)
 
 
 def texts_of(picture):

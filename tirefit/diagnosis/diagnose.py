@@ -131,7 +131,8 @@ def diagnose(
         sim = simulator_at(str(sim), signs=signs)
     otherwise = sim.otherwise if isinstance(sim, GivenSimulator) else None
     data = as_data(data, otherwise=otherwise)
-    others = [as_data(held_out, otherwise=otherwise) for held_out in several(holdout)]
+    several = holdout if isinstance(holdout, list | tuple) else [holdout]
+    others = [as_data(x, otherwise=otherwise) for x in several if x is not None]
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, others)
     data, others = without_far(data), [without_far(other) for other in others]
@@ -167,8 +168,7 @@ def diagnose(
         if simulated is not None:
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
-        made = settings, library, others, generator, name, seed
-        document = document_of(case, whole, *made)
+        document = document_of(case, whole, settings, library, others, generator, name, seed)
         if document.simulator is None or is_fitted:
             return document
 
@@ -208,12 +208,6 @@ def a_model(given: object) -> str | None:
         return given
     remedy = "give a model's name; a tire model with its values is a simulator: sim=..."
     raise UsageError(f"model is of type {type(given).__name__}", remedy)
-
-
-def several(given: object) -> list[Any]:
-    """The data of several held-out sets, of one, or of none."""
-    every = given if isinstance(given, list | tuple) else [given]
-    return [data for data in every if data is not None]
 
 
 def a_rig(given: object) -> Rig:

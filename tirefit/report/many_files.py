@@ -102,18 +102,10 @@ def summary_table(fits: Sequence[FileRecord]) -> str:
     """Directory, parameters with standard deviations, RMSE and verdict of every fit."""
     if not fits:
         return "no file could be fitted"
-    parameters = [fit.of_kind("parameter") for fit in fits]
-    columns = list(dict.fromkeys(name for known in parameters for name in known))
-    rows = [["fit", *columns, "RMSE", "verdict"]]
     directories = run_names([fit.result for fit in fits])
-    for directory, fit, known in zip(directories.short, fits, parameters, strict=True):
-        rmse = f"{fit.of_kind('statistic')['rmse'].value:.4g}"
-        cells = [
-            _cell(known[name].value, known[name].std) if name in known else "" for name in columns
-        ]
-        rows.append([directory, *cells, rmse, fit.status])
+    files = files_of(fits)._replace(names=directories.short)
     of = f" of {directories.pattern}" if directories.pattern else ""
-    return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])
+    return "\n".join(["", f"SUMMARY{of}", *table_parts(_table_of_files(files))])
 
 
 def _cell(value: float | None, std: float | None) -> str:
@@ -133,7 +125,7 @@ def _table_of_files(files: Files) -> Rows:
     for k, (name, record) in enumerate(zip(files.names, files.records, strict=True)):
         cells = [_cell(q.value[k], q.std[k]) if q.known[k] else "-" for q in shown]
         rows.append([name, *cells, record.status])
-    return rows[: _LISTED + 1]
+    return rows
 
 
 def _quantities(files: Files) -> Rows:
@@ -263,7 +255,7 @@ def files_page(files: Files, title: str, notes: Sequence[str] = ()) -> str:
     none = ["no quantity of three files or more"] * (not files.quantities)
     first = f"the first {_LISTED}" * (len(files.names) > _LISTED)
     sections = [
-        Section("Files", (), _table_of_files(files), note=first),
+        Section("Files", (), _table_of_files(files)[: _LISTED + 1], note=first),
         Section("Quantities over the files", none, _quantities(files), _pictures(files)),
         Section("Files that differ", (), _different(files), note=_DISTANCE),
         Section("Data and settings", list(_settings(files, notes))),

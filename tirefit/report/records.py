@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -32,13 +33,11 @@ def batch_text(fits: BatchFit) -> str:
 
 def batch_figure(fits: BatchFit) -> Picture:
     """Each parameter by data set, with one standard deviation."""
-
-    def draw(axes: Any, values: tuple[np.ndarray, np.ndarray]) -> None:
-        number = np.arange(len(values[0]))
-        axes.errorbar(number, *values, fmt=".", color=BLUE, ecolor=GREY)
-
-    each = zip(fits.names, zip(fits.values.T, fits.std.T, strict=True), strict=True)
-    panels = [axes_panel(partial(draw, values=v), name, "data set", name) for name, v in each]
+    number, style = np.arange(len(fits.values)), {"fmt": ".", "color": BLUE, "ecolor": GREY}
+    panels = [
+        axes_panel(methodcaller("errorbar", number, *values, **style), name, "data set", name)
+        for name, *values in zip(fits.names, fits.values.T, fits.std.T, strict=True)
+    ]
     return together(panels, batch_text(fits).partition("\n")[0], "", "")
 
 
@@ -73,16 +72,9 @@ def export_text(done: Any) -> str:
 def export_figure(done: Any) -> Picture:
     """Each pure force of the written tire over its slip."""
 
-    def draw(axes: Any, curve: tuple[np.ndarray, np.ndarray]) -> None:
-        axes.plot(*curve, color=BLUE)
-
-    panels = [
-        axes_panel(
-            partial(draw, curve=curve),
-            name,
-            "slip [-]" if name.endswith("fx") else "slip angle [rad]",
-            f"{name} [N]",
-        )
-        for name, curve in done.shape.curves.items()
-    ]
+    panels = []
+    for name, (slip, force) in done.shape.curves.items():
+        x_label = "slip [-]" if name.endswith("fx") else "slip angle [rad]"
+        draw = methodcaller("plot", slip, force, color=BLUE)
+        panels.append(axes_panel(draw, name, x_label, f"{name} [N]"))
     return together(panels, f"{done.target}: {done.path.name}", "", "")

@@ -49,21 +49,26 @@ _BY_DERIVE = {
 """Need -> key of vehicle.toml with which a derived file meets it."""
 
 _COVARIATES = {
-    "slip_fraction": "slip / slip of full sliding",
-    "fz": "load F_z",
-    "v": "speed v",
-    "time": "time",
-    "direction": "size of the slip",
-    "sign": "sign of the slip",
-    "temperature": "temperature",
-    "gamma": "camber gamma",
-    "used_friction": "share of friction used",
-    "slip": "signed slip / slip of full sliding",
-    "signed_slip": "signed slip",
-    "slip_rate": "rate of the slip",
-    "distance": "distance travelled",
-    "pressure": "inflation pressure",
+    "slip_fraction": ("slip / slip of full sliding", ""),
+    "fz": ("load F_z", "N"),
+    "v": ("speed v", "m/s"),
+    "time": ("time", "s"),
+    "direction": ("size of the slip", ""),
+    "sign": ("sign of the slip", ""),
+    "temperature": ("temperature", CANONICAL["temperature"][0]),
+    "gamma": ("camber gamma", CANONICAL["gamma"][0]),
+    "used_friction": ("share of friction used", ""),
+    "slip": ("signed slip / slip of full sliding", ""),
+    "signed_slip": ("signed slip", ""),
+    "slip_rate": ("rate of the slip", "1/s"),
+    "distance": ("distance travelled", "m"),
+    "pressure": ("inflation pressure", CANONICAL["pressure"][0]),
+    "yaw rate": ("yaw rate", "rad/s"),
+    "front slip": ("front slip", "rad"),
+    "rear slip": ("rear slip", "rad"),
+    "forward acceleration": ("forward acceleration", "g"),
 }
+"""Covariate -> words, and unit."""
 
 NAMED_VALUES = {
     "direction": {-1.0: "shrinking", 0.0: "steady", 1.0: "growing"},
@@ -98,7 +103,7 @@ def needs_text(needs: Sequence[str], derived: bool = False) -> str:
 
 def covariate_text(name: str) -> str:
     """A covariate of ``where`` in words."""
-    return _COVARIATES.get(name, name)
+    return _COVARIATES.get(name, (name, ""))[0]
 
 
 def range_text(region: Region) -> str:
@@ -124,10 +129,7 @@ def range_text(region: Region) -> str:
 
 def covariate_unit(name: str) -> str:
     """Unit of a covariate of figures; empty if it has none."""
-    units = {"distance": "m", "slip": "", "slip_rate": "1/s", "yaw rate": "rad/s"}
-    units |= {"front slip": "rad", "rear slip": "rad", "forward acceleration": "g"}
-    unit = units.get(name, CANONICAL.get(name, ("", ""))[0])
-    return "" if unit == "-" else unit
+    return _COVARIATES.get(name, ("", CANONICAL.get(name, ("", ""))[0]))[1].removeprefix("-")
 
 
 def shape_text(shape: Shape) -> str:
