@@ -64,7 +64,7 @@ from tirefit.report.diagnosis.words import (
     name_of,
     p_text,
     range_text,
-    said_unit,
+    readable_unit,
     set_name,
     share_text,
     words_on,
@@ -475,7 +475,7 @@ def test_an_amplitude_is_written_with_a_readable_unit(amount, said):
 
 def test_no_unit_is_written_with_a_power_of_ten_or_a_dash():
     for effect in EFFECTS:
-        _, unit = said_unit(effect.unit)
+        _, unit = readable_unit(effect.unit)
         assert "1e-3" not in unit and not unit.startswith(("-", "1"))
 
 

@@ -94,34 +94,34 @@ def extension_of(base: Base, chosen: Fit) -> Extension:
     )
 
 
-def _covariates(to: Extension, given: TireInputs, force: Any) -> Covariates:
+def _covariates(extension: Extension, inputs: TireInputs, force: Any) -> Covariates:
     """The quantities on which effects may depend, for one sample. Those that a tire does
     not have are None, so that an effect that uses them raises an error.
 
     Args:
         force: force of the base fit that the slip drives [N].
     """
-    slip, across = given.sigma_x, jnp.tan(given.alpha)
-    driven = across if to.mode == "y" else slip
-    mean, span = to.pressure
-    pressure = jnp.where(given.pressure == 0, mean, given.pressure)
-    load = jnp.maximum(given.fz, _NO_LOAD * to.load)
-    share = force / (to.used * load)
+    slip, across = inputs.sigma_x, jnp.tan(inputs.alpha)
+    driven = across if extension.mode == "y" else slip
+    mean, span = extension.pressure
+    pressure = jnp.where(inputs.pressure == 0, mean, inputs.pressure)
+    load = jnp.maximum(inputs.fz, _NO_LOAD * extension.load)
+    share = force / (extension.used * load)
     # The added square keeps the size of the slip differentiable at zero.
     size = jnp.sqrt(slip**2 + across**2 + 1e-30)
-    known = {name: getattr(to, name) for name in _OF_RUN}
+    known = {name: getattr(extension, name) for name in _OF_RUN}
     known |= dict(
-        fz=load / to.load,
-        load=to.load,
-        v=given.v,
-        gamma=given.gamma,
+        fz=load / extension.load,
+        load=extension.load,
+        v=inputs.v,
+        gamma=inputs.gamma,
         inflation=(pressure - mean) / span if span else 0.0,
         side=jnp.sign(driven),
         force=share,
         usage=jnp.abs(share),
-        traction=force / to.load,
-        pace=jnp.maximum(jnp.abs(given.v), to.slowest),
-        sliding=jnp.abs(given.v * size / (1 + slip)),
+        traction=force / extension.load,
+        pace=jnp.maximum(jnp.abs(inputs.v), extension.slowest),
+        sliding=jnp.abs(inputs.v * size / (1 + slip)),
     )
     absent: dict[str, Any] = dict.fromkeys(Covariates._fields)
     return Covariates(**absent | known)
@@ -133,36 +133,38 @@ class Extended(AbstractTire):
     Attributes:
         tire: the tire with the parameters that were fitted beside the effects.
         effects: variants of effects, and their amplitudes.
-        to: what the amplitudes refer to.
+        extension: what the amplitudes refer to.
         usual: forces of the base fit, for effects that follow them.
         peak: largest force over load of ``tire``.
     """
 
     tire: AbstractTire
     effects: tuple[tuple[Atom, float], ...] = eqx.field(static=True)
-    to: Extension = eqx.field(static=True)
+    extension: Extension = eqx.field(static=True)
     usual: Callable[..., Any] = eqx.field(static=True)
     peak: float = eqx.field(static=True)
 
     def __call__(self, inputs: TireInputs) -> TireForces:
-        to, tire, inputs = self.to, self.tire, TireInputs(*map(jnp.asarray, inputs))
+        extension, tire, inputs = self.extension, self.tire, TireInputs(*map(jnp.asarray, inputs))
         usual, state = self.usual(inputs), null_state()
-        rows = _covariates(to, inputs, usual.fy if to.mode == "y" else usual.fx)
+        rows = _covariates(extension, inputs, usual.fy if extension.mode == "y" else usual.fx)
         for atom, amplitude in self.effects:
             state = atom.change(state, amplitude, rows)
         along, across = inputs.sigma_x, jnp.tan(inputs.alpha)
-        if to.mode == "y":
+        if extension.mode == "y":
             across = slip_of_state(state, across)
         else:
             along = slip_of_state(state, along)
         carrier = None
         if not is_plain(tire):
             at_rest = inputs._replace(sigma_x=0.0, alpha=0.0)
-            carrier = slope_at_rest(tire, at_rest, to.mode) / 2, self.peak, arm_of(tire)
+            carrier = slope_at_rest(tire, at_rest, extension.mode) / 2, self.peak, arm_of(tire)
         across = jnp.asarray(lateral_slip(across, along))
         extended = force_of_state(tire, carrier, state, along, across, inputs)
         plain: TireForces = tire(inputs)
-        whole: Any = zip(("fx", "fy", "mz"), with_offsets(extended, state, to.mode), strict=True)
+        whole: Any = zip(
+            ("fx", "fy", "mz"), with_offsets(extended, state, extension.mode), strict=True
+        )
         return plain._replace(**{k: v for k, v in whole if getattr(plain, k) is not None})
 
 
@@ -326,11 +328,11 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable[.
     bare = finish(with_values(tire, document.extended_parameters))
     if not held:
         return Report(bare, bare, (), tuple(sentences))
-    plain, to = finish(with_values(tire, document.base_parameters)), document.extension
-    reference = f"F_z0 = mean F_z = {to.load:.5g} N and v0 = {to.cruise:.4g} m/s"
+    plain, extension = finish(with_values(tire, document.base_parameters)), document.extension
+    reference = f"F_z0 = mean F_z = {extension.load:.5g} N and v0 = {extension.cruise:.4g} m/s"
     sentences.append(f"in these formulas {reference}")
-    peak = float(peak_ratio(bare, *to.at))
-    extended = Extended(bare, tuple(held), to, lambda given: plain(given), peak)
+    peak = float(peak_ratio(bare, *extension.at))
+    extended = Extended(bare, tuple(held), extension, lambda inputs: plain(inputs), peak)
     names = tuple(atom.effect.id for atom, _ in held)
     return Report(extended, bare, names, tuple(sentences))
 
@@ -355,9 +357,11 @@ def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]
         return [], f"of the measurement, not in the forces: {message}; {effect.remedy}"
     if effect.of != "tire":
         return [], f"not in the forces, of the {effect.of}: {message}"
-    to = document.extension
+    extension = document.extension
     try:
-        at = _covariates(to, TireInputs(0.01, 0.01, to.load, to.cruise), to.load)
+        at = _covariates(
+            extension, TireInputs(0.01, 0.01, extension.load, extension.cruise), extension.load
+        )
         atom.change(null_state(), size.value, at)
     except TypeError:  # it uses a covariate that is None: no input of a tire
         return [], f"not in the forces: {message}"

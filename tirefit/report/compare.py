@@ -8,7 +8,7 @@ import numpy as np
 from tirefit.diagnosis.summary.compare import Apart, Comparison, Number
 from tirefit.diagnosis.summary.forces import ForceCurve, ForceDifference
 from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, together
-from tirefit.report.diagnosis.words import said_unit
+from tirefit.report.diagnosis.words import readable_unit
 from tirefit.report.fit.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit.tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
@@ -105,7 +105,7 @@ def _on_effects(result: Comparison) -> Iterator[str]:
 
 def _in_words(number: Apart) -> Apart:
     """The size of an effect in the unit of reports: % of the mean F_z for 1e-3 of it."""
-    factor, unit = said_unit(number.unit)
+    factor, unit = readable_unit(number.unit)
     return number._replace(
         unit=unit,
         values={

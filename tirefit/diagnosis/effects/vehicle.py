@@ -137,7 +137,7 @@ def _within_the_past(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
-def said_of_motion(rows: "Prepared", rig: Rig) -> tuple[str, ...]:
+def notes_on_motion(rows: "Prepared", rig: Rig) -> tuple[str, ...]:
     """A sentence about a force if it was derived from the motion."""
     derived = rows.derived
     if derived is None:

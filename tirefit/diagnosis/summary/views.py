@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from tirefit.data.rig.levels import levels
 from tirefit.data.table import TireData
-from tirefit.diagnosis.effects.vehicle import said_of_motion
+from tirefit.diagnosis.effects.vehicle import notes_on_motion
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import POLICY
 from tirefit.diagnosis.engine.discrepancy import Component
@@ -87,7 +87,7 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         channels=base.rows.channels,
         assumptions=(*warnings, *data.source.notes, *rig.beside(data)),
         set_aside=data.first_masked(),
-        motion=said_of_motion(base.rows, rig),
+        motion=notes_on_motion(base.rows, rig),
     )
 
 

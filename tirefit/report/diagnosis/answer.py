@@ -145,8 +145,8 @@ def change_texts(result: Diagnosis) -> list[str]:
     significant first; only those that differ from the measurement."""
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
-    both, meanings = result.readings, {**result.meanings, **_SHORT}
-    if both and any(feature.id == "no_saturation" for feature in both.structure):
+    readings, meanings = result.readings, {**result.meanings, **_SHORT}
+    if readings and any(feature.id == "no_saturation" for feature in readings.structure):
         wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
     used, texts = _used_friction(result) if wrong else 0.0, []
     for name, change in wrong:
@@ -197,7 +197,7 @@ def _ratio_text(name: str, meaning: str, ratio: float, error: float, todo: str, 
 # --- both readings of a simulator -----------------------------------------------------
 
 
-def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
+def _of_readings(result: Diagnosis, readings: Readings, changed: str) -> str:
     """The answer on a simulator: its structure, then the reading that predicts data left out
     better, then a sentence on the other one.
 
@@ -205,46 +205,50 @@ def _of_readings(result: Diagnosis, both: Readings, changed: str) -> str:
         changed: the answer that the simulator with its parameters and effects changed gives.
     """
     unit = result.unit
-    rms, of_it = (format_number(x, 3) for x in (both.measured.rms_left_out, both.rms_changed))
+    rms, of_it = (
+        format_number(x, 3) for x in (readings.measured.rms_left_out, readings.rms_changed)
+    )
     parts = [
         f"The simulator's {words.channel_name(s.channel)} shows that {s.means}."
-        for s in both.structure
+        for s in readings.structure
     ]
-    simulated = both.simulator.effects if both.simulator else {}
+    simulated = readings.simulator.effects if readings.simulator else {}
     likely = {e: x for e, x in simulated.items() if (x.probability or 0.0) >= 0.5}
     if likely:
         shown = words.listing([words.sized_name(effect, x) for effect, x in likely.items()])
-        surplus = [words.name_of(e) for e in likely if e not in both.measured.effects]
+        surplus = [words.name_of(e) for e in likely if e not in readings.measured.effects]
         parts.append(f"The simulator's own forces show {shown}.")
         if surplus:
             parts.append(
                 f"The measured forces do not show {words.listing(surplus, 'or')}: take it out of"
                 " the simulator."
             )
-    fitted = f"A {both.model} with effects, fitted to the measured rows, predicts rows left out to"
+    fitted = (
+        f"A {readings.model} with effects, fitted to the measured rows, predicts rows left out to"
+    )
     fitted += f" {rms} {unit}"
-    if both.first == "changed":
+    if readings.first == "changed":
         parts.append(changed)
         if rms != of_it:
             parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
     else:
         why = "so the answer describes both the rows and the simulator by this model"
-        if both.gain <= both.gain_std:
+        if readings.gain <= readings.gain_std:
             why = "neither is better, and this model needs no stand-in for the simulator"
         parts += [
-            *_differences(result, both),
+            *_differences(result, readings),
             f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}:"
             f" {why}.",
         ]
     return " ".join(parts)
 
 
-def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
+def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
     """Sentences on parameters that differ, and on effects of one side alone."""
-    here, there = both.measured, both.simulator
+    here, there = readings.measured, readings.simulator
     wrong = []
     for name, measured in here.parameters.items():
-        simulated = _simulated(both, name)
+        simulated = _simulated(readings, name)
         if there is not None and name == SLOPE:
             continue  # it follows from the others
         if simulated is None or min(measured.value, simulated.value) <= 0:
@@ -267,35 +271,40 @@ def _differences(result: Diagnosis, both: Readings) -> Iterator[str]:
         yield f"The measured forces act like {words.listing(lacks)}."
 
 
-def _simulated(both: Readings, name: str) -> Estimate | None:
-    if both.simulator is not None:
-        return both.simulator.parameters[name]
-    slopes = [x.slope for x in both.structure if x.slope is not None and name == SLOPE]
+def _simulated(readings: Readings, name: str) -> Estimate | None:
+    if readings.simulator is not None:
+        return readings.simulator.parameters[name]
+    slopes = [x.slope for x in readings.structure if x.slope is not None and name == SLOPE]
     return Estimate(slopes[0], 0.0, "") if slopes else None
 
 
-def readings_section(both: Readings, unit: str) -> Section:
+def readings_section(readings: Readings, unit: str) -> Section:
     """Both described by one model: parameters, effects that help, error on data left out."""
-    table: list[tuple[str, ...]] = [(f"{both.model} with effects", "simulator", "measured")]
-    sides = [dict(side.effects) if side else {} for side in (both.simulator, both.measured)]
+    table: list[tuple[str, ...]] = [(f"{readings.model} with effects", "simulator", "measured")]
+    sides = [dict(side.effects) if side else {} for side in (readings.simulator, readings.measured)]
     pairs: dict[str, tuple[Estimate | None, ...]] = {}
-    pairs |= {name: (_simulated(both, name), x) for name, x in both.measured.parameters.items()}
+    pairs |= {
+        name: (_simulated(readings, name), x) for name, x in readings.measured.parameters.items()
+    }
     pairs |= {words.name_of(k): tuple(x.get(k) for x in sides) for k in sides[0] | sides[1]}
     for name, pair in pairs.items():
-        said = words.said_unit(next(filter(None, pair[::-1])).unit)[1]
+        said = words.readable_unit(next(filter(None, pair[::-1])).unit)[1]
         table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
-    left = (format_number(s.rms_left_out, 3) if s else "-" for s in (both.simulator, both.measured))
+    left = (
+        format_number(s.rms_left_out, 3) if s else "-"
+        for s in (readings.simulator, readings.measured)
+    )
     table.append((f"rms left out [{unit}]", *left))
     lines = []
     if any(sides):
         lines += ["in brackets: probability of an effect to be the cause"]
         lines += [
-            f"parameters: of the {both.model} without effects whose forces are nearest to these"
+            f"parameters: of the {readings.model} without effects whose forces are nearest to these"
         ]
-    for feature in both.structure:
+    for feature in readings.structure:
         lines += [f"{words.channel_name(feature.channel)} of the simulator: {feature.means}"]
         lines += [f"    to do: {feature.remedy}"]
-    if both.simulator is None and not both.structure:
+    if readings.simulator is None and not readings.structure:
         lines.append("the model cannot be fitted to the simulator's forces")
     return Section("Both described by one model", lines, table)
 
@@ -303,6 +312,6 @@ def readings_section(both: Readings, unit: str) -> Section:
 def _cell(number: Estimate | None) -> str:
     if number is None:
         return "-"
-    factor = words.said_unit(number.unit)[0]
+    factor = words.readable_unit(number.unit)[0]
     text = format_estimate(factor * number.value, factor * number.std or None)
     return text if number.probability is None else f"{text} ({number.probability:.2f})"

@@ -116,7 +116,7 @@ def _details(result: Diagnosis) -> list[Section]:
 def _run_lines(result: Diagnosis) -> Iterator[str]:
     """Differences between the runs of the file, one line for each kind of offset."""
     for kind, runs in result.runs.items():
-        factor, unit = words.said_unit(runs.unit)
+        factor, unit = words.readable_unit(runs.unit)
         common = f"{words.amount_text(runs.common, runs.std, runs.unit)} for all "
         if runs.unit == RELATIVE:  # what is common is the tire's own parameter
             common = ""

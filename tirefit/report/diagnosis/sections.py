@@ -219,7 +219,7 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
             yield f"    {_each_text(each)}"
         if groups := verdict.sizes.get(effect):
             # Those by the covariate over which they are most unequal.
-            by, (factor, unit) = groups[0], words.said_unit(size.unit if size else "")
+            by, (factor, unit) = groups[0], words.readable_unit(size.unit if size else "")
             pairs = zip(by.size, by.std, strict=True)
             each_size = ", ".join(format_estimate(factor * x, factor * std) for x, std in pairs)
             text = f"size by {words.covariate_text(by.covariate)}: {each_size} {unit}".rstrip()

@@ -204,7 +204,7 @@ def in_the_file(result: Diagnosis, amplitude: Amplitude) -> str:
     return f" ({text} in the file's signs, {result.data.convention})"
 
 
-def said_unit(unit: str) -> tuple[float, str]:
+def readable_unit(unit: str) -> tuple[float, str]:
     """A factor on amplitudes in the unit of an effect, and their readable unit: ``% of
     the mean F_z`` of ``1e-3 mean F_z``, ``per record`` of
     ``- per record``, ``/ g`` of ``1 / g``; empty of none."""
@@ -223,7 +223,7 @@ def amount_text(value: float, std: float | None, unit: str, digits: int = 4) -> 
         unit: of an effect.
         digits: significant ones, without a standard error.
     """
-    factor, tail = said_unit(unit)
+    factor, tail = readable_unit(unit)
     if std is None:
         return f"{format_number(factor * value, digits)} {tail}".rstrip()
     return f"{format_estimate(factor * value, factor * std)} {tail}".rstrip()
