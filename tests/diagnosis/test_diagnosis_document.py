@@ -1,6 +1,7 @@
 """The document of a diagnosis: its keys, and its next measurements."""
 
 import json
+from copy import copy
 from dataclasses import fields, is_dataclass, replace
 from itertools import combinations
 
@@ -16,8 +17,9 @@ from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.diagnosis.summary import forecast
-from tirefit.diagnosis.summary.forecast import _MOMENT, _changed, next_measurements
+from tirefit.diagnosis.summary.forecast import _MOMENT, _changed, _with_moment, next_measurements
 from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.models import Asymmetric, Brush, TireInputs, forces
 
 GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
@@ -160,7 +162,6 @@ def test_undecidable_pairs_have_a_next_measurement(studied, design):
             case.verdict, status=Status.CANNOT_TELL, key=(one,), also_possible=(other,)
         )
         steps = next_measurements(case.base, case.search, case.weighed, verdict)
-        steps = [step for step in steps if step.add != _MOMENT]  # which has no forecast
         for step in steps:
             assert 0 <= step.p_now + 0.02 < step.p_after <= 1
             assert set(step.separates) <= {*ids, "unknown"}
@@ -195,16 +196,48 @@ def test_other_speeds_are_those_of_rows_measured_there():
         np.testing.assert_allclose(found, getattr(right, name), rtol=1e-9, err_msg=name)
 
 
-def test_the_moment_is_advised_last_and_without_a_forecast(studied, monkeypatch):
-    """Where the record of a confused effect names it, and it is not measured yet."""
+def test_the_predicted_moment_agrees_with_the_model(studied):
+    """Tangents of M_z by the pressure's skewness, against the model's own M_z."""
+    base = studied("lateral, no M_z").base
+    n = base.rows.n
+    (k,) = (i for i, a in enumerate(base.atoms) if a.effect.id == "pressure_asymmetry")
+    _, columns = _with_moment(base, base.z)
+    values = base.tire.layout.natural(base.z)
+    slips, loads = base.rows.slip, base.rows.inputs.fz
+
+    def moment(d):
+        tire = Brush(cpa2=float(values["cpa2"]), mu=float(values["mu"]), pressure=Asymmetric(d))
+        return np.asarray(forces(tire, TireInputs(0.0, np.arctan(slips), loads, 10.0)).mz)
+
+    slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
+    ours = columns[n : 2 * n, k]
+    # Each load has another noise: the ratio is one number per load.
+    for fz in (2e3, 5e3):
+        rows = loads == fz
+        ratio = ours[rows] @ slope[rows] / (slope[rows] @ slope[rows])
+        assert ratio > 0
+        np.testing.assert_allclose(ours[rows], ratio * slope[rows], atol=3e-3 * np.abs(ours).max())
+
+
+def test_noisy_data_lower_the_use_of_measuring_the_moment(studied, monkeypatch):
     monkeypatch.setattr(forecast, "_FEW", 99)
     case = studied("lateral, no M_z")
-    pair = ("pressure_asymmetry", "carcass_flexibility")
-    verdict = replace(case.verdict, status=Status.CANNOT_TELL, key=pair[:1], also_possible=pair[1:])
-    *others, last = next_measurements(case.base, case.search, case.weighed, verdict)
-    assert last.add == _MOMENT and last.separates == pair and np.isnan(last.p_after)
-    assert 0.5 <= last.p_now <= 0.98
-    assert all(step.p_after > step.p_now for step in others)
-    measured = replace(case.base, rows=replace(case.base.rows, has=case.base.rows.has | {"mz"}))
-    steps = next_measurements(measured, case.search, case.weighed, verdict)
-    assert _MOMENT not in {step.add for step in steps}
+    verdict = replace(
+        case.verdict,
+        status=Status.CANNOT_TELL,
+        key=("pressure_asymmetry",),
+        also_possible=("carcass_flexibility",),
+    )
+
+    def chances(base):
+        search = copy(case.search)
+        search.subject = base
+        steps = next_measurements(base, search, case.weighed, verdict)
+        return {step.separates[1]: step.p_after for step in steps if step.add == _MOMENT}
+
+    sure = chances(case.base)["carcass_flexibility"]
+    scale = {c: 4 * v for c, v in case.base.design.scale.items()}
+    noisy = case.base.on(case.base.design._replace(scale=scale))
+    unsure = chances(noisy).get("carcass_flexibility", 0.5)
+    assert 0.5 <= unsure < sure <= 1
+    assert sure != 0.99

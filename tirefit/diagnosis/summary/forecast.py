@@ -2,6 +2,7 @@
 measurement would distinguish two effects, or a cause from a stand-in."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -85,13 +86,32 @@ def _block(base: Base, z: np.ndarray) -> _Block:
     return np.asarray(jacobian), np.asarray(columns)
 
 
+def _with_moment(base: Base, z: np.ndarray) -> _Block:
+    """Lateral runs at the slips and loads of these rows, with F_y and M_z measured. F_y has
+    the noise of the present force, M_z the same share of its peak. The contact length, a
+    factor on M_z, is unknown: it is the last column of the parameters."""
+    n, channels = base.rows.n, ("fy", "mz")
+    scale = np.asarray(base.design.scale[base.rows.channels[0]])
+    none = dict.fromkeys(channels, np.zeros_like(scale))
+    design = base.design._replace(observed=none, offset=none, scale=dict.fromkeys(channels, scale))
+    rows, tire = replace(base.rows, mode="y", channels=channels), replace(base.tire, mode="y")
+    lateral = replace(base, rows=rows, tire=tire, design=design)
+    force = lateral.forces(z, base.amplitudes())
+    peaks = {c: max(float(np.max(np.abs(f))), FLAT) for c, f in force.items()}
+    scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
+    jacobian, columns = _block(lateral.on(design._replace(scale=scales)), z)
+    length = np.append(np.zeros(n), force["mz"] / scales["mz"][:n])
+    return np.column_stack([jacobian, length]), columns
+
+
 def _told_apart(blocks: Sequence[_Block], *effects: tuple[int, float]) -> float:
     """Forecast probability of distinguishing two effects by all these measurements.
 
     Args:
         effects: (atom, amplitude in prior scales) of each.
     """
-    known = [jacobian for jacobian, _ in blocks]
+    width = max(jacobian.shape[1] for jacobian, _ in blocks)
+    known = [np.pad(x, ((0, 0), (0, width - x.shape[1]))) for x, _ in blocks]
     atoms, sizes = zip(*effects, strict=True)
     columns = np.concatenate([columns[:, atoms] for _, columns in blocks]) * sizes
     return separability(*without(columns, np.concatenate(known)).T)
@@ -181,24 +201,23 @@ def next_measurements(
     base: Base, search: Search, weighed: Weighed, verdict: Verdict
 ) -> tuple[NextMeasurement, ...]:
     """At most three further measurements, of as many rows as the file has, that would distinguish
-    confused effects, the largest gain first; the aligning moment, if the record of an effect names
-    it, is last and without a forecast."""
+    confused effects, the largest gain first."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
-    here, changes = _block(base, base.z), _changes(base.rows)
-    considered, moments = list[NextMeasurement](), list[NextMeasurement]()
+    here, changes, considered = _block(base, base.z), _changes(base.rows), list[NextMeasurement]()
 
     @cache
     def added(name: str) -> _Block:
+        if name == _MOMENT:
+            return _with_moment(base, z)
         return _block(_changed(base, changes[name]), z)
 
     for pair in _pairs(search, weighed, verdict, sizes):
         first, second = (sizes[name] for name in pair)
-        now = _told_apart([here], first, second)
+        now, names = _told_apart([here], first, second), list(changes)
         by = {base.atoms[k].effect.told_apart_by for k, _ in (first, second)}
-        gives = "mz" in by and "mz" not in base.rows.has and "mz" in modelled(base.tire.model)
-        if gives and now <= 1 - _WORTHWHILE:
-            moments.append(NextMeasurement(_MOMENT, pair, now, np.nan))
-        for name in changes:
+        if "mz" in by and "mz" not in base.rows.has and "mz" in modelled(base.tire.model):
+            names.append(_MOMENT)
+        for name in names:
             after = _told_apart([here, added(name)], first, second)
             considered.append(NextMeasurement(name, pair, now, after))
     for effect, claim in verdict.each.items():
@@ -212,4 +231,4 @@ def next_measurements(
     ranked = sorted(useful, key=lambda step: step.p_now - step.p_after)
     # One of them decides whether an effect is the cause, if any can.
     deciding = [step for step in ranked if UNKNOWN in step.separates][:1]
-    return tuple(dict.fromkeys([*deciding, *ranked, *moments]))[:_FEW]
+    return tuple(dict.fromkeys([*deciding, *ranked]))[:_FEW]
