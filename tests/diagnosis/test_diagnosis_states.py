@@ -179,3 +179,21 @@ def test_functions_follow_their_arguments():
     assert isinstance(xp.maximum(0.5, jnp.ones(2)), jax.Array)
     traced = jax.jit(lambda x: xp.clip(xp.log1p(x), 0.0, 0.5))(np.arange(3.0))
     np.testing.assert_allclose(traced, np.clip(np.log1p(np.arange(3.0)), 0.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("effect", "pattern", "field", "changed"),
+    [
+        ("slip_offset_run", "run_slip", "shift", lambda a, p: a * p),
+        ("force_offset_run", "run_force", "force", lambda a, p: 1e-3 * a * 4000.0 * p),
+        ("friction_run", "run_friction", "friction", lambda a, p: np.exp(a * p)),
+        ("stiffness_run", "run_stiffness", "stiffness", lambda a, p: np.exp(a * p)),
+    ],
+)
+def test_an_effect_of_runs_changes_one_field_by_its_pattern(effect, pattern, field, changed):
+    runs = np.array([-1.2, 0.3, 0.9])
+    rows = Covariates(**dict.fromkeys(Covariates._fields, 0.0) | {"load": 4000.0, pattern: runs})
+    (record,) = (e for e in EFFECTS if e.id == effect)
+    state, null = record.change(null_state(), 0.4, (), rows), null_state()
+    np.testing.assert_allclose(getattr(state, field), changed(0.4, runs), rtol=1e-14)
+    assert state._replace(**{field: getattr(null, field)}) == null

@@ -38,6 +38,7 @@ from tirefit.diagnosis.summary.result import (
 from tirefit.diagnosis.summary.views import DataSummary, Region, Shape, compared
 from tirefit.models import MODELS
 from tirefit.report.canvas import alone
+from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import answer, change_texts
 from tirefit.report.diagnosis.figures import (
     after_label,
@@ -442,6 +443,14 @@ def test_axes_contain_the_arrays():
     assert texts[2] == "+ load friction: 250 N, 94 % closed"
     upright = [line for line in axes.lines if len(set(line.get_xdata())) == 1]
     assert {line.get_xdata()[0] for line in upright} >= {230.0, 223.6}
+
+
+def test_covariates_have_words_and_units():
+    units = {"fz": "N", "v": "m/s", "gamma": "rad", "slip_rate": "1/s", "distance": "m"}
+    units |= {"slip": "", "front slip": "rad", "sigma_x": "", "a_y": "m/s2", "something": ""}
+    assert {name: words.covariate_unit(name) for name in units} == units
+    shown = [words.covariate_text(name) for name in ("slip_rate", "yaw rate", "something")]
+    assert shown == ["rate of the slip", "yaw rate", "something"]
 
 
 def test_the_ladder_is_legible_on_a_phone():

@@ -253,3 +253,12 @@ def test_a_fitted_tire_brakes_like_its_model():
         tirefit.brake(fit, values={"mu": 1.0}, **STOP)
     with pytest.raises(tirefit.UsageError, match="leave them out, or name a model"):
         given_tire(given_tire(fit), values={"mu": 1.0})
+
+
+def test_the_figure_of_many_fits_has_their_values_and_standard_deviations():
+    fits = many()
+    for axes, value, std in zip(fits.plot().axes, fits.values.T, fits.std.T, strict=True):
+        points, _, (bars,) = axes.containers[0]
+        np.testing.assert_array_equal(points.get_ydata(), value)
+        ends = [segment[:, 1] for segment in bars.get_segments()]
+        np.testing.assert_allclose(ends, np.stack([value - std, value + std], axis=1))
