@@ -131,7 +131,7 @@ def diagnose(
         sim = simulator_at(str(sim), signs=signs)
     otherwise = sim.otherwise if isinstance(sim, GivenSimulator) else None
     data = as_data(data, otherwise=otherwise)
-    several = holdout if isinstance(holdout, list | tuple) else [holdout]
+    several: Any = holdout if isinstance(holdout, list | tuple) else [holdout]
     others = [as_data(x, otherwise=otherwise) for x in several if x is not None]
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, others)
