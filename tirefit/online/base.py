@@ -17,12 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tirefit.arrays import Scalar, Tree
+from tirefit.arrays import Number, Scalar, Tree
 from tirefit.params import par
 
-Sample = Mapping[str, Float[Array, ""]]
+Sample = Mapping[str, Number]
 """Inputs of a method by canonical column, each the mean of ``count`` samples (a further
 key): noise of ``std`` in a sample is std / sqrt(count) here."""
+Condition = Bool[Array, ""] | bool
+"""Whether something holds."""
 
 
 class Flag(enum.Enum):
@@ -146,9 +148,7 @@ class AbstractEstimator(eqx.Module):
         """The state and the estimate after a usable sample."""
         raise NotImplementedError
 
-    def hold(
-        self, state: Any, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[Any, Estimate]:
+    def hold(self, state: Any, dt: Number, steps: Number) -> tuple[Any, Estimate]:
         """The state ``dt`` [s] after the previous row; ``steps`` samples were lost.
 
         It is called at every row, before a step if there is one.
@@ -183,9 +183,7 @@ class AbstractSingleSample(AbstractEstimator):
         after: Single = choose(usable, made, state)
         return after, Estimate(*after, flag, jnp.full((), jnp.nan))
 
-    def hold(
-        self, state: Single, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[Single, Estimate]:
+    def hold(self, state: Single, dt: Number, steps: Number) -> tuple[Single, Estimate]:
         return state, Estimate(*state, jnp.zeros((), int), jnp.full((), jnp.nan))
 
 
@@ -210,9 +208,15 @@ def nominal_stiffness() -> Any:
     return par(2.5e5, (1e-2, 1e9), "N", meaning, "S(47)", r"c_{p0} a^2", scale="log")
 
 
-def nominal_friction() -> Any:
+def nominal_friction(default: float = 0.98, source: str = "S(48)") -> Any:
     """Field of the expected friction."""
-    return par(0.98, (0.01, 5.0), "-", "expected friction", "S(48)", r"\mu_0")
+    return par(default, (0.01, 5.0), "-", "expected friction", source, r"\mu_0")
+
+
+def braking(sample: Sample) -> tuple[Number, Number]:
+    """Physical slip [-] and force [N] along it of a sample, as if it braked: both are odd."""
+    side = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0)
+    return side * sample["sigma_x"], side * sample["fx"]
 
 
 def force_noise(default: float = 0.0447, source: str = "S §5.1") -> Any:

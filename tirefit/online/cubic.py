@@ -64,8 +64,7 @@ class Cubic(AbstractSingleSample):
     least_use: float = base.excitation()
 
     def from_sample(self, sample: Sample) -> tuple[Single, Bool[Array, ""], Int[Array, ""]]:
-        sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
-        fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
+        (sigma, fx), fz = base.braking(sample), sample["fz"]
         cpa2 = jnp.asarray(self.cpa2, float)
         mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1))(fx, sigma, cpa2, fz)
         share = 1 / jnp.sqrt(sample["count"])

@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from tirefit.arrays import Number, Scalar
 from tirefit.models import Asymmetric, Brush
@@ -67,9 +67,7 @@ class Ekf(AbstractEstimator):
         return tire.pure(sigma, fz, 0.0)[0]
 
     def step(self, state: EkfState, sample: Sample) -> tuple[EkfState, Estimate]:
-        count = sample["count"]
-        sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
-        fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
+        (sigma, fx), fz, count = base.braking(sample), sample["fz"], sample["count"]
         predicted = self.force(state.x, sigma, fz)
         by_state, by_slip = jax.jacfwd(self.force, argnums=(0, 1))(state.x, sigma, fz)
         noise = ((self.force_noise * fz) ** 2 + (self.slip_noise * by_slip) ** 2) / count
@@ -99,9 +97,7 @@ class Ekf(AbstractEstimator):
     def _prior(self) -> Float[Array, "2 2"]:
         return jnp.diag(base.floats(self.prior_cpa2, self.prior_mu) ** 2)
 
-    def _estimate(
-        self, state: EkfState, idle: Bool[Array, ""] | bool, surprise: Scalar
-    ) -> Estimate:
+    def _estimate(self, state: EkfState, idle: base.Condition, surprise: Scalar) -> Estimate:
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))
         relative = (widened * jnp.sqrt(jnp.diag(state.covariance)))[::-1]
         value = jnp.exp(state.x)[::-1]

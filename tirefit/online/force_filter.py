@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.arrays import Scalar
+from tirefit.arrays import Number, Scalar
 from tirefit.data.table import WHEELS
 from tirefit.online.base import Estimate, Method, Sample, choose, floats
 from tirefit.online.vehicle import (
@@ -52,10 +52,10 @@ class ForceState(NamedTuple):
     covariance: Float[Array, "14 14"]
     log_weight: Float[Array, " j"]  # ln of the hypotheses' weights
     inputs: Float[Array, "5"]  # the last torques and steering angle
-    waited: Float[Array, ""]  # [s] since then
-    surprises: Float[Array, ""]  # sum over ``seconds``, times dt
-    seconds: Float[Array, ""]  # [s] not reported yet
-    square: Float[Array, ""]  # mean square of those reported recently
+    waited: Number  # [s] since then
+    surprises: Number  # sum over ``seconds``, times dt
+    seconds: Number  # [s] not reported yet
+    square: Number  # mean square of those reported recently
 
 
 class ForceFilter(AbstractVehicleMethod):
@@ -106,9 +106,7 @@ class ForceFilter(AbstractVehicleMethod):
             jnp.ones(()),
         )
 
-    def hold(
-        self, state: ForceState, dt: Float[Array, ""], steps: Float[Array, ""]
-    ) -> tuple[ForceState, Estimate]:
+    def hold(self, state: ForceState, dt: Number, steps: Number) -> tuple[ForceState, Estimate]:
         keep = jnp.exp(-dt / self.memory)
         mixed = keep * jnp.exp(state.log_weight) + (1 - keep) / len(HYPOTHESES)
         held = state._replace(waited=state.waited + dt, log_weight=jnp.log(mixed))
@@ -159,9 +157,7 @@ class ForceFilter(AbstractVehicleMethod):
         forces = [sample[name] / self.radius for name in _TORQUES]
         return jnp.stack([*motion, *wheels, *forces, side * self.l_r, side * self.l_f])
 
-    def pushed(
-        self, x: Float[Array, "14"], steering: Float[Array, ""]
-    ) -> tuple[Array, Array, Array]:
+    def pushed(self, x: Float[Array, "14"], steering: Number) -> tuple[Array, Array, Array]:
         """Accelerations a_x, a_y [m/s2] and yaw acceleration [rad/s2] of the forces."""
         along, front, rear = x[8:12], x[12], x[13]
         cos, sin = jnp.cos(steering), jnp.sin(steering)
@@ -190,7 +186,7 @@ class ForceFilter(AbstractVehicleMethod):
         stds += [self.gyro_std, self.v_std]
         return floats(*stds) ** 2
 
-    def _predicted(self, state: ForceState, dt: Float[Array, ""]) -> ForceState:
+    def _predicted(self, state: ForceState, dt: Number) -> ForceState:
         def ahead(x: Float[Array, "14"]) -> Float[Array, "14"]:
             half = x + dt / 2 * self.rates(x, state.inputs)
             return x + dt * self.rates(half, state.inputs)
@@ -234,9 +230,7 @@ class ForceFilter(AbstractVehicleMethod):
         y = load * share.y
         return jnp.concatenate([load * share.x, jnp.stack([y[0] + y[1], y[2] + y[3]])])
 
-    def _weighed(
-        self, state: ForceState, dt: Float[Array, ""]
-    ) -> tuple[Float[Array, " j"], Float[Array, ""]]:
+    def _weighed(self, state: ForceState, dt: Number) -> tuple[Float[Array, " j"], Number]:
         """ln of the weights after one sample, and the surprise of the expected mu."""
         load = self.mass * GRAVITY
         model = self.tire_error * load * jnp.array([0.25] * 4 + [0.5] * 2)
@@ -251,7 +245,7 @@ class ForceFilter(AbstractVehicleMethod):
             root = jnp.linalg.cholesky(spread)
             return jax.scipy.linalg.solve_triangular(root, error, lower=True), root
 
-        def log_likelihood(mu: Scalar) -> Float[Array, ""]:
+        def log_likelihood(mu: Scalar) -> Number:
             z, root = whitened(mu)
             return -0.5 * z @ z - jnp.sum(jnp.log(jnp.diag(root)))
 

@@ -51,12 +51,12 @@ def regressors(sample: Sample, cpa2: float, mu: float, d: float, third: float = 
         d: asymmetry of the pressure, in [-1/3, 1).
         third: factor on the third term; 0 keeps only two terms, S section 5.4.
     """
-    side = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0)
+    sigma, fx = base.braking(sample)
     q = 1 / (1 - d)
-    u0 = 2 * cpa2 * side * sample["sigma_x"] / sample["fz"]
+    u0 = 2 * cpa2 * sigma / sample["fz"]
     u1 = -q / (3 * mu) * u0 * u0
     u2 = third * (1 + 3 * d) * q * q * q / (27 * mu * mu) * u0 * u0 * u0
-    return Regressors(side * sample["fx"] / sample["fz"], u0, u1, u2)
+    return Regressors(fx / sample["fz"], u0, u1, u2)
 
 
 def limited(theta: Float[Array, "2"]) -> Float[Array, "2"]:
@@ -117,8 +117,8 @@ class AbstractRegression(AbstractEstimator):
         self,
         theta: Float[Array, "2"],
         covariance: Float[Array, "2 2"],
-        idle: Bool[Array, ""] | bool,
-        slides: Bool[Array, ""] | bool,
+        idle: base.Condition,
+        slides: base.Condition,
         surprise: Scalar,
     ) -> Estimate:
         """mu and c_p a^2 by S(47)-(48), their stds by the delta method.

@@ -16,10 +16,10 @@ from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from tirefit.arrays import Number, Scalar
-from tirefit.online.base import Estimate, Method, Sample, choose, floats, widest
+from tirefit.online.base import Condition, Estimate, Method, Sample, choose, floats, widest
 from tirefit.online.regression import AbstractRegression, corrected, limited
 from tirefit.params import par
 
@@ -32,8 +32,8 @@ class RlsState(NamedTuple):
     of_y: Float[Array, "2"]
     of_u2: Float[Array, "2"]
     p: Float[Array, "2 2"]
-    squares: Float[Array, ""]
-    weight: Float[Array, ""]
+    squares: Number
+    weight: Number
 
 
 class Rls(AbstractRegression):
@@ -116,11 +116,7 @@ class Rls(AbstractRegression):
         return p * jnp.clip(room, 1.0, growth)
 
     def _estimate(
-        self,
-        s: RlsState,
-        idle: Bool[Array, ""] | bool,
-        slides: Bool[Array, ""] | bool,
-        surprise: Scalar,
+        self, s: RlsState, idle: Condition, slides: Condition, surprise: Scalar
     ) -> Estimate:
         ratio = s.theta[1] / s.theta[0]
         slope = jnp.stack([-(ratio**2), 2 * ratio])  # of theta_2 over theta
@@ -197,11 +193,7 @@ class Mit(AbstractRegression):
         return state, self._estimate(state, False, False, jnp.nan)
 
     def _estimate(
-        self,
-        s: MitState,
-        idle: Bool[Array, ""] | bool,
-        slides: Bool[Array, ""] | bool,
-        surprise: Scalar,
+        self, s: MitState, idle: Condition, slides: Condition, surprise: Scalar
     ) -> Estimate:
         missed = self.offset**2 * jnp.outer(s.by_offset, s.by_offset)
         return self.estimate(s.theta, s.covariance + missed, idle, slides, surprise)

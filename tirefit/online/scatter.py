@@ -16,8 +16,9 @@ serve the f1tenth logs as well.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
+from tirefit.arrays import Number
 from tirefit.online.base import RESOLVED, AbstractEstimator, Estimate, Flag, code
 
 MODEL = 0.05
@@ -28,13 +29,13 @@ differ by 3 to 6 % on the f1tenth and DART cars."""
 class Scatter(NamedTuple):
     """Recent estimates of mu, weighted by time, age and their own standard deviation."""
 
-    mean: Float[Array, ""] | float = 0.0  # [-] since the last detected change
-    square: Float[Array, ""] | float = 0.0  # sum of squared deviations from the mean of their time
-    weight: Float[Array, ""] | float = 0.0  # sum of the weights of all
-    level: Float[Array, ""] | float = 0.0  # sum of the weights since the last change
+    mean: Number | float = 0.0  # [-] since the last detected change
+    square: Number | float = 0.0  # sum of squared deviations from the mean of their time
+    weight: Number | float = 0.0  # sum of the weights of all
+    level: Number | float = 0.0  # sum of the weights since the last change
 
     @property
-    def variance(self) -> Float[Array, ""]:
+    def variance(self) -> Number:
         """Weighted mean square deviation [-] of the recent estimates; 0 before the first."""
         return self.square / jnp.where(self.weight > 0, self.weight, 1.0)
 
@@ -54,7 +55,7 @@ def reported(
     estimator: AbstractEstimator,
     scatter: Scatter,
     estimate: Estimate,
-    dt: Float[Array, ""],
+    dt: Number,
     changed: Bool[Array, ""],
 ) -> tuple[Scatter, Estimate]:
     """The scatter after a row, and the estimate with the reported standard deviation of mu.

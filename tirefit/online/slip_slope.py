@@ -141,9 +141,7 @@ class SlipSlope(AbstractEstimator):
         """Variance of the error of one sample on a smooth road."""
         return self.slip_noise**2 + (self.force_noise * inverse) ** 2
 
-    def _estimate(
-        self, s: SlipSlopeState, unused: Bool[Array, ""] | bool, surprise: Scalar
-    ) -> Estimate:
+    def _estimate(self, s: SlipSlopeState, unused: base.Condition, surprise: Scalar) -> Estimate:
         sane = s.x[0] > 0
         inverse = jnp.where(sane, s.x[0], 1.0)
         inverse_std, offset_std = jnp.sqrt(jnp.diag(s.covariance))
