@@ -12,7 +12,7 @@ import pickle
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import chdir, closing, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, chdir, closing, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import count
@@ -182,18 +182,13 @@ def _shared_outcomes(
                     yield outcome
     finally:
         for piece in left.values():  # after an interrupt: remove half-written results
-            _sweep(piece)
+            swept(piece.to)
     write_fleet_page(records, out / PAGE, title)
     say(f"all results: {out / TABLE}, {out / PAGE}")
 
 
-def _sweep(piece: Piece) -> None:
-    if isinstance(piece.to, Path):  # a folder for this file
-        swept(piece.to)
-
-
 def _lost(piece: Piece) -> Outcome:
-    _sweep(piece)
+    swept(piece.to)
     reason = "the workers that had this file died, each time that it was tried"
     remedy = "free memory if it is short, or run the command on this file only, without workers"
     problem = error_text(DataError(reason, remedy, str(piece.file)))
@@ -239,40 +234,29 @@ def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
         raise UsageError(InputProblem(reason, "pip install 'tirefit[cluster]'")) from error
     # Its messages are for the administrator of a cluster; the errors below are for users.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    if scheduler is not None:
-        with _connected(scheduler) as client:
-            yield client
-        return
-    with (
-        dask.config.set(_LOCAL),
-        LocalCluster(
-            n_workers=jobs,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as workers,
-        Client(workers, set_as_default=False) as client,
-    ):
+    with ExitStack() as opened:
+        address: Any = scheduler
+        if scheduler is None:
+            opened.enter_context(dask.config.set(_LOCAL))
+            one_thread = {"n_workers": jobs, "threads_per_worker": 1}
+            here = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
+            address = LocalCluster(**one_thread, **here, silence_logs=logging.CRITICAL)
+            opened.enter_context(address)
+        try:
+            client = Client(address, timeout=_CONNECT, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            reason = f"--scheduler: no scheduler answers at {address}"
+            remedy = "start one with `dask scheduler`; it prints its address"
+            raise UsageError(reason, remedy) from error
+        opened.enter_context(client)
+        try:
+            if scheduler is not None:
+                client.wait_for_workers(1, timeout=_CONNECT)
+        except TimeoutError:
+            reason = f"--scheduler: the scheduler at {address} has no worker"
+            remedy = f"start some: dask worker {address} --nthreads 1 --nworkers auto"
+            raise UsageError(reason, remedy) from None
         yield client
-
-
-def _connected(address: str) -> Any:
-    from distributed import Client
-
-    remedy = "start one with `dask scheduler`; it prints its address"
-    try:
-        client = Client(address, timeout=_CONNECT, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        raise UsageError(f"--scheduler: no scheduler answers at {address}", remedy) from error
-    try:
-        client.wait_for_workers(1, timeout=_CONNECT)
-    except TimeoutError:
-        client.close()
-        reason = f"--scheduler: the scheduler at {address} has no worker"
-        remedy = f"start some: dask worker {address} --nthreads 1 --nworkers auto"
-        raise UsageError(reason, remedy) from None
-    return client
 
 
 def shared(
@@ -336,16 +320,7 @@ def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome
         of_command: working directory and version of the command.
         content: the work with what all files share, as bytes.
     """
-    output, complained = Unheard(), Unheard()
-    with _ALONE, redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
-        with _where_the_command_runs(*of_command):
-            code, record = _attempted(_unpacked(content), piece)
-        notes = tuple(held)
-        held.clear()
-    return Outcome(code, record, output.getvalue(), complained.getvalue(), notes)
-
-
-def _where_the_command_runs(folder: str, version: str) -> chdir[str]:
+    folder, version = of_command
     if version != __version__:
         reason = f"a worker runs tirefit {__version__}, the command {version}"
         raise UsageError(reason, "install the same for all workers")
@@ -353,4 +328,10 @@ def _where_the_command_runs(folder: str, version: str) -> chdir[str]:
         reason = f"a worker does not see the folder of the command, {folder}"
         remedy = "run workers where it is mounted: they read files and write results"
         raise UsageError(reason, remedy)
-    return chdir(folder)
+    output, complained = Unheard(), Unheard()
+    with _ALONE, redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
+        with chdir(folder):
+            code, record = _attempted(_unpacked(content), piece)
+        notes = tuple(held)
+        held.clear()
+    return Outcome(code, record, output.getvalue(), complained.getvalue(), notes)

@@ -6,7 +6,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, fields
@@ -32,20 +32,20 @@ CONTEXT: ContextVar[Any] = ContextVar("CONTEXT", default=None)
 """The command that runs, with the values of its options; None in a worker."""
 
 
-def named_path(text: str) -> Path:
-    """The path of an option. An empty name (an unset shell variable) is an error."""
-    if not text:
-        raise typer.BadParameter("it is empty: give a name")
-    return Path(text)
-
-
 def option(metavar: str, help: str, *flags: str, **how: Any) -> Any:
     """An option; its name is that of the parameter unless ``flags`` give it."""
     return typer.Option(*flags, metavar=metavar or None, help=help, **how)
 
 
 def path_option(metavar: str, help: str) -> Any:
-    """An option that takes the path of a file or folder."""
+    """An option that takes the path of a file or folder; an empty name (an unset variable of the
+    shell) is an error."""
+
+    def named_path(text: str) -> Path:
+        if not text:
+            raise typer.BadParameter("it is empty: give a name")
+        return Path(text)
+
     return option(metavar, help, parser=named_path)
 
 
@@ -215,6 +215,18 @@ def pairs(option: str, items: list[str] | None) -> dict[str, str]:
     return given
 
 
+def settings_of(**items: list[str] | None) -> list[dict[str, float]]:
+    """Values of several NAME=VALUE options, given by their names without the hyphens.
+
+    Raises:
+        UsageError: options that are not pairs, or without a number; it lists all of them.
+    """
+    problems: list[InputProblem] = []
+    values = [numbers(f"--{name}", texts, problems) for name, texts in items.items()]
+    UsageError.raise_for(problems)
+    return values
+
+
 def numbers(option: str, items: list[str] | None, problems: list[InputProblem]) -> dict[str, float]:
     """Values of NAME=VALUE options; faults are added to ``problems``."""
     value_of = {}
@@ -312,6 +324,12 @@ def complain(text: str) -> None:
         typer.echo(_printable(text), err=True)
 
 
+def warn_of(warnings: Iterable[str], source: object = "") -> None:
+    """Print warnings, after the name of the file that they are about."""
+    for text in warnings:
+        complain(f"warning: {source}: {text}" if source else f"warning: {text}")
+
+
 def _printable(text: str) -> str:
     """Replace characters of a file that would control the terminal."""
     return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
@@ -322,33 +340,25 @@ def errors_to_exit() -> Iterator[None]:
     """Print the message of a user's error and exit with its code."""
     try:
         yield
-    except TirefitError as error:
-        complain(error_text(error))
-        raise typer.Exit(error.exit_code) from None
     except BrokenPipeError:
         raise typer.Exit(ExitCode.OK) from None
-    except OSError as error:
+    except (TirefitError, OSError) as error:
         complain(error_text(error))
-        raise typer.Exit(ExitCode.USAGE) from None
-
-
-_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
-
-def _unwritten(error: OSError) -> InputProblem:
-    """The problem of a file that could not be written, with what it holds now."""
-    cause = " ".join((error.strerror or str(error)).split())[:200]
-    there = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
-    room = "make room" if error.errno in _ROOM else "check that it can be written to"
-    file = error.filename or "a file or the output"
-    remedy = f"{room}, or choose another place"
-    return InputProblem(f"cannot be written: {cause}{there}", remedy, str(file))
+        code = error.exit_code if isinstance(error, TirefitError) else ExitCode.USAGE
+        raise typer.Exit(code) from None
 
 
 def error_text(error: TirefitError | OSError) -> str:
-    """Print all problems, each with its place and remedy."""
+    """All problems, each with its place and remedy; of a file that could not be written, also
+    what it holds now."""
     if isinstance(error, OSError):
-        return f"error:\n  {_unwritten(error)}"
+        cause = " ".join((error.strerror or str(error)).split())[:200]
+        notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        remedy = "make room" if is_full else "check that it can be written to"
+        file = str(error.filename or "a file or the output")
+        reason = f"cannot be written: {cause}{notes}"
+        return f"error:\n  {InputProblem(reason, f'{remedy}, or choose another place', file)}"
     count = len(error.problems)
     head = "error" if count == 1 else f"error: {count} problems"
     return "\n".join([f"{head}:"] + [f"  {problem}" for problem in error.problems])

@@ -235,8 +235,11 @@ def say_written(out: Path, written: Iterable[str]) -> None:
     say(f"wrote to {out}: {', '.join(written)}")
 
 
-def swept(directory: Path) -> None:
-    """Remove half-written results of a killed process, and the directory if it is then empty."""
+def swept(directory: object) -> None:
+    """Remove half-written results of a killed process, and the directory if it is then empty;
+    nothing if results are named, without a folder for this file."""
+    if not isinstance(directory, Path):
+        return
     for left in directory.glob(f"{WRITING}*"):
         shutil.rmtree(left, ignore_errors=True)
     with suppress(OSError):  # not empty, or not there
@@ -246,11 +249,6 @@ def swept(directory: Path) -> None:
 def digest(*asked: Any) -> str:
     """Digest of everything that a result depends on, and of the version of tirefit."""
     return hashlib.sha256(json.dumps([*asked, __version__]).encode()).hexdigest()
-
-
-def are_whole(files: Iterable[Path]) -> bool:
-    """Whether all files exist, and none is empty, as after a crash of the machine."""
-    return all(path.is_file() and path.stat().st_size for path in files)
 
 
 def done_before(
@@ -263,7 +261,8 @@ def done_before(
         record_of: makes the record of the path of a document; it raises an error for a
             document that is not as it was written.
     """
-    if not are_whole(files):
+    # None is empty, as after a crash of the machine.
+    if not all(path.is_file() and path.stat().st_size for path in files):
         return None
     try:
         content = json.loads(document.read_text(encoding="utf-8"))
@@ -274,12 +273,9 @@ def done_before(
         return None
 
 
-_SCHEMA = re.compile(rb"tirefit\.\w+/\d")
-
-
 def is_page(path: Path) -> bool:
     """Whether an earlier command wrote this page, and not the user."""
     try:
-        return bool(_SCHEMA.search(path.read_bytes()))
+        return bool(re.search(rb"tirefit\.\w+/\d", path.read_bytes()))
     except OSError:
         return False

@@ -22,6 +22,7 @@ from tirefit.display import Record
 from tirefit.door import RECORD, content_of
 from tirefit.fitting.result import TRAJECTORY
 from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.targets.code import comments
 from tirefit.targets.parameters import number, one_line, vehicle_of
 from tirefit.vehicle.trajectory import TrajectoryFit
 
@@ -45,15 +46,13 @@ class _Key(NamedTuple):
     at_least_zero: bool = False  # whether Autoware's value cannot be negative
 
 
-_STEP = "half a step of Autoware's simulator, 0.025 s"
-_LIMIT = "a quarter of the MPC's steering_offset_limit, 0.02 rad"
+_STEP = 0.0125, "half a step of Autoware's simulator, 0.025 s"
+_LIMIT = 0.005, "a quarter of the MPC's steering_offset_limit, 0.02 rad"
 _KEYS = {
-    "steering_delay": _Key(("steer_time_delay", "input_delay"), 0.0125, _STEP, 1.0, True),
-    "steering_lag": _Key(
-        ("steer_time_constant", "vehicle_model_steer_tau"), 0.0125, _STEP, 1.0, True
-    ),
-    "steering_offset": _Key(("steer_bias",), 0.005, _LIMIT, -1.0),
-    "steering_play": _Key(("steer_dead_band",), 0.005, _LIMIT, 1.0, True),
+    "steering_delay": _Key(("steer_time_delay", "input_delay"), *_STEP, 1.0, True),
+    "steering_lag": _Key(("steer_time_constant", "vehicle_model_steer_tau"), *_STEP, 1.0, True),
+    "steering_offset": _Key(("steer_bias",), *_LIMIT, -1.0),
+    "steering_play": _Key(("steer_dead_band",), *_LIMIT, 1.0, True),
     "steering_ratio": _Key(("debug_steer_scaling_factor",), 0.025, "95 % within 5 %"),
 }
 """Quantity -> its keys. The names are those of the parameters that the nodes declare, in
@@ -175,7 +174,7 @@ def _autoware(source: Any, vehicle: Any, first: str) -> tuple[str, tuple[str, ..
         )
     notes.append("the simulator's car has no tire slip: it turns by speed tan(steer) / wheel_base")
     above = one_line([first, f"car: {where}; value +- standard error", *notes])
-    text = "\n".join([*(f"# {line}" for line in above), "/**:", "  ros__parameters:", *lines, ""])
+    text = "\n".join([comments(above), "/**:", "  ros__parameters:", *lines, ""])
     return text, tuple(notes)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from tirefit.params import parameter_values
 from tirefit.slip import CONVENTIONS
 from tirefit.targets.program import Program, Term
-from tirefit.targets.tire import ALWAYS, INPUTS, QUANTITIES, Tire
+from tirefit.targets.tire import ALWAYS, INPUTS, QUANTITIES, Tire, sign_of
 
 
 class Language(NamedTuple):
@@ -49,7 +49,7 @@ def _in_c(value: float) -> str:
     return f"TIREFIT_C({text.replace('inf', 'INFINITY').replace('nan', 'NAN')})"
 
 
-TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
+_TRUTHS = frozenset({"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not"})
 """Operations whose result is true or false."""
 
 C = Language(
@@ -60,7 +60,7 @@ C = Language(
         "sign": "(tirefit_real)(({0} > 0) - ({0} < 0))", "where": "({0} ? {1} : {2})",
         "and": "({0} && {1})", "or": "({0} || {1})", "not": "!{}",
     },
-    _in_c, "const tirefit_real {name} = {value};", TRUTHS,
+    _in_c, "const tirefit_real {name} = {value};", _TRUTHS,
 )  # fmt: skip
 
 NUMPY = Language(
@@ -152,29 +152,31 @@ class Draft(NamedTuple):
     wheel: Mapping[str, float] = MappingProxyType({})  # what was given of the wheel, in SI units
 
 
-def _comments(lines: Iterable[str]) -> str:
+def comments(lines: Iterable[str]) -> str:
+    """Lines as comments of Python and YAML."""
     return "\n".join(f"# {line}" for line in lines)
 
 
 def numpy_source(draft: Draft) -> str:
     """A Python module with one function of arrays; it needs only NumPy."""
-    function = "\n".join(_numpy_function(draft.forces, draft.name))
-    return f"{_comments(draft.above)}\n\nimport numpy as np\n\n\n{function}\n"
+    function = _numpy_function(draft.forces, draft.name)
+    return f"{comments(draft.above)}\n\nimport numpy as np\n\n\n{function}\n"
 
 
-def _numpy_function(program: Program, name: str) -> list[str]:
-    return [
+def _numpy_function(program: Program, name: str) -> str:
+    lines = [
         f"def {name}({', '.join(program.inputs)}):",
         f'    """Forces ({", ".join(program.outputs)}) of arrays or numbers."""',
         *body(program, NUMPY),
         f"    return ({', '.join(results(program, NUMPY))},)",
     ]
+    return "\n".join(lines)
 
 
 def compiled(program: Program) -> Callable[..., Any]:
     """A program as a Python function of numbers or arrays that returns a tuple."""
     scope: dict[str, Any] = {"np": np}
-    exec("\n".join(_numpy_function(program, "force")), scope)
+    exec(_numpy_function(program, "force"), scope)
     return scope["force"]
 
 
@@ -203,7 +205,7 @@ def casadi_source(draft: Draft) -> str:
     program, inputs = draft.forces, draft.forces.inputs
     lines = [*(f"    {name} = ca.SX.sym({name!r})" for name in inputs), *body(program, CASADI)]
     return _CASADI.format(
-        above=_comments(draft.above), lines="\n".join(lines), name=draft.name,
+        above=comments(draft.above), lines="\n".join(lines), name=draft.name,
         given=", ".join(inputs), found=", ".join(results(program, CASADI)),
         inputs=list(inputs), outputs=list(program.outputs),
     )  # fmt: skip
@@ -212,7 +214,7 @@ def casadi_source(draft: Draft) -> str:
 def vectors(draft: Draft) -> list[str]:
     """Test vectors of a file: inputs and forces, one per line."""
     program, force = draft.forces, compiled(draft.forces)
-    load = CONVENTIONS[draft.convention].fz * draft.tire.load
+    load = sign_of(draft.convention, "fz") * draft.tire.load
     lines, names = [], tuple(program.outputs)
     for kappa, alpha, share in _VECTORS:
         at = {"kappa": kappa, "alpha": alpha, "fz": share * load}
@@ -344,7 +346,7 @@ def jax_source(draft: Draft) -> str:
         program="\n".join(textwrap.wrap(text, 88)), name=draft.name,
         inputs=", ".join(names), outputs=", ".join(draft.forces.outputs),
     )  # fmt: skip
-    return f"{_comments(above)}\n\n{loader}"
+    return f"{comments(above)}\n\n{loader}"
 
 
 _WIDE, _MANY = 0.2, 3.0
@@ -380,7 +382,7 @@ def sysid_parameters(geoms):
 def mujoco_source(draft: Draft) -> str:
     """A Python module: the forces by NumPy, and the parameter of ``mujoco.sysid``."""
     tire, names = draft.tire, list(draft.forces.outputs)
-    at = {"fz": CONVENTIONS[draft.convention].fz * tire.load, "v": tire.speed}
+    at = {"fz": sign_of(draft.convention, "fz") * tire.load, "v": tire.speed}
     slip, peak = np.linspace(0.0, 0.95, 191), 0.0
     for force, its_slip in (("fx", "kappa"), ("fy", "alpha")):
         if force in names:

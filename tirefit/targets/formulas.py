@@ -4,7 +4,7 @@ A :class:`Formula` is the force that a simulator computes from the parameters of
 :mod:`tirefit.targets.refit` fits these parameters to an exported tire.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from tirefit.models.magic_formula import MagicFormula, bent
 from tirefit.models.mf import MFTire
 from tirefit.slip import CONVENTIONS, Convention, sigma_from_kappa
 from tirefit.targets.program import Program, traced
-from tirefit.targets.tire import ALWAYS, INPUTS
+from tirefit.targets.tire import ALWAYS, INPUTS, sign_of
 
 Values = Mapping[str, Any]
 """Parameter -> value."""
@@ -57,19 +57,17 @@ class Formula:
         """Forces [N] at canonical slips, in canonical signs."""
         signs = self.signs
         forces = self.forces(values, signs.slip * kappa, signs.alpha * alpha, fz)
-        return self._signed(forces, signs)
-
-    def _signed(self, forces: Iterable[Numbers], signs: Convention) -> tuple[Any, ...]:
         pairs = zip(self.outputs, forces, strict=True)
         return tuple(getattr(signs, name) * force for name, force in pairs)
 
     def program(self, values: Values, convention: str) -> Program:
         """The formula with these values as a program in a sign convention."""
-        signs = CONVENTIONS[convention]
+        slip, side, load = (sign_of(convention, name) for name in INPUTS[:ALWAYS])
 
         def function(kappa: Numbers, alpha: Numbers, fz: Numbers) -> tuple[Numbers, ...]:
-            at = signs.slip * kappa, signs.alpha * alpha, signs.fz * fz
-            return self._signed(self.canonical(values, *at), signs)
+            forces = self.canonical(values, slip * kappa, side * alpha, load * fz)
+            pairs = zip(self.outputs, forces, strict=True)
+            return tuple(sign_of(convention, name) * force for name, force in pairs)
 
         return traced(function, INPUTS[:ALWAYS], self.outputs)
 
@@ -93,8 +91,7 @@ def magic_formula_of(
     side, shape = y.pure(at, scale, fz0), y.PCY1 * scale.LCY
     # In ISO-W axes the cornering stiffness is negative.
     slope = abs(side.stiffness) / (shape * side.mu)
-    names = "RBX1 RBX2 RCX1 REX1 RHX1 RBY1 RBY2 RBY3 RCY1 REY1 RHY1"
-    names += " RVY1 RVY4 RVY5 RVY6"
+    names = "RBX1 RBX2 RCX1 REX1 RHX1 RBY1 RBY2 RBY3 RCY1 REY1 RHY1 RVY1 RVY4 RVY5 RVY6"
     weights = {n: float(getattr(y if n[2] == "Y" else x, n)) for n in names.split()}
     weights["PHX1"] = float(x.PHX1 * scale.LHX)
     return along, _floats(slope, shape, side.mu, y.PEY1 * scale.LEY), weights

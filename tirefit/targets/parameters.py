@@ -16,6 +16,7 @@ from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.door import read_toml
 from tirefit.results import InputProblem, UsageError
 from tirefit.settings import parse_settings
+from tirefit.targets.code import comments
 from tirefit.targets.formulas import COMMONROAD, GAZEBO, PACEJKA, SLIPX, Formula
 from tirefit.targets.refit import MOST, Ranges, Refit, beyond_measured, percent, ranges_of, refit
 from tirefit.targets.shape import Shape, shape_of
@@ -226,8 +227,7 @@ def parameter_text(
         notes.append(f"warning: {missed}")
     text = kind.write(sheet)
     if not isinstance(text, str):
-        lines = [*(f"# {line}" for line in sheet.above), *_yaml(text)]
-        text = "\n".join(lines) + "\n"
+        text = "\n".join([comments(sheet.above), *_yaml(text), ""])
     return text, Shape(tuple(sentences), tuple(failed), curves), tuple(notes)
 
 
@@ -264,19 +264,6 @@ def _yaml(content: Mapping[str, Any], indent: str = "") -> list[str]:
 
 
 _CAR = "m=mass lf=l_f lr=l_r I_z=yaw_inertia h_s=h_cg"
-
-
-def _gymkhana_stp(sheet: Sheet) -> dict[str, Any]:
-    axles = zip("fr", sheet.fits, strict=True)
-    tire = {f"{k}_{axle}": value for axle, fit in axles for k, value in fit.values.items()}
-    return {"mu": 1.0, **tire, **sheet.car(_CAR)}
-
-
-def _forzaeth(sheet: Sheet) -> dict[str, Any]:
-    axles = zip("fr", sheet.fits, strict=True)
-    tire = {f"C_P{axle}": list(fit.values.values()) for axle, fit in axles}
-    car = sheet.car("m=mass I_z=yaw_inertia l_f=l_f l_r=l_r l_wb=wheelbase h_cg=h_cg")
-    return {**tire, **car, "tire_model": "pacejka", "mu": 1.0}
 
 
 def _slipx(sheet: Sheet) -> dict[str, Any]:
@@ -378,11 +365,22 @@ PARAMETER_FILES: dict[str, ParameterFile] = {
     ),
     "gymkhana-stp": ParameterFile(
         "parameters of Gym-Khana's STP model, B_f to E_r", _TWO, PACEJKA,
-        _gymkhana_stp, tires=2, needs=("h_cg",),
+        lambda sheet: {"mu": 1.0} | {
+            f"{name}_{axle}": value
+            for axle, fit in zip("fr", sheet.fits, strict=True)
+            for name, value in fit.values.items()
+        } | sheet.car(_CAR),
+        tires=2, needs=("h_cg",),
     ),
     "forzaeth": ParameterFile(
         "ForzaETH's NAME_pacejka: C_Pf, C_Pr = [B, C, D, E] and the car", _TWO,
-        PACEJKA, _forzaeth, tires=2, needs=("h_cg",),
+        PACEJKA,
+        lambda sheet: {
+            f"C_P{axle}": list(fit.values.values())
+            for axle, fit in zip("fr", sheet.fits, strict=True)
+        } | sheet.car("m=mass I_z=yaw_inertia l_f=l_f l_r=l_r l_wb=wheelbase h_cg=h_cg")
+        | {"tire_model": "pacejka", "mu": 1.0},
+        tires=2, needs=("h_cg",),
     ),
     "slipx": ParameterFile(
         "tyre file of SlipX, named COMPOUND_SURFACE.yaml",

@@ -264,9 +264,9 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     starts = [formula.start(curves) for curves in _curves(tire)]
     values, fitted = dict(starts[0]), []
     rough = {kind: case for kind, *case in cases[: len(kinds)]}
+    lost = formula.of_load if low == high else ()
     for kind in [kind for kind in stages if kind in kinds]:
         if _miss(formula, values, kind, *rough[kind]) > EXACT:
-            lost = formula.of_load if low == high else ()
             names = tuple(name for name in stages[kind] if name not in lost)
             values |= _solved(formula, values, starts, kind, names, *rough[kind])
             fitted.append(kind)

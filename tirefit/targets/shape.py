@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tirefit.slip import CONVENTIONS, Convention
 from tirefit.targets.code import compiled
 from tirefit.targets.program import Program
-from tirefit.targets.tire import Tire
+from tirefit.targets.tire import Tire, sign_of
 
 _STEP = 1e-4  # step of the slip at zero by which slopes and jumps are found
 _JUMP = 0.01  # largest change of the force over load within such a step, in addition to its slope
@@ -36,7 +35,6 @@ class Shape(NamedTuple):
 
 def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     """Check the forces of a tire, in single precision, up to twice the largest load."""
-    signs = CONVENTIONS[convention]
     force, names = compiled(program), list(program.outputs)
     load = tire.load
     most = 2 * max(load, tire.measured.get("fz", (0.0, 0.0))[1])
@@ -45,7 +43,8 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     def at(
         kappa: ArrayLike = 0.0, alpha: ArrayLike = 0.0, fz: float = load, **others: ArrayLike
     ) -> dict[str, np.ndarray]:
-        values = middle | {"kappa": kappa, "alpha": alpha, "fz": signs.fz * fz} | others
+        loaded = sign_of(convention, "fz") * fz
+        values = middle | {"kappa": kappa, "alpha": alpha, "fz": loaded} | others
         given = np.broadcast_arrays(*(values[k] for k in program.inputs))
         with np.errstate(all="ignore"):
             forces = force(*(np.asarray(value, np.float32) for value in given))
@@ -60,7 +59,7 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
     checks = [
         _joined("zero slip", [_at_rest(name, along, load) for name in given]),
         _standing(at, names, "v" in program.inputs),
-        _signs(along, given, signs),
+        _signs(along, given, convention),
         _joined("peak", [_peak(name, along, (load, most)) for name in given]),
         _ellipse(at, along, given, most),
     ]
@@ -93,13 +92,12 @@ def _standing(at: Callable[..., Any], names: Iterable[str], speed: bool) -> tupl
     return f"standstill: every force is {how} at {what}", sound
 
 
-def _signs(along: Callable[..., Any], given: Iterable[str], signs: Convention) -> tuple[str, bool]:
+def _signs(along: Callable[..., Any], given: Iterable[str], convention: str) -> tuple[str, bool]:
     directions, sound = [], True
     for name in given:
         slip = _PURE[name][0]
         rise = np.diff(along(name, np.array([-0.02, 0.02])))[0]
-        sign = getattr(signs, "slip" if slip == "kappa" else slip) * getattr(signs, name)
-        sound &= bool(rise * sign > 0)
+        sound &= bool(rise * sign_of(convention, slip) * sign_of(convention, name) > 0)
         directions.append(f"{name} {'rises' if rise > 0 else 'falls'} with {slip}")
     word = "as the convention requires" if sound else "AGAINST the convention"
     return f"signs: {', '.join(directions)}, {word}", sound

@@ -140,14 +140,12 @@ def tir_source(draft: Draft) -> str:
     return text
 
 
-_VERSION = "mf52"
 _UNREAD = "PDX3 REX1 REX2 REY1 REY2 RHY2 QBZ10".split()
 """Coefficients of MF 5.2 that Chrono does not read."""
 _LIMIT = np.pi / 2 - 0.01  # limit of B times the slip in Chrono, in pure slip
 _SMALL, _SEEN = 1e-4, 1e-3
 """Step of the slip for the slope at zero; smallest share of the load that is mentioned."""
-_WHEEL = {name: name.upper() for name in ("mass", "ixx", "iyy")}
-_WHEEL |= {name: name.upper() for name in ("vertical_stiffness", "vertical_damping", "width")}
+_WHEEL = {k: k.upper() for k in "mass ixx iyy vertical_stiffness vertical_damping width".split()}
 """Quantity that Chrono needs in addition to the forces -> its key in a ``.tir``."""
 FRICTION = 0.8
 """Friction coefficient of the road of the tests; Chrono scales the force by that of the
@@ -167,8 +165,8 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
             that no ``.tir`` holds.
     """
     problems = _wheel_problems(wheel, (*_WHEEL, "friction", "radius"))
-    if model not in (None, _VERSION):
-        reason = f"--model {model} with --to chrono, which reads only {_VERSION}"
+    if model not in (None, "mf52"):
+        reason = f"--model {model} with --to chrono, which reads only mf52"
         problems.append(InputProblem(reason, "leave it out"))
     whole = {"friction": FRICTION, **_stated(tire.tir), **wheel}
     if missing := [name for name in _WHEEL if name not in whole]:
@@ -177,7 +175,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         problems.append(InputProblem(reason, f"give {asked}"))
     UsageError.raise_for(problems)
     of_tir = {k: v for k, v in wheel.items() if k not in {*_WHEEL, "friction"}}
-    held = held_as_tir(tire, _VERSION, of_tir)
+    held = held_as_tir(tire, "mf52", of_tir)
     assert held.tir is not None and isinstance(held.model, MFTire)
     tir = _new_file(held)
     unread = [k for k in _UNREAD if tir.numbers.get(k)]

@@ -112,8 +112,7 @@ class Tire:
         Raises:
             UsageError: a requested force that the model does not give.
         """
-        given = modelled(self.model)
-        return check_names("force", self.asked, given) if self.asked else given
+        return check_names("force", self.asked, self.modelled) if self.asked else self.modelled
 
     def function(self, convention: str) -> Callable[..., Any]:
         """The :attr:`outputs` as a JAX function of the scalars :data:`INPUTS`.
@@ -159,12 +158,14 @@ def turned_range(
     measured: Mapping[str, tuple[float, float]], convention: str
 ) -> dict[str, tuple[float, float]]:
     """Convert ranges of inputs between canonical signs and those of a convention."""
-    signs = CONVENTIONS[convention]
-    turned = {}
-    for name, (low, high) in measured.items():
-        sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
-        turned[name] = (low, high) if sign > 0 else (-high, -low)
-    return turned
+    sign = {name: sign_of(convention, name) for name in measured}
+    return {n: (a, b) if sign[n] > 0 else (-b, -a) for n, (a, b) in measured.items()}
+
+
+def sign_of(convention: str, name: str) -> int:
+    """The sign of an input or output, as of :data:`QUANTITIES`, in a convention; 1 where all
+    conventions agree."""
+    return getattr(CONVENTIONS[convention], "slip" if name == "kappa" else name, 1)
 
 
 def range_text(ranges: Mapping[str, tuple[float, float]]) -> str:
@@ -198,7 +199,23 @@ def tire_of(
     path = os.fspath(source) if isinstance(source, str | os.PathLike) else ""
     given = given_tire(source, values)
     if given.tir is not None:
-        tire = _of_tir(given, path, values or {})
+        tir, model = given.tir, given.tire
+        assert isinstance(model, MFTire)  # in the signs of the file
+        numbers = tir.numbers
+        stated = {
+            name: (numbers[least], numbers[most])
+            for name, (least, most) in LIMITS.items()
+            if least in numbers and most in numbers
+        }
+        tire = Tire(
+            model,
+            given.name,
+            f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
+            model.nominal.FNOMIN,
+            measured=turned_range(stated, TIR_SIGNS),
+            notes=tuple(remarks(tir, model)),
+            tir=tir.with_values(values) if values else tir,
+        )
     elif given.content:
         tire = _of_fit(given, path)
     else:
@@ -230,26 +247,6 @@ def _of_fit(given: GivenTire, path: str) -> Tire:
     ends = {k: ci for k in spread if None not in (ci := fitted[k].get("ci95", [None]))}
     forces = tuple(content["forces"])
     return Tire(given.tire, model, origin, load, spread, ranges, notes, fitted=forces, ends=ends)
-
-
-def _of_tir(given: GivenTire, path: str, values: Mapping[str, float]) -> Tire:
-    tir, tire = given.tir, given.tire
-    assert tir is not None and isinstance(tire, MFTire)  # in the signs of the file
-    numbers = tir.numbers
-    stated = {
-        name: (numbers[least], numbers[most])
-        for name, (least, most) in LIMITS.items()
-        if least in numbers and most in numbers
-    }
-    return Tire(
-        tire,
-        given.name,
-        f"Magic Formula {tir.version} of {path}, TYRESIDE {tir.side}",
-        tire.nominal.FNOMIN,
-        measured=turned_range(stated, TIR_SIGNS),
-        notes=tuple(remarks(tir, tire)),
-        tir=tir.with_values(values) if values else tir,
-    )
 
 
 def _with_effects(tire: Tire, diagnosis: "Diagnosis | str | os.PathLike[str]") -> Tire:

@@ -10,14 +10,13 @@ from tirefit.cli.options import (
     SignsOption,
     Text,
     Texts,
-    complain,
-    numbers,
     option,
     progress_bar,
+    settings_of,
     start_jax,
+    warn_of,
 )
 from tirefit.cli.output import check_results, claimed, write_result
-from tirefit.results import InputProblem, UsageError
 
 _FIGURES = {"stop.png": "stop", "slip.png": "slip"}
 FILES = ("summary.json", "series.csv", "stops.csv", *_FIGURES)
@@ -53,11 +52,7 @@ def brake(
     seed: Annotated[int, option("", "seed of noise and road", min=0, max=2**31)] = 0,
 ) -> None:
     """Simulate braking with a controller: stopping distance, friction used, figures."""
-    problems: list[InputProblem] = []
-    values = numbers("--set", parameter, problems)
-    settings = numbers("--tune", tune, problems)
-    plant_values = numbers("--plant", plant, problems)
-    UsageError.raise_for(problems)
+    values, settings, plant_values = settings_of(set=parameter, tune=tune, plant=plant)
     check_results([out / name for name in FILES])
     start_jax()
     from tirefit.sim.manoeuvre import brake as braked
@@ -68,6 +63,5 @@ def brake(
             vehicle=vehicle.value, signs=signs, tune=settings, plant=plant_values,
             time_limit=time_limit, stops=stops, seed=seed, progress=progress,
         )  # fmt: skip
-        for text in result.notes:
-            complain(f"warning: {text}")
+        warn_of(result.notes)
         write_result(result, out, FILES, _FIGURES)

@@ -20,11 +20,11 @@ from tirefit.cli.options import (
     SeedOrNone,
     SignsOption,
     Text,
-    complain,
     model_names,
     option,
     say,
     start_jax,
+    warn_of,
 )
 from tirefit.cli.output import check_results
 from tirefit.results import InputProblem, UsageError, exit_code
@@ -187,8 +187,7 @@ def _refit(
     )
     source = Source(path=str(file or ""), assumptions=assumptions)
     data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
-    for text in remarks(tir, of_file, data, signs) if tir else ():
-        complain(f"warning: {file}: {text}")
+    warn_of(remarks(tir, of_file, data, signs) if tir else (), file)
     result = fit_into(out, data, settings)
     say("MISFIT")
     for load, rmse in misfit_by_load(result).items():

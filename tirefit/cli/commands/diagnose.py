@@ -264,7 +264,13 @@ def _one(
     figures = written["figures"]
     table = _read(file, how, settings["rig"])
     always, drawn = _written(name, True)
-    document, asked = out / f"{name}.json", _asked(settings, kept, how, seed, table)
+    # Everything that the diagnosis of this table depends on.
+    rig, simulator = settings["rig"], settings.get("sim")
+    if simulator not in (None, True):
+        simulator = [simulator.kind, simulator.source, simulator.sha256]
+    stated = settings | {"rig": [asdict(rig), rig.beside(table)], "sim": simulator}
+    asked = digest(stated, [data.source.sha256 for data in (table, *kept)], how, seed)
+    document = out / f"{name}.json"
     files = [out / part for part in (always + drawn if figures else always)]
     if written["resume"] and (record := done_before(files, document, asked, record_of_document)):
         say(f"{file}: done before, kept: {document}")
@@ -275,25 +281,6 @@ def _one(
     known = always + drawn if figures or is_page(out / drawn[1]) else always
     write_result(result, out, known, pictures, page, name, full=written["full"])
     return exit_code(result.outcomes), record_of_document(document)
-
-
-def _asked(
-    settings: dict[str, Any],
-    kept: list["TireData"],
-    how: dict[str, Any],
-    seed: int,
-    table: "TireData",
-) -> str:
-    """Digest of everything that the diagnosis of this table depends on."""
-    rig, given = settings["rig"], settings.get("sim")
-    if given not in (None, True):
-        given = [given.kind, given.source, given.sha256]
-    return digest(
-        settings | {"rig": [asdict(rig), rig.beside(table)], "sim": given},
-        [data.source.sha256 for data in (table, *kept)],
-        how,
-        seed,
-    )
 
 
 # --- logs of a vehicle ---------------------------------------------------------------

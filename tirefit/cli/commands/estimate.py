@@ -1,7 +1,7 @@
 """``tirefit estimate``: friction while driving, from a log."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,20 +10,16 @@ from tirefit.cli.options import (
     DataOptions,
     Folder,
     Texts,
-    complain,
-    numbers,
     option,
     read_config,
     read_options,
+    settings_of,
     start_jax,
     takes_data_options,
+    warn_of,
 )
 from tirefit.cli.output import check_results, claimed, write_result
-from tirefit.results import InputProblem, UsageError
-
-if TYPE_CHECKING:
-    from tirefit.data.table import TireData
-
+from tirefit.results import InputProblem
 
 FILES = ("estimates.csv", "summary.json", "estimates.png")
 
@@ -37,9 +33,7 @@ def estimate(
     setting: Annotated[Texts, option("[METHOD.]NAME=VALUE", "setting of a method", "--set")] = None,
 ) -> None:
     """Estimate friction and stiffness at each row, from the rows up to it."""
-    problems: list[InputProblem] = []
-    values = numbers("--set", setting, problems)
-    UsageError.raise_for(problems)
+    (values,) = settings_of(set=setting)
     check_results([out / name for name in FILES])
     from tirefit.data.read import read
     from tirefit.online.methods import METHODS
@@ -55,18 +49,12 @@ def estimate(
         # Logs have gaps: a row that cannot be used is flagged and no error.
         table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
         warn(table)
-        _say_masked(table)
+        first: dict[tuple[str | None, str], InputProblem] = {}  # unusable row of each kind
+        for problem in table.source.masked:
+            if problem.row is not None:
+                first.setdefault((problem.column, problem.remedy), problem)
+        warn_of(map(str, first.values()))
+        if unused := len(table) - table.n:
+            rows = f"{unused} of {len(table)} rows cannot be used"
+            warn_of([f"{rows}; their estimates are flagged"], table.source.path)
         write_result(estimate_log(table, names, values), out, FILES, {FILES[2]: ""})
-
-
-def _say_masked(table: "TireData") -> None:
-    """Print one unusable row of each kind, and the number of all."""
-    first: dict[tuple[str | None, str], InputProblem] = {}
-    for problem in table.source.masked:
-        if problem.row is not None:
-            first.setdefault((problem.column, problem.remedy), problem)
-    for problem in first.values():
-        complain(f"warning: {problem}")
-    if unused := len(table) - table.n:
-        rows = f"{unused} of {len(table)} rows cannot be used"
-        complain(f"warning: {table.source.path}: {rows}; their estimates are flagged")

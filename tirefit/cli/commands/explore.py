@@ -9,13 +9,13 @@ import typer
 from tirefit.cli.commands.fit_one import PAGE
 from tirefit.cli.options import (
     DataOptions,
-    complain,
     path_option,
     read_config,
     read_options,
     say,
     start_jax,
     takes_data_options,
+    warn_of,
 )
 from tirefit.cli.output import check_results, is_page
 from tirefit.data.write import output_problems
@@ -44,25 +44,20 @@ def explore(
     check_results([out])
     how = read_options(options, read_config(options.config))
     start_jax()
+    from tirefit.report.fit.report import EXPLORE
     from tirefit.targets.explore import explore
 
     explored = explore(tires, data, **how)
-    for text in explored.warnings:
-        complain(f"warning: {text}")
+    warn_of(explored.warnings)
     explored.save(out)
     say(explored.summary())
     say(f"wrote {out}: open it in a browser")
-    _link(out.parent / PAGE, tires, out.name)
-
-
-def _link(page: Path, tires: list[str], to: str) -> None:
-    """Link the page of a fit to a page with sliders of this fit in its folder."""
-    from tirefit.report.fit.report import EXPLORE
-
+    # The page of this fit, if it is in the same folder, gets a link.
+    page = out.parent / PAGE
     paths_of_fit = {page.parent.resolve(), page.with_suffix(".json").resolve()}
     if is_page(page) and not paths_of_fit.isdisjoint(Path(tire).resolve() for tire in tires):
         text = page.read_text(encoding="utf-8")
-        link = f'<a href="{quote(to)}">{EXPLORE.partition(":")[0]}</a>'
+        link = f'<a href="{quote(out.name)}">{EXPLORE.partition(":")[0]}</a>'
         if EXPLORE in text:
             write_texts({page: text.replace(EXPLORE, link)})
             say(f"linked from {page}")

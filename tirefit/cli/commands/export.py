@@ -1,54 +1,56 @@
 """``tirefit export``: write a fitted tire as a file of another program."""
 
-from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Exit, Option
+from typer import Argument, Exit
 
-from tirefit.cli.options import complain, numbers, pairs, path_option, say, start_jax
+from tirefit.cli.options import (
+    File,
+    Text,
+    Texts,
+    complain,
+    numbers,
+    option,
+    pairs,
+    path_option,
+    say,
+    start_jax,
+    warn_of,
+)
 from tirefit.cli.output import check_inputs_kept
 from tirefit.results import InputProblem, UsageError, exit_code
 
 _OVER = "range of a refit: kappa, alpha [rad], fz [N], iso-w signs"
+_FORCE = "replace any file; accept errors above 5 %, and a range not measured"
 _DIAGNOSIS = "result of `tirefit diagnose`; the effects that it names change the tire"
-
-
-Text = str | None
-Texts = list[str] | None
-File = Path | None
 
 
 def export(
     source: Annotated[Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]", help="the tire")] = None,
     *,
-    to: Annotated[Text, Option(metavar="TARGET", help="target program (--list)")] = None,
+    to: Annotated[Text, option("TARGET", "target program (--list)")] = None,
     out: Annotated[File, path_option("FILE", "file to write")] = None,
-    front: Annotated[Text, Option(metavar="FIT", help="tire of the front axle")] = None,
-    rear: Annotated[Text, Option(metavar="FIT", help="tire of the rear axle")] = None,
+    front: Annotated[Text, option("FIT", "tire of the front axle")] = None,
+    rear: Annotated[Text, option("FIT", "tire of the rear axle")] = None,
     vehicle: Annotated[File, path_option("TOML", "the car: vehicle.toml")] = None,
-    over: Annotated[Texts, Option(metavar="NAME=LOW:HIGH", help=_OVER)] = None,
+    over: Annotated[Texts, option("NAME=LOW:HIGH", _OVER)] = None,
     parameter: Annotated[
-        Texts, Option("--set", metavar="NAME=VALUE", help="parameter of a model or .tir")
+        Texts, option("NAME=VALUE", "parameter of a model or .tir", "--set")
     ] = None,
     diagnosis: Annotated[File, path_option("NAME.json", _DIAGNOSIS)] = None,
-    model: Annotated[Text, Option(help="version of a .tir to write: mf52, mf61, mf62")] = None,
+    model: Annotated[Text, option("", "version of a .tir to write: mf52, mf61, mf62")] = None,
     wheel: Annotated[
-        Texts, Option(metavar="NAME=VALUE", help="property of the wheel, SI units (--list)")
+        Texts, option("NAME=VALUE", "property of the wheel, SI units (--list)")
     ] = None,
     forces: Annotated[
-        str, Option(metavar="F,F,...", help="forces to write: fx, fy, mz, mx, my (default: all)")
+        str, option("F,F,...", "forces to write: fx, fy, mz, mx, my (default: all)")
     ] = "",
     convention: Annotated[
-        str, Option(help="signs of the file: iso-w, sae, adapted-sae, braking")
+        str, option("", "signs of the file: iso-w, sae, adapted-sae, braking")
     ] = "iso-w",
-    name: Annotated[Text, Option(help="name of the function (default: that of the file)")] = None,
-    force: Annotated[
-        bool,
-        Option(
-            "--force", help="replace any file; accept errors above 5 %, and a range not measured"
-        ),
-    ] = False,
-    list_: Annotated[bool, Option("--list", help="list the targets and exit")] = False,
+    name: Annotated[Text, option("", "name of the function (default: that of the file)")] = None,
+    force: Annotated[bool, option("", _FORCE, "--force")] = False,
+    list_: Annotated[bool, option("", "list the targets and exit", "--list")] = False,
 ) -> None:
     """Write a tire as source code or as a file of another program.
 
@@ -85,8 +87,7 @@ def export(
         values=values, diagnosis=diagnosis, model=model, wheel=of_wheel,
         forces=forces, convention=convention, name=name, force=force,
     )  # fmt: skip
-    for text in done.warnings:
-        complain(f"warning: {text}")
+    warn_of(done.warnings)
     for note in done.notes:
         if not note.startswith("warning"):
             complain(f"note: {note}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli.commands.fit_one import Also, FitTask, exit_code_of, fit_files, fit_one
+from tirefit.cli.commands.fit_one import Also, FitTask, fit_files, fit_one
 from tirefit.cli.commands.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.options import (
@@ -41,6 +41,7 @@ from tirefit.cli.output import check_results, claimed, is_page, names_of, told_w
 from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
+from tirefit.results import Outcome as Verdict
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -182,7 +183,7 @@ def _fit_piece(
     record, result = fit_one(files, piece.to, task)
     if fits is not None and result is not None:
         fits[piece.to.name] = result
-    return exit_code_of(record, strict), record
+    return exit_code([Verdict[name.upper()] for name in record.outcomes], strict), record
 
 
 def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:

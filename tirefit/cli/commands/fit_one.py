@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tirefit.cli.notes import holds_notes, warn
 from tirefit.cli.options import progress_bar, say
 from tirefit.cli.output import claimed, digest, done_before, say_written, write_result
-from tirefit.results import ExitCode, Outcome, exit_code
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -44,11 +43,6 @@ class FitTask:
     keep: bool  # skip fits that are done
     also: Also
 
-    def digest(self, tables: "Sequence[TireData]") -> str:
-        """Digest of everything that the result of a fit of these tables depends on."""
-        settings, files = self.settings.model_dump(mode="json"), [t.source.sha256 for t in tables]
-        return digest(settings, self.how, self.posterior, files)
-
 
 def fit_one(
     files: Sequence[Any], directory: Path, task: FitTask
@@ -60,7 +54,9 @@ def fit_one(
 
     tables = [read(file, **task.how) for file in files]
     warn(*tables, assumed=tables[0].source.assumptions)
-    asked = task.digest(tables)
+    # Everything that the result of a fit of these tables depends on.
+    sources = [table.source.sha256 for table in tables]
+    asked = digest(task.settings.model_dump(mode="json"), task.how, task.posterior, sources)
     before = _done(directory, asked, task) if task.keep else None
     if before is not None:
         say(f"{files[0]}: done before, kept: {directory}")
@@ -109,7 +105,13 @@ def fit_into(
             # Without figures, which are drawn once: half a second each.
             write_result(result, directory, known, {}, text="")
             say(f"least squares: fit.json written to {directory}; sampling the posterior\n")
-            result = _sampled(result, settings)
+            from tirefit.fitting.uncertainty.posterior import sample
+
+            chosen = settings.posterior
+            names = ("sampler", "walkers", "effective_samples", "max_steps")
+            how = {name: getattr(chosen, name) for name in names}
+            with progress_bar("posterior") as progress:
+                result = sample(result, **how, progress=progress)
         result = replace(result, asked=asked)
         draw, page = partial(save_figures, result), PAGE if also.html else ""
         written = write_result(result, directory, known, draw, page, text="")
@@ -118,23 +120,3 @@ def fit_into(
     say(replace(result, data=record).summary(full=also.full))
     say_written(directory, written)
     return result
-
-
-def _sampled(result: "FitResult", settings: Any) -> "FitResult":
-    from tirefit.fitting.uncertainty.posterior import sample
-
-    chosen = settings.posterior
-    with progress_bar("posterior") as progress:
-        return sample(
-            result,
-            sampler=chosen.sampler,
-            walkers=chosen.walkers,
-            effective_samples=chosen.effective_samples,
-            max_steps=chosen.max_steps,
-            progress=progress,
-        )
-
-
-def exit_code_of(record: "FileRecord", strict: bool) -> ExitCode:
-    """The exit code of a fit by its row of the table of all results."""
-    return exit_code([Outcome[name.upper()] for name in record.outcomes], strict)

@@ -5,11 +5,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from tirefit.cli.commands.fit_one import PAGE, Also, fit_files
 from tirefit.cli.notes import warn
-from tirefit.cli.options import complain, progress_bar, refuse, say, start_jax
+from tirefit.cli.options import option, progress_bar, refuse, say, start_jax, warn_of
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import ExitCode, exit_code
 
@@ -21,16 +19,11 @@ MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
 
 Combination = StrEnum("Combination", "none similarity ellipse")
 
-CombinationOption = Annotated[
-    Combination | None,
-    typer.Option(
-        "--combination",
-        help="FILE.tir, combined slip: by its weighting functions only (none), by the method"
-        " of similarity or by the friction ellipse of PAC2002 (default: ellipse if the file"
-        " says FE_METHOD = YES, else similarity for forces without coefficients of combined"
-        " slip)",
-    ),
-]
+_COMBINATION = """\
+FILE.tir, combined slip: by its weighting functions only (none), by the method of similarity or by \
+the friction ellipse of PAC2002 (default: ellipse if the file says FE_METHOD = YES, else \
+similarity for forces without coefficients of combined slip)"""
+CombinationOption = Annotated[Combination | None, option("", _COMBINATION, "--combination")]
 
 
 def is_whole(model: str | None, of_whole: Collection[str], unused: Collection[str]) -> bool:
@@ -72,8 +65,7 @@ def fit_whole(
     check_results(_files(out), files)
     if like := options.get("like"):
         options = options | {"like": read_tir(like)}
-        for text in notes_on(options["like"]):
-            complain(f"warning: {like}: {text}")
+        warn_of(notes_on(options["like"]), like)
     tables = [read(file, **how) for file in files]
     warn(*tables)
     start_jax()

@@ -27,9 +27,7 @@ from tirefit.results import ExitCode
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
-    from tirefit.data.rig.prepare import Prepared
     from tirefit.data.rig.settings import PrepareConfig
-    from tirefit.fitting.problem.config import FitConfig
 
 _KEPT = ("sweep", "steady", "warm-up")
 _KEEP = f"kind of segment to write (repeat for more): {', '.join(_KEPT)}; default: sweep and steady"
@@ -71,7 +69,11 @@ def prepare(
     changes = {key: value for key, value in changes.items() if value is not None}
     base = read_config(options.config)
     how = read_options(options, base)
-    config = _settings(base, changes)
+    from tirefit.data.rig.settings import PrepareConfig
+    from tirefit.settings import parse_settings
+
+    below = {} if base is None else base.prepare.model_dump()
+    config = parse_settings(PrepareConfig, below | changes, "prepare")
     names = names_of(files, "prepare them into different --out")
     ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
     made = [out / f"{name}{end}" for name in names for end in ends]
@@ -83,19 +85,12 @@ def prepare(
         raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
-def _settings(base: "FitConfig | None", changes: dict[str, Any]) -> "PrepareConfig":
-    from tirefit.data.rig.settings import PrepareConfig
-    from tirefit.settings import parse_settings
-
-    below = {} if base is None else base.prepare.model_dump()
-    return parse_settings(PrepareConfig, below | changes, "prepare")
-
-
 def _one(
     out: Path, how: dict[str, Any], config: "PrepareConfig", piece: Piece
 ) -> tuple[ExitCode, "FileRecord"]:
     """Prepare one file into a folder; ``how`` are arguments of ``tirefit.read``."""
     from tirefit.data.read import read
+    from tirefit.data.records import FileRecord, Row
     from tirefit.data.rig.prepare import prepare as prepare_data
 
     file, name = piece
@@ -105,23 +100,8 @@ def _one(
     prepared = replace(prepare_data(data, config), read=how)
     names = [f"{name}.{end}" for end in ("csv", "segments.tsv", "prepare.json", "png")]
     write_result(prepared, out, names, {names[-1]: ""}, name=name)
-    return ExitCode.OK, _record(prepared, str(file), str(out / f"{name}.csv"))
-
-
-def _record(prepared: "Prepared", file: str, result: str) -> "FileRecord":
-    """The record of a recording for the table of all results."""
-    from tirefit.data.records import FileRecord, Row
-
     counts = {"rows": prepared.kept.sum(), "segments": len(prepared.segments)}
-    rows = tuple(Row("statistic", name, float(n)) for name, n in counts.items())
+    rows = tuple(Row("statistic", key, float(n)) for key, n in counts.items())
+    record = FileRecord(str(file), str(out / names[0]), "", "prepared", rows, version=__version__)
     source = prepared.data.source
-    return FileRecord(
-        file,
-        result,
-        "",
-        "prepared",
-        rows,
-        convention=source.convention,
-        version=__version__,
-        sha256=source.sha256,
-    )
+    return ExitCode.OK, replace(record, convention=source.convention, sha256=source.sha256)

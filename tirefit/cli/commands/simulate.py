@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -12,10 +12,6 @@ from tirefit.cli.options import OutFile, errors_to_exit, numbers, path_option, s
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
-
-if TYPE_CHECKING:
-    from tirefit.sim.braking import SimulatedLog
-
 
 simulate = typer.Typer(
     help="Simulate logs and rig sweeps whose true tire is known.",
@@ -51,17 +47,29 @@ def _command(kind: str) -> Callable[..., Any]:
     """The command of one kind of simulation, with its settings as options."""
 
     def run(*, out: OutFile, truth: Truth = None, **given: Any) -> None:
+        from tirefit.data.write import csv_text, output_problems
+
         problems: list[InputProblem] = []
         if "values" in given:
             given["values"] = numbers("--set", given["values"], problems)
         if "drop" in given:
             given["drop"] = _drop(given["drop"])
-        problems += [*_file_problems(out, truth), *KINDS[kind](**given).problems()]
-        UsageError.raise_for(problems)
+        for path in filter(None, (out, truth)):
+            problems += output_problems(path, ".csv")
+        if truth is not None and truth.absolute() == out.absolute():
+            reason = "--truth is the same file as --out"
+            problems.append(InputProblem(reason, "give another name"))
+        UsageError.raise_for(problems + KINDS[kind](**given).problems())
         start_jax()
         from tirefit.sim.simulate import simulate as simulated
 
-        _write(simulated(kind, **given), out, truth, given["seed"])
+        made = simulated(kind, **given)
+        tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})
+        write_texts({path: csv_text(table) for path, table in tables.items()})
+        columns = f"{len(made.columns['time'])} rows, {', '.join(made.columns)}"
+        say(f"wrote {out}: {columns} (braking positive, SI), seed {given['seed']}")
+        if truth is not None:
+            say(f"wrote {truth}: the true values without noise, {', '.join(made.truth)}")
 
     fixed = list(inspect.signature(run).parameters.values())[:2]
     parameters = [*fixed, *map(_option, fields(KINDS[kind]))]
@@ -84,26 +92,3 @@ def _drop(text: str | None) -> tuple[float, float] | None:
         reason = f"--drop {text!r} is not TIME=FRICTION"
         raise UsageError(reason, "as in --drop 5=0.4") from None
     return time, friction
-
-
-def _file_problems(out: Path, truth: Path | None) -> list[InputProblem]:
-    from tirefit.data.write import output_problems
-
-    problems = []
-    for path in filter(None, (out, truth)):
-        problems += output_problems(path, ".csv")
-    if truth is not None and truth.absolute() == out.absolute():
-        problems.append(InputProblem("--truth is the same file as --out", "give another name"))
-    return problems
-
-
-def _write(made: "SimulatedLog", out: Path, truth: Path | None, seed: int) -> None:
-    from tirefit.data.write import csv_text
-
-    tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})
-    write_texts({path: csv_text(table) for path, table in tables.items()})
-    rows = len(made.columns["time"])
-    columns = ", ".join(made.columns)
-    say(f"wrote {out}: {rows} rows, {columns} (braking positive, SI), seed {seed}")
-    if truth is not None:
-        say(f"wrote {truth}: the true values without noise, {', '.join(made.truth)}")

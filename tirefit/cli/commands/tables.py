@@ -21,7 +21,6 @@ from tirefit.cli.options import (
     SideOption,
     SignsOption,
     Texts,
-    complain,
     model_names,
     numbers,
     option,
@@ -32,11 +31,12 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
+    warn_of,
 )
 from tirefit.cli.output import check_inputs_kept, check_results
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
-from tirefit.files import json_safe
+from tirefit.files import json_safe, write_texts
 from tirefit.results import ExitCode, InputProblem, UsageError
 
 if TYPE_CHECKING:
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
     from tirefit.data.table import TireData
     from tirefit.data.tir.tir import TirFile
-    from tirefit.fitting.verdict.identifiability import Identifiability
 
 
 Axle = StrEnum("Axle", "rear front")
@@ -93,7 +92,12 @@ def inspect(
     def show(piece: Piece) -> tuple[ExitCode, Any]:
         data = read(piece.file, **how)
         inspection = look(data)
-        identified = _identified(data, model) if gate else None
+        identified = None
+        if gate:
+            start_jax()
+            from tirefit.fitting.verdict.identifiability import identifiability
+
+            identified = identifiability(data, model)
         content = inspection.to_dict()
         content |= {"identifiability": identified.to_dict()} if identified else {}
         if len(files) > 1 and not json:
@@ -107,14 +111,6 @@ def inspect(
     pieces = [Piece(file, "") for file in files]
     done = run_pieces("inspect", pieces, show, Sharing(), Path())
     raise typer.Exit(worst_of([outcome.code for outcome in done]))
-
-
-def _identified(data: "TireData", models: list[str] | None) -> "Identifiability":
-    """How well the data determine the parameters of the models."""
-    start_jax()
-    from tirefit.fitting.verdict.identifiability import identifiability
-
-    return identifiability(data, models)
 
 
 def derive(
@@ -159,8 +155,15 @@ def predict(
         tir_only = "--starred-angles, --side, --signs and --combination"
         reason = f"{tir_only} apply to .tir files only"
         raise UsageError(reason, f"leave them out with {source}")
-    values = _checked_request(kind == "fit", out, parameter)
     from tirefit.data.tir.tir import read_tir
+    from tirefit.data.write import output_problems
+
+    problems = output_problems(out, ".csv")
+    values = numbers("--set", parameter, problems)
+    if kind == "fit" and values:
+        problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
+    UsageError.raise_for(problems)
+    check_inputs_kept([out])
 
     tir = read_tir(source) if kind == "tir" else None
     start_jax()
@@ -182,8 +185,7 @@ def predict(
     noted = outside_fit(tire, table) if kind == "fit" else []
     if tir is not None:
         noted = [*of_tir.remarks(tir, tire, table, signs), *of_tir.moments_noted(tir, table)]
-    for text in noted:
-        complain(f"warning: {source}: {text}")
+    warn_of(noted, source)
     forces = forces_of(tire, table, values)
     if tir is not None:
         say(_tir_text(source, tir, of_file, values))
@@ -200,15 +202,12 @@ def _write(
     The first line of a table for `diagnose --sim` states the convention.
     """
     from tirefit.data.write import csv_text, prediction_table, simulated_table
-    from tirefit.files import write_texts
 
     convention = f"convention {table.source.convention}"
     columns = (simulated_table if beside else prediction_table)(table, forces)
     first = f"# tirefit {__version__}: {source} beside, {convention}\n"
-    text = (first if beside else "") + csv_text(columns)
-    write_texts({out: text})
-    for row in table.first_masked():
-        complain(f"warning: excluded, no force: {row}")
+    write_texts({out: (first if beside else "") + csv_text(columns)})
+    warn_of(f"excluded, no force: {row}" for row in table.first_masked())
     signs = f"({convention}, {table.source.convention_from})"
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
@@ -223,19 +222,6 @@ def _tir_text(
     parts += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
     parts += [f"{key} = {value:g}" for key, value in values.items()]
     return ", ".join(parts)
-
-
-def _checked_request(is_fit: bool, out: Path, parameter: list[str] | None) -> dict[str, float]:
-    """Values of ``--set``; raises UsageError with all problems before the work."""
-    from tirefit.data.write import output_problems
-
-    problems = output_problems(out, ".csv")
-    values = numbers("--set", parameter, problems)
-    if is_fit and values:
-        problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
-    UsageError.raise_for(problems)
-    check_inputs_kept([out])
-    return values
 
 
 def _values_text(name: str, values: dict[str, float]) -> str:
