@@ -25,7 +25,6 @@ from tirefit.models import (
 from tirefit.models.base import AbstractTire, largest
 from tirefit.models.combined import (
     braking_slope,
-    force_slope,
     mu_rate,
     nominal_sliding_slip,
     scaled_to_combined,
@@ -161,7 +160,7 @@ def test_o21_gives_the_slope_along_the_slip():
     kappa = np.hypot(x, y)
     slope = slope_at(kappa, stiffness, mu)
     rate = rate_of(kappa, stiffness, mu * FZ)
-    np.testing.assert_allclose(jax.jit(force_slope)(rate, stiffness), slope, rtol=1e-9)
+    np.testing.assert_allclose(jax.jit(braking_slope)(rate, stiffness), slope, rtol=1e-9)
 
 
 def test_o22_gives_the_slope_along_the_wheel():
@@ -173,10 +172,10 @@ def test_o22_gives_the_slope_along_the_wheel():
 
 
 def test_slopes_are_right_at_the_ends():
-    np.testing.assert_allclose(force_slope(jnp.array([0.0, 1.0]), 2 * C), [2 * C, 0])
+    np.testing.assert_allclose(braking_slope(jnp.array([0.0, 1.0]), 2 * C), [2 * C, 0])
     across = braking_slope(jnp.array([0.0, 1.0]), 2 * C, np.pi / 2)
     np.testing.assert_allclose(across, [2 * C, 2 * C / 3])
-    for function in (force_slope, lambda g, k: braking_slope(g, k, 0.3)):
+    for function in (braking_slope, lambda g, k: braking_slope(g, k, 0.3)):
         for rate in (0.0, 1.0):
             assert np.isfinite(jax.grad(function)(rate, 2 * C))
 

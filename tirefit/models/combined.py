@@ -37,25 +37,7 @@ def mu_rate(slip: Numbers, stiffness: Numbers, mu_fz: Numbers) -> Array:
     return sliding * (3 - sliding * (3 - sliding))
 
 
-def _sticking(rate: Numbers) -> Array:
-    """Share of the patch that sticks: Xi = (1 - gamma)^(1/3)."""
-    partly = rate < 1
-    return jnp.where(partly, jnp.cbrt(jnp.where(partly, 1 - rate, 1.0)), 0.0)
-
-
-def force_slope(rate: Numbers, stiffness: Numbers) -> Array:
-    r""":math:`\partial F / \partial \kappa = K_s (1-\gamma)^{2/3}` [N], O(21).
-
-    It depends only on stiffness and friction in use, not on the friction.
-
-    Args:
-        rate: friction in use :math:`\gamma` [-], 0 to 1.
-        stiffness: :math:`K_s` [N].
-    """
-    return _sticking(rate) ** 2 * stiffness
-
-
-def braking_slope(rate: Numbers, stiffness: Numbers, direction: Numbers) -> Array:
+def braking_slope(rate: Numbers, stiffness: Numbers, direction: Numbers = 0.0) -> Array:
     r""":math:`\partial F_x / \partial \kappa_x` at fixed :math:`\kappa_y` [N], O(22).
 
     .. math::
@@ -63,14 +45,18 @@ def braking_slope(rate: Numbers, stiffness: Numbers, direction: Numbers) -> Arra
                + \frac{\gamma}{3 (1 - \Xi)} \sin^2\theta\right],
        \quad \Xi = (1 - \gamma)^{1/3}
 
-    k [N s/m] is the extended braking stiffness at the wheel speed :math:`v_w` [m/s].
+    k [N s/m] is the extended braking stiffness at the wheel speed :math:`v_w` [m/s]. Along the
+    force, :math:`\theta = 0`, it is O(21), :math:`K_s (1-\gamma)^{2/3}`. It depends only on
+    stiffness and friction in use, not on the friction.
 
     Args:
         rate: friction in use :math:`\gamma` [-], 0 to 1.
         stiffness: :math:`K_s` [N].
         direction: :math:`\theta` of the force [rad], tan = kappa_y / kappa_x.
     """
-    sticking = _sticking(rate)
+    # Share of the patch that sticks.
+    partly = rate < 1
+    sticking = jnp.where(partly, jnp.cbrt(jnp.where(partly, 1 - rate, 1.0)), 0.0)
     # gamma / (1 - Xi) = 1 + Xi + Xi^2, which is defined at gamma = 0.
     across = (1 + sticking + sticking**2) / 3
     cos, sin = jnp.cos(direction), jnp.sin(direction)

@@ -132,8 +132,3 @@ class LuGre(AbstractLuGre):
         damping = (self.sigma1 * first + self.sigma2) * v_r
         per_slip = (stiffness * second + damping) * (inputs.fz * (inputs.fz > 0))
         return TireForces(per_slip * slip_x, per_slip * slip_y, None)
-
-    @property
-    def lumped(self) -> LuGreLumped:
-        """The steady lumped tire with the same parameters."""
-        return LuGreLumped(self.mu_s, self.mu_c, self.v_st, self.exponent, self.sigma2)

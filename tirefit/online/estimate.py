@@ -30,16 +30,6 @@ def log_columns(data: TireData) -> dict[str, np.ndarray]:
     return {**columns, "run": data.run.astype(float)}
 
 
-def _check_time(data: TireData) -> None:
-    """Raises DataError if the time never increases; a single row back is only flagged."""
-    steps = np.diff(data["time"])[np.diff(data.run) == 0]
-    if len(steps) and not np.any(steps > 0):
-        reason = "the time never increases from one row to the next"
-        remedy = "sort the rows by time, or name its column: --column time=HEADER"
-        file = data.file
-        raise DataError(reason, remedy, file, column="time")
-
-
 def estimate(
     data: DataLike,
     methods: str | Sequence[str] = "rls",
@@ -72,23 +62,21 @@ def estimate(
     for name in names:
         require(data, ("time", *METHODS[name].method.inputs), f"method {name!r}")
     columns = log_columns(data)
-    _check_time(data)
+    # A single row back is only flagged.
+    steps = np.diff(data["time"])[np.diff(data.run) == 0]
+    if len(steps) and not np.any(steps > 0):
+        reason = "the time never increases from one row to the next"
+        remedy = "sort the rows by time, or name its column: --column time=HEADER"
+        raise DataError(reason, remedy, data.file, column="time")
     load = _usual_load(data, columns)
     done = {}
     for name in names:
         estimator = estimator_of(name, load, chosen[name] | _rate(name, data, chosen))
-        _, rows = run(estimator, columns)
-        value, std, flag, surprise, own_std = map(np.asarray, rows)
-        done[name] = MethodEstimates(
-            name,
-            estimator.method.parameters,
-            value,
-            std,
-            own_std,
-            flag,
-            surprise,
-            {key: float(x) for key, x in parameter_values(estimator).items()},
-        )
+        value, std, flag, surprise, own_std = map(np.asarray, run(estimator, columns)[1])
+        used = {key: float(x) for key, x in parameter_values(estimator).items()}
+        parameters = estimator.method.parameters
+        rows = (value, std, own_std, flag, surprise)
+        done[name] = MethodEstimates(name, parameters, *rows, used)
     source = data.source
     about = {
         "name": data.name,

@@ -60,13 +60,11 @@ class Request:
 
     def about(self) -> dict[str, Any]:
         """The settings of the request, for the summary."""
+        stated = {name: getattr(self, name) for name in ("road", "speed", "vehicle", "steer")}
         return {
             "tire": self.tire_name,
             "parameters": {key: float(value) for key, value in parameter_values(self.tire).items()},
-            "road": self.road,
-            "speed": self.speed,
-            "vehicle": self.vehicle,
-            "steer": self.steer,
+            **stated,
             "time_limit": self.limit,
             "hydraulics": self.hydraulics._asdict(),
             "sensors": self.sensors._asdict(),

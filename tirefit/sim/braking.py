@@ -203,17 +203,14 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     numbers = WheelNumbers(
         full, how.period, how.radius, how.inertia, how.speed, how.load, change, 1 / how.rate
     )
-    extra = {}
-    if how.tire == "lugre":
-        soft = lugre_tire(mu[0], how.speed), lugre_tire(mu[-1], how.speed)
-        omega, fx, bent = braked_wheel(numbers, soft, PATCH, time, how.teeth)
-        tire, extra = soft[0], {"deflection": bent}
+    is_lugre, ends = how.tire == "lugre", (mu[0], mu[-1])
+    tires = [lugre_tire(peak, how.speed) if is_lugre else source_tire(peak) for peak in ends]
+    bristles = PATCH if is_lugre else STEADY
+    omega, fx, bent = braked_wheel(numbers, (tires[0], tires[1]), bristles, time, how.teeth)
+    slope = STIFFNESS / LOAD
+    if isinstance(tire := tires[0], LuGre):
         # Slope of the force at zero slip over the load [-]; it depends on the speed.
         slope = tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * how.speed
-    else:
-        stiff = source_tire(mu[0]), source_tire(mu[-1])
-        omega, fx, _ = braked_wheel(numbers, stiff, STEADY, time, how.teeth)
-        slope = STIFFNESS / LOAD
     torque = full * (time % how.period) / how.period
     free = how.speed / how.radius
     stands = omega <= 1.001 * SLOWEST * free
@@ -235,5 +232,5 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
         "omega": np.where(stands, 0.0, free / (1 + seen)),
     }
     columns = truth | measured
-    known = {"mu": mu, "cpa2": np.full(n, slope * how.load / 2), **extra}
-    return SimulatedLog(columns, truth | known)
+    truth |= {"mu": mu, "cpa2": np.full(n, slope * how.load / 2)}
+    return SimulatedLog(columns, truth | ({"deflection": bent} if is_lugre else {}))

@@ -27,10 +27,9 @@ from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
 from tirefit.params import Values
 from tirefit.results import UsageError
-from tirefit.sim.braking import SimulatedLog
+from tirefit.sim.braking import SLOWEST, SimulatedLog
 from tirefit.sim.settings import Drive
 
-_SLOWEST = 0.01  # wheel speed over that of free rolling below which a brake only holds a wheel
 _PREVIEW = 15.0  # distance [m] at which the driver looks at the lane
 _FRONT_BRAKES = 0.6
 
@@ -77,10 +76,6 @@ class _Numbers(NamedTuple):
     how: dict[str, jax.Array]
     mu: tuple[jax.Array, jax.Array]
     change: jax.Array
-
-
-def _mu(numbers: _Numbers, t: Numbers) -> Array:
-    return jnp.where(t < numbers.change, *numbers.mu)
 
 
 def _road_rate(numbers: _Numbers, t: Numbers, v_x: Array) -> Array:
@@ -138,9 +133,10 @@ def _tires(numbers: _Numbers, t: Numbers, s: _State) -> tuple[Any, ...]:
     steering = _steering(numbers, t, s)
     angles = jnp.stack(axle_angles(s.v_x, s.v_y, s.yaw_rate, steering, car.l_f, car.l_r))
     left = jnp.array([1.0, -1.0, 1.0, -1.0])
-    sigma = clipped(s.omega, s.v_x - car.track / 2 * s.yaw_rate * left, car.radius, _SLOWEST)
+    sigma = clipped(s.omega, s.v_x - car.track / 2 * s.yaw_rate * left, car.radius, SLOWEST)
     stiffness = jnp.repeat(jnp.stack([car.stiffness_f, car.stiffness_r]), 2)
-    share = brush_share(sigma, jnp.repeat(angles, 2), stiffness, _mu(numbers, t))
+    mu = jnp.where(t < numbers.change, *numbers.mu)
+    share = brush_share(sigma, jnp.repeat(angles, 2), stiffness, mu)
     base = car.l_f + car.l_r
     weight = car.mass * GRAVITY / base
     forward = car.mass * car.height * s.lag / base
@@ -161,7 +157,7 @@ def _rate(t: Numbers, s: _State, numbers: _Numbers) -> _State:
     *_, along, _, (forward, left, moment) = _tires(numbers, t, s)
     torque = _torques(numbers, t, s)
     spun = car.radius * along - torque
-    holds = (s.omega * car.radius <= _SLOWEST * s.v_x) & (spun < 0)
+    holds = (s.omega * car.radius <= SLOWEST * s.v_x) & (spun < 0)
     askew = s.heading - s.road_heading
     sin, cos = jnp.sin(askew), jnp.cos(askew)
     roll = car.height * left - car.roll_stiffness * s.roll
@@ -219,7 +215,7 @@ def _measured(numbers: _Numbers, time: Array, states: _State) -> dict[str, jax.A
             "offset": s.offset, "heading": s.heading, "road_heading": s.road_heading,
             "x": s.x, "y": s.y, "alpha_f": angles[0], "alpha_r": angles[1],
             "fy_f": across[0] + across[1], "fy_r": across[2] + across[3],
-            "mu": _mu(numbers, t),
+            "mu": jnp.where(t < numbers.change, *numbers.mu),
         }  # fmt: skip
 
     return jax.vmap(columns_at)(time, states)

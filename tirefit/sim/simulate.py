@@ -41,9 +41,6 @@ def simulate_rig(how: Sweeps) -> SimulatedLog:
     return SimulatedLog(truth | seen, truth)
 
 
-_MADE: dict[str, Any] = {"braking": simulate_braking, "drive": simulate_drive, "rig": simulate_rig}
-
-
 def simulate(kind: str = "braking", **settings: Any) -> SimulatedLog:
     """Simulate a log or sweeps that ``fit`` and ``estimate`` read.
 
@@ -68,11 +65,11 @@ def simulate(kind: str = "braking", **settings: Any) -> SimulatedLog:
     require_x64("simulate")
     check_names("simulation", [kind], KINDS)
     if settings:
-        check_names(
-            f"{kind} setting", list(settings), [field.name for field in fields(KINDS[kind])]
-        )
+        names = [field.name for field in fields(KINDS[kind])]
+        check_names(f"{kind} setting", list(settings), names)
     how = KINDS[kind](**settings)
     UsageError.raise_for(how.problems())
     if kind == "rig":
         check_values(find_model(how.model), how.model, how.values)
-    return _MADE[kind](how)
+        return simulate_rig(how)
+    return simulate_braking(how) if kind == "braking" else simulate_drive(how)
