@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tirefit.data.read import read
@@ -85,6 +86,9 @@ def test_workers_give_the_result_of_one_process(run, unrendered, recording, work
     assert both == one and len(one) == 4
     said = shared.stdout.replace("wrote to two:", "wrote to one:").splitlines()
     assert said[:-1] == alone.stdout.splitlines() and "no.csv" in shared.stderr
+    table = pd.read_parquet(tmp_path / "two" / "results.parquet")
+    rows = table[table["name"] == "rows"]["value"].tolist()
+    assert rows == [len(read(tmp_path / "two" / "run7.csv"))]
 
 
 def test_settings_come_from_the_configuration(run, unrendered, recording, tmp_path):
