@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -96,10 +97,9 @@ def written(path, text, days=0.0):
 
 @pytest.mark.parametrize("earlier", ["abcd", "acd", "abd", "d"])
 @pytest.mark.parametrize("days", [0, 2])
-def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, monkeypatch, earlier, days):
+def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, earlier, days):
     """Where the last of several files is, all are of its result. The next command finds the
     earlier files, however old they are, or the new ones, wholly."""
-    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
     paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
     before = {name: "old" for name in ("a.png", "b.csv", "c.json", "d.txt") if name[0] in earlier}
     after = {**dict.fromkeys([path.name for path in paths], "new"), "d.txt": "old"}
@@ -128,9 +128,8 @@ def test_a_killed_process_leaves_no_mixture_of_files(tmp_path, monkeypatch, earl
     assert found() == after and len([*tmp_path.iterdir()]) == 4
 
 
-def test_a_recovery_that_is_killed_can_be_repeated(tmp_path, monkeypatch):
+def test_a_recovery_that_is_killed_can_be_repeated(tmp_path):
     """And it keeps a file that was written after the kill."""
-    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
     paths = [tmp_path / name for name in ("a.png", "b.csv", "c.json")]
     for path in paths:
         written(path, "old", days=2)
@@ -172,10 +171,24 @@ def test_a_replacement_of_a_living_process_is_not_undone(tmp_path, monkeypatch):
         remove_left(tmp_path)
         rename(one, other)
 
-    monkeypatch.setattr("tirefit.files._ENDED", 3600.0)
     monkeypatch.setattr(os, "replace", watched)
     write_texts(dict.fromkeys(paths, "new"))
     assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+
+
+def test_commands_that_write_at_the_same_time_wait_for_each_other(tmp_path):
+    """The files of the folder are then of one result, and none failed."""
+    paths = [tmp_path / name for name in ("a", "b", "c")]
+
+    def work(text):
+        for _ in range(40):
+            remove_left(tmp_path)
+            write_texts(dict.fromkeys(paths, text))
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, ["one", "two", "three", "four"]))
+    assert len({path.read_text() for path in paths}) == 1
+    assert sorted(tmp_path.iterdir()) == paths
 
 
 def test_an_interrupted_replacement_is_undone(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,6 @@ PART = ".tirefit-part"
 name begins with a dot."""
 
 _EARLIER = f".earlier{PART}"
-
-_ENDED = 1.0
-"""Time [s] without a change after which a replacement, which takes milliseconds, was killed."""
 
 
 def listed(given: Any) -> list[Any]:
@@ -87,13 +84,37 @@ def _temporary(path: Path) -> Iterator[Path]:
             os.unlink(name)
 
 
+@contextmanager
+def _locked(folder: Path, wait: bool = True) -> Iterator[bool]:
+    """Context manager: whether no other command replaces files of the folder meanwhile.
+
+    The system ends the lock with its process. Where folders cannot be locked (Windows, some
+    network drives), the value is always True.
+    """
+    handle, free = None, True
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+        import fcntl  # not on Windows, where a folder cannot be opened
+
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        free = False
+    except (ImportError, OSError):
+        pass
+    try:
+        yield free
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
 def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> None:
     """Replace files that belong together, so that a killed process leaves no mixture.
 
     Earlier files wait in a folder beside them until all new ones are in place. The last of
     ``made``, their document, is moved there first and written last: whoever finds it, finds
     the others of the same result. After a kill, :func:`remove_left` or the next replacement
-    restores the earlier files.
+    restores the earlier files. Another replacement in the same folder is waited for.
 
     Args:
         made: path -> the new file that is renamed to it.
@@ -107,6 +128,20 @@ def replace_together(made: Mapping[Path, Path], gone: Iterable[Path] = ()) -> No
             raise IsADirectoryError(errno.EISDIR, "there is a folder", str(path))
     places = [*(path for path in gone if os.path.lexists(path) and not path.is_dir()), *made]
     lasts = {path.parent: path for path in places} if len(places) > 1 else {}
+    with ExitStack() as locks:
+        for folder in sorted(lasts):  # in one order, so that no two commands wait for each other
+            locks.enter_context(_locked(folder))
+        _replace_all(made, places, lasts)
+
+
+def _replace_all(
+    made: Mapping[Path, Path], places: Sequence[Path], lasts: Mapping[Path, Path]
+) -> None:
+    """Move the files of ``places`` aside and ``made`` to their paths, or restore all.
+
+    Args:
+        lasts: folder -> the last path in it; empty for a single file.
+    """
     try:
         for last in lasts.values():
             _end(last, undo=not os.path.lexists(last))  # of a process that was killed
@@ -159,20 +194,20 @@ def remove_left(folder: Path) -> None:
     """Remove what killed processes left in a folder.
 
     Earlier files whose replacement did not end are restored. Temporary files and folders that
-    were last written more than a day ago are removed: no living process needs them.
+    were last written more than a day ago are removed: no living process needs them. While
+    another command replaces files of the folder, nothing is done.
     """
-    for path in (*folder.glob(f".*{PART}"), *folder.glob(f"{WRITING}*")):
-        with suppress(OSError):
-            age = time.time() - path.lstat().st_mtime
-            if path.name.endswith(_EARLIER):
-                last = path.with_name(path.name[1:].removesuffix(_EARLIER))
-                if age > _ENDED:
+    with _locked(folder, wait=False) as free:
+        for path in (*folder.glob(f".*{PART}"), *folder.glob(f"{WRITING}*")) if free else ():
+            with suppress(OSError):
+                if path.name.endswith(_EARLIER):
+                    last = path.with_name(path.name[1:].removesuffix(_EARLIER))
                     _end(last, undo=not os.path.lexists(last))
-            elif age > 86_400.0:
-                if path.is_dir():
-                    shutil.rmtree(path)
-                else:
-                    path.unlink()
+                elif time.time() - path.lstat().st_mtime > 86_400.0:
+                    if path.is_dir():
+                        shutil.rmtree(path)
+                    else:
+                        path.unlink()
 
 
 def _of(path: Path, error: OSError) -> OSError:

@@ -90,9 +90,8 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     assert files_of(tmp_path) == kept
 
 
-def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path, monkeypatch):
+def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
     """The next command finds the earlier result or the new one, with its figures only."""
-    monkeypatch.setattr("tirefit.files._ENDED", -1.0)  # seconds: killed just now
     old = ["fit.json", "fit.png", "corner.png", "posterior.nc"]
     new = ["fit.json", "fit.png", "trace.png"]
     known = ["fit.png", "corner.png", "trace.png", "posterior.nc"]

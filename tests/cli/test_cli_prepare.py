@@ -1,6 +1,7 @@
 """``tirefit prepare``: files are written, read back, and reproduced."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -71,6 +72,8 @@ def test_a_prepared_recording_can_be_fitted(run, recording, tmp_path):
     assert [str(s["segment"]) for s in kept] == list(each.runs)
     assert {s["kind"] for s in kept} == {"sweep", "steady"}
     assert record["rows"]["kept"] == len(data)
+    counts = [int(n) for n in re.findall(r"  (\d+) of \d+ rows kept$", said, re.M)]
+    assert sum(counts) == len(data)
 
 
 def test_workers_give_the_result_of_one_process(run, unrendered, recording, workers_here, tmp_path):

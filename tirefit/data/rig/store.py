@@ -149,12 +149,15 @@ def summary(prepared: Prepared) -> str:
     rows = prepared.rows_by_kind()
     total, kept = len(prepared.data), int(prepared.kept.sum())
     count = Counter(part.kind for part in prepared.segments)
+    used = Counter[str]()
+    for part in prepared.segments:
+        used[part.kind] += int(prepared.kept[part.begin : part.end].sum())
     lines = [
         f"{prepared.data.name}: {kept} of {total} rows kept"
         f" ({', '.join(prepared.config.keep)}), convention braking, SI units"
     ]
     for kind, number in count.items():
-        lines.append(f"  {number:>4} {kind:<12} {rows[kind]:>8} rows")
+        lines.append(f"  {number:>4} {kind:<12} {used[kind]:>8} of {rows[kind]} rows kept")
     for name, settings in prepared.settings.items():
         if settings.is_held:
             held = prepared.names[name]
