@@ -218,30 +218,67 @@ class _Run(NamedTuple):
     progress: Callable[[float, str], None] | None
 
 
-def _ensembles(density: Density, size: int, run: _Run) -> list[Any]:
-    """An emcee sampler and its first state for each ensemble."""
-    import emcee  # here, because importance sampling does not need it
+class _SideBySide:
+    """A move for emcee: one step of each of several ensembles, which do not know each other, with
+    the densities of all of them in one call: half of the time of one ensemble after the other.
 
-    # Differential evolution, with a full jump between modes in one step of ten (ter
-    # Braak 2006): a quarter of the autocorrelation time of the stretch move, and no loop
-    # over walkers in Python as in the snooker move.
-    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+    Differential evolution, with a full jump between modes in one step of ten (ter Braak 2006): a
+    quarter of the autocorrelation time of the stretch move.
+    """
+
+    def __init__(self, generators: list[np.random.RandomState]):
+        from emcee.moves import DEMove  # here, because importance sampling does not need it
+
+        self.generators, self.moves = generators, (DEMove(), DEMove(gamma0=1.0))
+
+    def propose(self, model: Any, state: Any) -> tuple[Any, np.ndarray]:
+        """The state after one step, and which walkers moved (walkers,)."""
+        places, values = state.coords, state.log_prob
+        accepted = np.zeros(len(places), bool)
+        moves, halves = [], []
+        for walkers, generator in zip(
+            np.split(np.arange(len(places)), len(self.generators)), self.generators, strict=True
+        ):
+            moves.append(generator.choice(self.moves, p=[0.9, 0.1]))
+            moves[-1].setup(places)
+            half = np.arange(len(walkers)) % 2
+            generator.shuffle(half)
+            halves.append((walkers[half == 0], walkers[half == 1]))
+        for turn in (0, 1):
+            moving = np.concatenate([half[turn] for half in halves])
+            proposed = np.concatenate(
+                [
+                    move.get_proposal(places[half[turn]], [places[half[1 - turn]]], generator)[0]
+                    for move, half, generator in zip(moves, halves, self.generators, strict=True)
+                ]
+            )
+            reached, _ = model.compute_log_prob_fn(proposed)
+            chance = [generator.rand(len(moving) // len(halves)) for generator in self.generators]
+            better = reached - values[moving] > np.log(np.concatenate(chance))
+            accepted[moving] = better
+            places[moving[better]], values[moving[better]] = proposed[better], reached[better]
+        return state, accepted
+
+
+def _ensembles(density: Density, size: int, run: _Run) -> tuple[Any, Any]:
+    """The emcee sampler of all ensembles and its first state."""
+    import emcee
 
     def log_prob(u: np.ndarray) -> np.ndarray:
         return np.asarray(density(u))
 
-    ensembles: list[Any] = []
     # Full generator states: emcee silently ignores an integer seed.
-    for child in np.random.SeedSequence(run.seed).spawn(_ENSEMBLES):
-        generator = np.random.RandomState(np.random.MT19937(child))
-        # Wider than the posterior, so that R-hat can see ensembles that disagree.
-        start = 1.3 * generator.standard_normal((run.walkers, size))
-        values = np.concatenate([log_prob(half) for half in np.split(start, 2)])
-        sampler = emcee.EnsembleSampler(run.walkers, size, log_prob, moves=moves, vectorize=True)
-        sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
-        state = emcee.State(start, log_prob=values, random_state=generator.get_state())
-        ensembles.append((sampler, state))
-    return ensembles
+    generators = [
+        np.random.RandomState(np.random.MT19937(child))
+        for child in np.random.SeedSequence(run.seed).spawn(_ENSEMBLES)
+    ]
+    # Wider than the posterior, so that R-hat can see ensembles that disagree.
+    start = 1.3 * np.concatenate([g.standard_normal((run.walkers, size)) for g in generators])
+    values = np.concatenate([log_prob(half) for half in np.split(start, 2)])
+    moves = [_SideBySide(generators)]
+    sampler = emcee.EnsembleSampler(len(start), size, log_prob, moves=moves, vectorize=True)
+    sampler.log_prob_fn = log_prob  # emcee's wrapper prints all walkers at an interrupt
+    return sampler, emcee.State(start, log_prob=values)
 
 
 def _draw(density: Density, size: int, run: _Run) -> tuple[np.ndarray | None, float, Outcome]:
@@ -254,13 +291,12 @@ def _draw(density: Density, size: int, run: _Run) -> tuple[np.ndarray | None, fl
     samples: np.ndarray | None = None
     accepted = 0.0
     try:
-        ensembles = _ensembles(density, size, run)
+        sampler, state = _ensembles(density, size, run)
         while True:
-            for sampler, state in ensembles:
-                sampler.run_mcmc(state, CHUNK, skip_initial_state_check=True)
-            ensembles = [(sampler, None) for sampler, _ in ensembles]  # goes on where it ended
-            samples = np.stack([sampler.get_chain() for sampler, _ in ensembles])
-            accepted = float(np.mean([sampler.acceptance_fraction for sampler, _ in ensembles]))
+            sampler.run_mcmc(state, CHUNK, skip_initial_state_check=True)
+            state = None  # goes on where it ended
+            samples = np.stack(np.split(sampler.get_chain(), _ENSEMBLES, axis=1))
+            accepted = float(np.mean(sampler.acceptance_fraction))
             health, steps = _health(samples, run.target), samples.shape[1]
             if health.enough:
                 return samples, accepted, Outcome.CONVERGED
