@@ -554,3 +554,15 @@ def test_a_noise_in_both_rig_and_file_is_reported(run, tmp_path):
     said = "[noise] fx of the rig is not used: the file has a column fx_std"
     assert f"warning: run.csv: {said}" in result.stderr
     assert "[noise] fy" not in result.stderr
+
+
+def test_a_second_file_after_holdout_is_refused(tmp_path):
+    """It would be diagnosed, though it looks held out."""
+    out = ["--out", str(tmp_path / "out")]
+    for given in (["a.csv", *out], [*out, "a.csv"]):
+        told = CliRunner().invoke(app, ["diagnose", *given, "--holdout", "b.csv", "c.csv"])
+        assert told.exit_code == 2
+        assert "--holdout b.csv --holdout c.csv" in " ".join(told.output.split())
+    # Options may come first.
+    first = CliRunner().invoke(app, ["diagnose", "--holdout", "b.csv", "a.csv", *out])
+    assert "after --holdout" not in first.output

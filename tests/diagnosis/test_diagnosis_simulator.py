@@ -497,7 +497,7 @@ def test_a_part_that_increases_the_error_has_share_zero():
 def test_invalid_simulators_are_refused(frame):
     with pytest.raises(DataError, match="(?s)no measured force has a simulated one.*beside=True"):
         studied(frame, True)
-    with pytest.raises(DataError, match="(?s)does not follow it.*--model"):
+    with pytest.raises(DataError, match="(?s)does not follow it.*these very rows"):
         studied(frame, 3000 * np.cos(40 * frame["sigma_x"]))
     with pytest.raises(DataError, match=r"(?s)reverse the sign of fx_sim.*correlation -1.00"):
         studied(frame, -frame["fx"])

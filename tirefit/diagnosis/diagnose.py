@@ -75,8 +75,8 @@ def diagnose(
         sim: a simulator instead of a fit of ``model``: a tire model with its values, a fit, a
             ``fit.json`` or ``.tir`` file, True for the columns ``fx_sim``, ``fy_sim``, ``mz_sim``
             of the data, or arrays (n,) by channel, in canonical signs. If only its forces are
-            known, ``model``, fitted to them, is used for the changes of a hypothesis: the brush by
-            default, or mf61 if the brush does not follow them closely.
+            known, a brush fitted to them, or mf61 if the brush does not follow them closely, is
+            used for the changes of a hypothesis; ``model`` then describes the measured forces.
         signs: convention, a key of ``slip.CONVENTIONS``, of the ``.tir`` file ``sim`` ("iso-w" if
             None), or of the columns ``fx_sim``, ... (that of the data if None).
         rig: known properties (noise, radius, inertia), or a path of ``rig.toml``.
@@ -105,7 +105,7 @@ def diagnose(
         UsageError: an unknown model, force, or effect to leave out; an argument of
             another type; or 32-bit floats in use.
         DataError: no force with a slip that varies, no load, too few rows, no simulated
-            forces, a model that does not follow them, ``data`` held out too.
+            forces, simulated ones that no tire follows, ``data`` held out too.
 
     The example is a brush whose slip sensor is off by 0.006.
 

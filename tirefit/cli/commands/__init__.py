@@ -67,11 +67,30 @@ class LazyCommand(TyperCommand):
     def make_context(
         self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
     ) -> Any:
-        context = self.loaded().make_context(info_name, args, parent, **extra)
-        from tirefit.cli.options import CONTEXT  # imported with the command
+        from tirefit.cli.options import CONTEXT, errors_to_exit  # imported with the command
 
+        command = self.loaded()
+        with errors_to_exit():
+            _refuse_second_value(command, args)
+        context = command.make_context(info_name, args, parent, **extra)
         CONTEXT.set(context)
         return context
+
+
+def _refuse_second_value(command: Any, args: list[str]) -> None:
+    """Raises UsageError for ``FILE --holdout A B``, of which B would be one more FILE."""
+    from tirefit.results import UsageError  # imported with the command
+
+    for place in (k for k, word in enumerate(args) if word == "--holdout"):
+        value, second = [*args[place + 1 : place + 3], "-", "-"][:2]
+        if second.startswith("-"):
+            continue
+        parser = command.make_parser(typer.Context(command))
+        before = parser.parse_args(args[:place])[0]
+        if any(before.get(p.name) for p in command.params if p.param_type_name == "argument"):
+            reason = f"{second} after --holdout {value}: held out, or one more to diagnose?"
+            remedy = f"to hold out both: --holdout {value} --holdout {second}; to diagnose it:"
+            raise UsageError(reason, f"{remedy} name it before --holdout")
 
 
 for _name, _help in COMMANDS.items():

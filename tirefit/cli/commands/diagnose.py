@@ -63,7 +63,7 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
 
 _MODEL = """\
 model to fit first (default: brush), or a file: a simulator's tire, used unchanged; with --sim: \
-the model that represents the simulator (default: brush, or mf61 if the brush does not follow it)"""
+the model that describes the measured forces beside the simulator's"""
 _SIM = "FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"
 _SIM_LOG = """\
 --vehicle: states that your simulator predicted for the inputs of FILE (one for each FILE): what \
@@ -154,7 +154,6 @@ def diagnose(
             text = f"{', '.join(unused)}: used only by `tirefit fit`, not by diagnose"
             complain(f"warning: {config.source}: {text}")
     start_jax()
-    # A simulator known by its forces is represented by the best stand-in.
     base = model if sim else plain
     settings = _settings(base, rig, without, how)
     settings["forces"] = forces_named(force)
@@ -221,7 +220,7 @@ def _simulator(
     if sim and (values or kind):
         other = "--set" if values else f"--model {model}"
         reason = f"--sim together with {other}"
-        remedy = "with --sim, --model names the model that represents the simulator"
+        remedy = "with --sim, --model names the model that describes the measured forces"
         problems.append(InputProblem(reason, remedy))
     of_columns = {"side", "combination"} if sim else set(of_tir)
     wrong = [f"--{name}" for name in of_columns if of_tir[name] is not None]

@@ -38,7 +38,7 @@ _FARTHEST = 20.0
 _LEAST_ROWS = 256
 """Smallest number of rows for which a diagnosis is compiled; small files share it."""
 
-_FARTHEST_OFF = 0.2
+FARTHEST_OFF = 0.2
 """Largest error of a stand-in for a simulator over the simulated force (rms)."""
 
 
@@ -220,32 +220,27 @@ def missed_share(prepared: Prepared, channel: str, values: Values) -> float:
 
 
 def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> None:
-    """Raises DataError if the stand-in ``name`` does not follow the simulated forces;
-    ``missed`` is its error (n,) by channel."""
+    """Raises DataError if the stand-in ``name`` does not follow the simulated forces and these
+    show no structure that explains it; ``missed`` is its error (n,) by channel."""
     for c, values in missed.items():
         share = missed_share(prepared, c, values)
-        if share > _FARTHEST_OFF:
+        if share > FARTHEST_OFF:
             reason = (
                 f"the tire fitted to the simulator ({name}) does not follow it: the error"
                 f" of {c}_sim is {rms(values):.3g} {CANONICAL[c][0]} rms,"
-                f" {100 * share:.0f} % of it ({100 * _FARTHEST_OFF:.0f} % at most)"
+                f" {100 * share:.0f} % of it ({100 * FARTHEST_OFF:.0f} % at most)"
             )
-            remedy = "choose a base model closer to the simulator with --model, and check"
-            remedy += f" sign, unit and row order of {c}_sim"
+            remedy = f"check that {c}_sim is the force of these very rows, in their order, and its"
+            remedy += " sign and unit"
             force, measured = prepared.column(f"{c}_sim"), prepared.observed[c]
             varies = np.ptp(force) > 0 and np.ptp(measured) > 0
             along = np.corrcoef(force, measured)[0, 1] if varies else 0.0
-            structures = structures_of(prepared)
-            remedies = [
-                f"the simulator's {x.channel} shows that {x.means}: {x.remedy}" for x in structures
-            ]
             if along < -0.8:  # a wrong sign of its slip gives the force the wrong sign
                 remedy = f"reverse the sign of {c}_sim: it is opposite to the measured {c}"
                 remedy += f" (correlation {along:.2f})"
-            # Another structure explains the misfit: column and base model are right.
-            if along < -0.8 or all(x.id in ("no_load", "own_time") for x in structures):
-                remedies.insert(0, remedy)
-            raise unfit(prepared.data, reason, "; ".join(remedies))
+            elif any(x.channel == c for x in structures_of(prepared)):
+                continue  # both are described
+            raise unfit(prepared.data, reason, remedy)
 
 
 Fitted = tuple[Tire, np.ndarray, np.ndarray]
@@ -253,14 +248,11 @@ Fitted = tuple[Tire, np.ndarray, np.ndarray]
 
 
 def standing_in(
-    prepared: Prepared,
-    name: str | None,
-    effects: tuple[Effect, ...],
-    rig: Rig,
-    given: GivenSimulator,
+    prepared: Prepared, effects: tuple[Effect, ...], rig: Rig, given: GivenSimulator
 ) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
-    """(model, tire fitted to a simulator's forces, :func:`with_offset` of it): of the model
-    ``name``, or the first of :data:`STAND_INS` that follows closely, else the better one."""
+    """(model, tire fitted to a simulator's forces, :func:`with_offset` of it): the first of
+    :data:`STAND_INS` that follows closely, else the better one. The simulator's forces alone
+    choose it."""
     simulated = as_measured(prepared.data, prepared.channels)
 
     def tried(model: str) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
@@ -273,8 +265,6 @@ def standing_in(
         design = design_of(prepared, effects, rig)
         return model, fitted, with_offset(prepared, fitted[0], design, fitted[1])
 
-    if name is not None:
-        return tried(name)
     plain, flexible = STAND_INS
     first = tried(plain)
     if max(missed_share(prepared, c, v) for c, v in first[-1][1].items()) <= 0.01:

@@ -37,15 +37,26 @@ UNLIKE = ("no_saturation", "clipped", "steps", "no_slip")
 """Structures that no tire model of the library has: its parameters would mislead."""
 
 
+class OwnTime(NamedTuple):
+    """A "delay", or a "lag" of a slip that is constant from row to row, or that is a "ramp", of the
+    slip of a column: its ``constant`` [s], or [m] if it is a distance (``moving``)."""
+
+    column: str
+    kind: str
+    moving: bool
+    constant: float
+
+
 class Structure(NamedTuple):
-    """A structure of a simulator's force ``channel``: its id, what it means, a remedy, and its
-    slope over the slip at zero slip and the mean load, if known."""
+    """A structure of a simulator's force ``channel``: its id, what it means, a remedy, and, if
+    known, its slope over the slip at zero slip and the mean load, and how it is late."""
 
     id: str
     channel: str
     means: str
     remedy: str
     slope: float | None = None
+    late: OwnTime | None = None
 
 
 def structures_of(prepared: Prepared) -> tuple[Structure, ...]:
@@ -159,7 +170,8 @@ def _own_time(prepared: Prepared, channel: str, name: str) -> Iterator[Structure
     if least < _RATHER:
         remedy = "take this delay out of the simulator, unless the car has it too"
         remedy += " (see channel delay and relaxation length among the effects)"
-        yield Structure(id, channel, f"it follows the slip {how}", remedy)
+        late = OwnTime(name, kind, moving, constant)
+        yield Structure(id, channel, f"it follows the slip {how}", remedy, late=late)
     # Four rows in a delay always show it; with fewer, a part of the scatter may be due to it.
     elif least < 0.8 and plain > _EXPLAINED and constant < 4.0 * apart * pace:
         means = f"it may follow the slip {how}, which rows {1000 * apart:.0f} ms apart are too"
@@ -204,6 +216,18 @@ def _share_left(parts: list[Any], constant: float, kind: str) -> float:
     if len(slip) < _LEAST_ROWS:
         return 1.0
     return _scatter(moved, share) / max(_scatter(slip, share), NONZERO)
+
+
+def slip_behind(data: TireData, late: OwnTime) -> np.ndarray:
+    """The slip (n,) of the used rows that a late simulator follows; NaN where the rows do not show
+    it, as at the begin of a run."""
+    slip = data.usable(late.column)
+    moved, reach = np.full(len(slip), np.nan), 1.0 if late.kind == "delay" else 4.0
+    for rows, time, way in _stretches(data)[0]:
+        at = way if late.moving else time
+        known = at > late.constant * reach
+        moved[rows[known]] = _late(slip[rows], at, late.constant, late.kind)[known]
+    return moved
 
 
 def _late(slip: np.ndarray, at: np.ndarray, constant: float, kind: str) -> np.ndarray:

@@ -268,16 +268,16 @@ def fit_base(
     """Fit the base model, judge the noise, and fit again under it.
 
     Args:
-        name: of the model; None for the brush, or the best stand-in for a simulator.
+        name: of the model; None for the brush.
         given: a simulator, whose forces are in the data: the base is this simulator,
-            adapted; if only its forces are known, the model ``name`` is its stand-in.
+            adapted; if only its forces are known, they choose the model that stands in for it.
 
     Raises:
         DataError: the model does not follow the simulator, or that has other signs.
     """
     simulator, stand_in, missed = None, name or STAND_INS[0], dict[str, np.ndarray]()
     if given is not None and given.tire is None:
-        stand_in, fitted, (design, missed) = fits.standing_in(prepared, name, effects, rig, given)
+        stand_in, fitted, (design, missed) = fits.standing_in(prepared, effects, rig, given)
     else:
         design = fits.design_of(prepared, effects, rig)
         if given is None:

@@ -10,10 +10,10 @@ import numpy as np
 
 from tirefit.diagnosis.engine.decide import floor_of
 from tirefit.diagnosis.engine.left_out import OWN_MODEL, Step, closed_share, predicted
-from tirefit.diagnosis.rows.fits import as_measured
+from tirefit.diagnosis.rows.fits import FARTHEST_OFF, as_measured, missed_share
 from tirefit.diagnosis.rows.prepared import Prepared, prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.structure import UNLIKE, Structure, structures_of
+from tirefit.diagnosis.rows.structure import UNLIKE, Structure, rms, slip_behind, structures_of
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.result import Described, Diagnosis, Estimate, Readings
 from tirefit.models import TireInputs, forces
@@ -46,9 +46,17 @@ def with_readings(
         whole: rows of the case.
         model: that describes both; ``study`` diagnoses rows with it.
     """
+    given = case.base.simulator
+    assert given is not None, "the diagnosis is that of a simulator"
+    followed = all(
+        missed_share(whole, c, np.asarray(x)[: whole.n]) <= FARTHEST_OFF
+        for c, x in case.base.design.offset.items()
+    )
     try:
         described = study(whole, rig)
     except DataError:
+        if not followed:
+            raise
         return result
     # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
@@ -65,10 +73,10 @@ def with_readings(
     closed = closed_share(out.rows, left, first, floor_of(case.base, out))
     step = Step(OWN_MODEL, float(np.sqrt(share @ left)), *closed, gain, error)
     # Where both predict alike, the one that does not depend on a stand-in for the simulator.
-    given = case.base.simulator
-    rough = given is not None and given.given.tire is None and given.stand_in != model
+    rough = given.given.tire is None and given.stand_in != model
+    likelier = gain > (-error if rough else error)
     both = Readings(
-        "described" if gain > (-error if rough else error) else "changed",
+        "described" if likelier or not followed else "changed",
         gain,
         error,
         float(np.sqrt(share @ changed)),
@@ -91,6 +99,10 @@ def _of_simulator(
     generator, noise, columns = np.random.default_rng(0), {}, dict(data.columns)
     if any(fault.id == "no_load" for fault in structure):  # it has the same load in every row
         columns["fz"] = np.full(len(data), np.mean(data.usable("fz")))
+    for late in (fault.late for fault in structure if fault.late):  # of the slip that it follows
+        columns[late.column] = np.full(len(data), np.nan)
+        columns[late.column][data.used] = slip_behind(data, late)
+        data = data.where(np.isfinite(columns[late.column]))
     for channel in whole.channels:
         noise[channel] = _EXACT * float(np.sqrt(np.nanmean(data.usable(channel) ** 2)))
         columns[channel] = columns[channel] + noise[channel] * generator.standard_normal(len(data))
@@ -99,8 +111,11 @@ def _of_simulator(
         case = study(prepare(replace(data, columns=columns), rig, whole.channels), rig)
     except DataError:
         return None
-    rows = case.predicted.rows
-    return _described(case, float(np.sqrt(rows @ _loss(case) / rows.sum())))
+    rows, main = case.predicted.rows, case.base.rows.channels[0]
+    missed = float(np.sqrt(rows @ _loss(case) / rows.sum()))
+    if missed > FARTHEST_OFF * rms(case.base.rows.observed[main]):
+        return None  # parameters of a model that does not follow it mislead
+    return _described(case, missed)
 
 
 def _loss(case: Case) -> np.ndarray:

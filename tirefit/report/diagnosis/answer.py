@@ -209,7 +209,7 @@ def _of_readings(result: Diagnosis, readings: Readings, changed: str) -> str:
         format_number(x, 3) for x in (readings.measured.rms_left_out, readings.rms_changed)
     )
     parts = [
-        f"The simulator's {words.channel_name(s.channel)} shows that {s.means}."
+        f"The simulator's {words.channel_name(s.channel)} shows that {s.means}: {s.remedy}."
         for s in readings.structure
     ]
     simulated = readings.simulator.effects if readings.simulator else {}
@@ -261,6 +261,13 @@ def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
             wrong.append(_ratio_text(name, _SHORT.get(name, name), ratio, float(error), todo, used))
     if wrong:
         yield f"The simulator has {words.listing(wrong)}."
+    if there is None:
+        values = [
+            f"{_SHORT.get(k, k)} {_cell(x)}{_spaced(x.unit)} ({k})"
+            for k, x in here.parameters.items()
+            if k != SLOPE
+        ]
+        yield f"A {both.model} of the measured rows has {words.listing(values)}."
     ranked = sorted(here.effects.items(), key=lambda pair: -(pair[1].probability or 0.0))
     lacks = [
         f"{words.sized_name(effect, size)} ({size.probability:.2f} that this is the cause)"
@@ -269,6 +276,11 @@ def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
     ]
     if lacks:
         yield f"The measured forces act like {words.listing(lacks)}."
+
+
+def _spaced(unit: str) -> str:
+    unit = words.readable_unit(unit)[1]
+    return "" if unit in ("", "-") else f" {unit}"
 
 
 def _simulated(readings: Readings, name: str) -> Estimate | None:

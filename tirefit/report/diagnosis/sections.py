@@ -199,8 +199,7 @@ def stand_in_line(result: Diagnosis) -> str:
     # Of twelve simulators of other tires, four were diagnosed correctly with a brush, eleven with a
     # tire that followed them.
     if resolvable and followed.of_gap > 0.5:
-        line += "; the parts are rough: without --model, a tire that follows it more closely is"
-        line += " chosen"
+        line += "; the parts are rough"
     return line
 
 
