@@ -69,6 +69,10 @@ def test_the_nearest_entry_of_a_table_has_steps():
     assert list(shown(brush(table[np.argmin(abs(SLIP[:, None] - table), axis=1)]))) == ["steps"]
 
 
+def test_rounded_forces_are_no_table():
+    assert shown(np.round(brush(SLIP) / 100.0) * 100.0) == {}
+
+
 def test_a_force_without_load_is_told_only_where_the_load_varies():
     load = LOAD * (1 + 0.4 * np.sin(TIME))
     assert list(shown(brush(SLIP), load)) == ["no_load"]

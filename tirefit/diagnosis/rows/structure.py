@@ -110,8 +110,14 @@ def _structures(prepared: Prepared, channel: str, name: str) -> Iterator[Structu
         remedy = "raise its friction" if limit < 0.6 * reached else remedy
         yield Structure("always_sliding", channel, means, remedy)
         return
-    values = len(np.unique(np.round(force, 9)))
-    if values < 0.2 * len(np.unique(slip)):  # each force stands at five slips and more
+    levels = np.unique(np.round(force, 9))
+    values, apart = (
+        len(levels),
+        np.diff(levels) / max(np.min(np.diff(levels), initial=np.inf), 1e-9),
+    )
+    # Multiples of one unit are rounded forces, which a tire follows.
+    rounded = values > 2 and rms(apart - np.round(apart)) < _EXPLAINED
+    if values < 0.2 * len(np.unique(slip)) and not rounded:  # each force at five slips and more
         remedy = "interpolate the simulator's table instead of taking the nearest entry"
         yield Structure("steps", channel, f"it has only {values} different values", remedy)
         return
