@@ -219,7 +219,7 @@ class Case(Concluded):
         out, fit = self.predicted, self.chosen
         fits = zip(out.parameters[self._place], out.amplitude[self._place], strict=True)
         each = [self._nearest(fit.atoms, z, amplitude) for z, amplitude in fits]
-        return np.asarray(jackknife_error(each))
+        return np.asarray(jackknife_error(np.array(each)))
 
     @cached_property
     def natural(self) -> tuple[np.ndarray, np.ndarray]:
