@@ -139,9 +139,9 @@ def test_effects_on_which_diagnoses_agree(gaps, tmp_path):
     found = tirefit.compare(gaps, "ABC")
     (size,) = found.effects
     assert abs(size.difference - 0.003) < 2 * size.std and size.differs
-    assert "slip_offset is named in A, B only; its size differs: 0.00" in str(found)
+    assert "slip offset is named in A, B only; its size differs: 0.00" in str(found)
     alone = tirefit.compare([gaps[0], gaps[0]], "AB")
-    assert "slip_offset is named in all" in str(alone)
+    assert "slip offset is named in all" in str(alone)
     paths = [one.save(tmp_path / name)[0].parent for one, name in zip(gaps, "abc", strict=True)]
     again = tirefit.compare([path / "data.json" for path in paths])
     assert [one.name for one in again.sources] == ["a", "b", "c"]
@@ -225,6 +225,6 @@ def test_sizes_of_effects_have_the_units_of_a_diagnosis():
     standing = {"force_offset": "acts like one"}
     sources = (Source(x, "diagnosis", "", "brush", "", {}, standing=standing) for x in "AB")
     text = " ".join(str(Comparison(sources=tuple(sources), effects=(apart,))).split())
-    assert "force_offset [% of the mean F_z] -2.98 ± 0.67 -11.98 ± 0.67" in text
-    assert "the gap acts like force_offset in all; its size differs: -2.98 ± 0.67 in A" in text
+    assert "force offset [% of the mean F_z] -2.98 ± 0.67 -11.98 ± 0.67" in text
+    assert "the gap acts like force offset in all; its size differs: -2.98 ± 0.67 in A" in text
     assert "difference -9.00 ± 0.95 % of the mean F_z (9.5 errors)" in text

@@ -196,6 +196,18 @@ def test_a_tied_fit_with_other_bounds_survives_storing(tmp_path):
         np.testing.assert_allclose(stored[name], values, rtol=1e-12)
 
 
+@pytest.mark.parametrize("ends", [("m", "mv"), ("z", "mu"), ("m", "m")])
+def test_a_tie_to_what_is_not_free_is_refused(given, tmp_path, ends):
+    given.save(tmp_path)
+    path = tmp_path / "fit.json"
+    content = json.loads(path.read_text())
+    name, other = ends
+    content["prediction"]["layout"]["ties"] = [{"name": name, "other": other, "factor": 0.8}]
+    path.write_text(json.dumps(sealed(content)))
+    with pytest.raises(DataError, match=f"{name} is tied to {other}: not a free parameter"):
+        load_fit(path)
+
+
 @pytest.mark.parametrize(
     "ends", [("sigma_x", -1.0, 0.2), ("fz", 4e3, 3e3), ("fz", -1.0, 4e3), ("alpha", 0.0, 2.0)]
 )

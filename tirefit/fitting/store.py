@@ -227,6 +227,9 @@ def load_fit(path: str | os.PathLike[str]) -> StoredFit:
                 raise ValueError(f"the bounds of {item.name} are not in order")
             free.append(FreeParameter(item.name, spec, item.per_run))
         ties = tuple(Tie(**tie.model_dump()) for tie in stored.ties)
+        for tie in ties:
+            if tie.name not in known or tie.other not in {item.name for item in free}:
+                raise ValueError(f"{tie.name} is tied to {tie.other}: not a free parameter")
         layout = Layout(tuple(free), ties, tuple(stored.runs))
         tire = with_values(template, stored.fixed)
         noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}

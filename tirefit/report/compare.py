@@ -8,7 +8,7 @@ import numpy as np
 from tirefit.diagnosis.summary.compare import Apart, Comparison, Number
 from tirefit.diagnosis.summary.forces import ForceCurve, ForceDifference
 from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, together
-from tirefit.report.diagnosis.words import readable_unit
+from tirefit.report.diagnosis.words import name_of, readable_unit
 from tirefit.report.fit.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit.tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
@@ -100,7 +100,8 @@ def _on_effects(result: Comparison) -> Iterator[str]:
             text += f"; {f'{of} differs: {_difference(size)}' if size.differs else same}"
         claims = {source.standing.get(effect) for source in judging}
         is_named = "named" in claims
-        yield f"{effect} is named {text}" if is_named else f"the gap acts like {effect} {text}"
+        name = name_of(effect)
+        yield f"{name} is named {text}" if is_named else f"the gap acts like {name} {text}"
 
 
 def _in_words(number: Apart) -> Apart:
@@ -127,7 +128,8 @@ def _numbers_table(given: Sequence[Apart], names: Sequence[str], what: str) -> R
             size += f" ({number.farthest})" * (len(number.values) > 2)
             cells = [size, f"{number.errors:.1f}" + ": differs" * number.differs]
         unit = f" [{number.unit}]" if number.unit not in ("", "-") else ""
-        name = f"{number.name.removesuffix(': amplitude')}{unit}"
+        effect, colon, amplitude = number.name.removesuffix(": amplitude").partition(": ")
+        name = f"{name_of(effect) if what == 'effect' else effect}{colon}{amplitude}{unit}"
         rows.append((name, *(_cell(number, name) for name in names), *cells))
     return rows
 
@@ -158,7 +160,8 @@ def sections_of(result: Comparison) -> list[Section]:
     judging = [source for source in result.sources if source.kind in _JUDGING]
     standing = [("effect", *(source.name for source in judging))]
     for effect in _named(result):
-        standing.append((effect, *(source.standing.get(effect, "not found") for source in judging)))
+        label = f"{name_of(effect)} ({effect})" if name_of(effect) != effect else effect
+        standing.append((label, *(source.standing.get(effect, "not found") for source in judging)))
     return [
         Section("Parameters", (), numbers, right=right),
         Section("Effects", (), standing),

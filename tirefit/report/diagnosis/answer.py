@@ -267,7 +267,7 @@ def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
             for k, x in here.parameters.items()
             if k != SLOPE
         ]
-        yield f"A {both.model} of the measured rows has {words.listing(values)}."
+        yield f"A {readings.model} of the measured rows has {words.listing(values)}."
     ranked = sorted(here.effects.items(), key=lambda pair: -(pair[1].probability or 0.0))
     lacks = [
         f"{words.sized_name(effect, size)} ({size.probability:.2f} that this is the cause)"
