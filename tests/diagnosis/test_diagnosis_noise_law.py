@@ -76,6 +76,12 @@ def test_uniform_noise_keeps_the_stated_level():
     np.testing.assert_allclose(noise.std, np.sqrt(40.0**2 + SPREAD))
 
 
+def test_the_level_of_rows_without_noise_is_assumed():
+    noise = judged(np.zeros(ROWS), None)
+    assert np.mean(noise.std) == pytest.approx(1e-5 * LOAD[0])
+    assert noise.source.startswith("assumed: 1e-5 of the load")
+
+
 def test_noise_that_falls_with_the_force_is_not_modelled():
     """An overstated slip noise looks like this: the level is kept."""
     noise = judged(np.full(ROWS, 40.0) * (1 - 0.6 * FORCE / 4000))

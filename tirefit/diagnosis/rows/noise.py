@@ -218,7 +218,7 @@ def judge_noise(
         std = std * min(float(most), 1.0)  # the noise is a part of the residual
     std = np.maximum(std, floor)
     if np.all(std <= floor):  # forces from a formula have rounding errors but no noise
-        memory = (FORGETFUL,)
+        memory, source = (FORGETFUL,), "assumed: 1e-5 of the load, as the rows show no noise"
     if grows or (not stated and np.max(std) > (1 + _MISSTATED) ** 2 * np.min(std)):
         flags.append("heteroscedastic")
     elif stated and np.std(fz) > LOADS * np.mean(fz):
