@@ -111,12 +111,10 @@ def _structures(prepared: Prepared, channel: str, name: str) -> Iterator[Structu
         yield Structure("always_sliding", channel, means, remedy)
         return
     levels = np.unique(np.round(force, 9))
-    values, apart = (
-        len(levels),
-        np.diff(levels) / max(np.min(np.diff(levels), initial=np.inf), 1e-9),
-    )
+    values, apart = len(levels), np.diff(levels)
     # Multiples of one unit are rounded forces, which a tire follows.
-    rounded = values > 2 and rms(apart - np.round(apart)) < _EXPLAINED
+    units = apart / max(np.min(apart, initial=np.inf), 1e-9)
+    rounded = values > 2 and rms(units - np.round(units)) < _EXPLAINED
     if values < 0.2 * len(np.unique(slip)) and not rounded:  # each force at five slips and more
         remedy = "interpolate the simulator's table instead of taking the nearest entry"
         yield Structure("steps", channel, f"it has only {values} different values", remedy)
