@@ -11,7 +11,7 @@ from test_motion import write_log as write
 
 from tirefit.data.read import read
 from tirefit.data.vehicle.derive import derive, derive_files
-from tirefit.data.vehicle.motion import read_motion
+from tirefit.data.vehicle.motion import not_ahead, read_motion
 from tirefit.data.vehicle.track import read_track
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle.replay import replay
@@ -255,7 +255,8 @@ def interrupted(tmp_path):
 
 def test_the_excluded_time_is_stated_by_reason(interrupted):
     path, settings = interrupted
-    notes = "\n".join(left_out(read_motion(path, settings)[1], settings))
+    motion = read_motion(path, settings)[1]
+    notes = "\n".join(left_out(motion, not_ahead(motion, settings), settings))
     for why in ("spinning or reversing", "slower than 0.8 m/s"):
         span = float(re.search(rf"([\d.]+) s are left out as {why}", notes)[1])
         assert span == pytest.approx(1.0, abs=0.3)
@@ -266,4 +267,5 @@ def test_a_replay_reports_the_excluded_time(interrupted):
     path, settings = interrupted
     found = replay([path], settings, "brush", "brush", horizons=[0.5])
     assert any("a_y follows from the speeds" in note for note in found.notes)
-    assert {*left_out(read_motion(path, settings)[1], settings)} <= {*found.notes}
+    motion = read_motion(path, settings)[1]
+    assert {*left_out(motion, not_ahead(motion, settings), settings)} <= {*found.notes}

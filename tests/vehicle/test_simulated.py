@@ -96,7 +96,8 @@ def test_a_fault_put_into_a_simulator_is_found_with_its_size(effect, car, tmp_pa
     assert not any(other.differs for other in by_name.values())
     simulator, _ = found.sources
     assert simulator.standing[effect] == "named"
-    assert f"{effect} is named in simulator only; " in str(found)
+    words = effect.replace("_", " ")
+    assert f"{words} is named in simulator only; " in str(found)
 
 
 @pytest.mark.long

@@ -288,15 +288,15 @@ def _no_slip(simulated: Iterable[CutLog[Any]], vehicle: Vehicle) -> str:
         turn = motion.v_x * np.tan(road_wheel(motion, vehicle))
         parts.append(np.stack([motion.yaw_rate, motion.v_y, turn, motion.v_x])[:, good])
     yaw_rate, v_y, *wheels = np.concatenate(parts, axis=1)
-    arms = []
-    for values, by in ((yaw_rate, np.transpose(wheels)), (v_y, yaw_rate[:, None])):
-        (arm, *_), *_ = np.linalg.lstsq(by, values)
-        missed = values - by @ np.linalg.lstsq(by, values)[0]
-        if np.std(missed) > _WITHOUT_SLIP * np.std(yaw_rate) * (
-            1.0 if by.shape[1] > 1 else vehicle.l_r
-        ):
-            return ""
-        arms.append(float(arm))
+    allowed, arms = _WITHOUT_SLIP * np.std(yaw_rate), []
+    for values, by, length in (
+        (yaw_rate, np.transpose(wheels), 1.0),
+        (v_y, yaw_rate[:, None], vehicle.l_r),
+    ):
+        factors = np.linalg.lstsq(by, values)[0]
+        if not allowed or np.std(values - by @ factors) > allowed * length:
+            return ""  # it has slip, or drives straight
+        arms.append(float(factors[0]))
     return (
         "the simulated car has no slip: its yaw rate is that of its wheels with a wheelbase of"
         f" {1 / arms[0]:.3g} m, and it describes a point {arms[1]:.3g} m ahead of the rear axle."

@@ -189,37 +189,28 @@ class Case(Concluded):
         """Parameters z (p,) of the base without effects whose forces on these rows are nearest to
         those of a fit with its effects of the tire, and their variances: effects that change the
         same forces, as a carcass in series with a stiffness, leave a parameter beside them open."""
-        base, p, of_tire = self.base, len(fit.z), self._of_tire(fit.atoms)
+        base, p = self.base, len(fit.z)
+        of_tire = np.array([base.atoms[k].effect.of == "tire" for k in fit.atoms])
         if not of_tire.any():
             return super().alone(fit)
-        z = self._nearest(fit.atoms, fit.z, fit.amplitude)
+        forces = base.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude * of_tire))
+        observed = {c: pad_rows(x, len(base.design.keep)) for c, x in forces.items()}
+        design = base.design._replace(observed=observed)
+        z = refit(base.tire, [(fit.z, ())], [()], design).z[0]
         columns = base.columns_at(fit)
         taken = np.linalg.lstsq(columns[:, :p], columns[:, p:] * of_tire, rcond=UNSEEN)[0]
         slopes = np.hstack([np.eye(p), taken])
         return z, np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes)
 
-    def _of_tire(self, atoms: Sequence[int]) -> np.ndarray:
-        """Whether each atom (k,) is of an effect of the tire."""
-        return np.array([self.base.atoms[k].effect.of == "tire" for k in atoms], bool)
-
-    def _nearest(self, atoms: Sequence[int], z: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
-        """Parameters z (p,) of the base without effects whose forces are nearest to those of
-        these parameters with the effects of the tire among the atoms."""
-        base, of_tire = self.base, self._of_tire(atoms)
-        if not of_tire.any():
-            return z
-        forces = base.forces(z, base.amplitudes(atoms, amplitude[: len(atoms)] * of_tire))
-        observed = {c: pad_rows(x, len(base.design.keep)) for c, x in forces.items()}
-        design = base.design._replace(observed=observed)
-        return refit(base.tire, [(z, ())], [()], design).z[0]
-
     @property
     def _scatter(self) -> np.ndarray:
-        """Those of the base ``alone``, as it follows from the fits without each part."""
+        """Those of the set without its effects of the tire, or of none, whichever is smaller: a
+        part that is left out may take an effect with it, and the linear step is then too long."""
         out, fit = self.predicted, self.chosen
-        fits = zip(out.parameters[self._place], out.amplitude[self._place], strict=True)
-        each = [self._nearest(fit.atoms, z, amplitude) for z, amplitude in fits]
-        return np.asarray(jackknife_error(np.array(each)))
+        atoms = zip(fit.effects, (self.base.atoms[k] for k in fit.atoms), strict=True)
+        key = tuple(name for name, atom in atoms if atom.effect.of != "tire")
+        sets = [out.effects.index(x) for x in (key, ()) if x in out.effects]
+        return np.min([jackknife_error(out.parameters[k]) for k in sets], axis=0)
 
     @cached_property
     def natural(self) -> tuple[np.ndarray, np.ndarray]:
