@@ -209,7 +209,7 @@ def _of_readings(result: Diagnosis, readings: Readings, changed: str) -> str:
         format_number(x, 3) for x in (readings.measured.rms_left_out, readings.rms_changed)
     )
     parts = [
-        f"The simulator's {words.channel_name(s.channel)} shows that {s.means}: {s.remedy}."
+        f"The simulator's {words.channel_name(s.channel)} shows that {s.means}. To do: {s.remedy}."
         for s in readings.structure
     ]
     simulated = readings.simulator.effects if readings.simulator else {}
