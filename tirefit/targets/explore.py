@@ -21,10 +21,10 @@ from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.models.mf import MFTire
 from tirefit.params import parameter_values, with_values
 from tirefit.results import DataError, InputProblem, UsageError
-from tirefit.slip import kappa_from_sigma
+from tirefit.slip import CONVENTIONS, kappa_from_sigma
 from tirefit.targets.code import C, body, results
 from tirefit.targets.program import Program, traced
-from tirefit.targets.tire import ALWAYS, INPUTS, Tire, sign_of, tire_of, turned_range
+from tirefit.targets.tire import ALWAYS, INPUTS, Tire, tire_of, turned_range
 
 SCHEMA = "tirefit.explore/1"
 MOST = 6
@@ -138,7 +138,7 @@ def explore(
         rows_from += f", of which the page holds {_ROWS}" * (table.n > _ROWS)
     shown, used = [], set(INPUTS[:ALWAYS])
     for tire_source, read_tire, tire in zip(listed, given, tires, strict=True):
-        program, record = _shown(tire_source, read_tire, tire, convention)
+        program, record = _shown(_label(tire_source, read_tire), read_tire, tire, convention)
         used |= {INPUTS[a[0]] for op, a in program.operations if op == "input" and a[0] < 6}
         shown.append(record)
     inputs = {k: _slider(k, tires, given, convention) for k in INPUTS if k in used}
@@ -159,14 +159,15 @@ def _in_folder(source: Any) -> list[Any]:
     return [str(file) for file in fits + alone]
 
 
-def _shown(
-    source: TireLike, given: GivenTire, tire: Tire, convention: str
-) -> tuple[Program, Shown]:
+def _label(source: TireLike, given: GivenTire) -> str:
+    if not isinstance(source, str | os.PathLike) or not (given.tir or given.content):
+        return given.name
+    path = Path(source)
+    return f"{given.name}, {path.absolute().parent.name if path.name == 'fit.json' else path.stem}"
+
+
+def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[Program, Shown]:
     """The program of a tire, and its record."""
-    label = given.name
-    if isinstance(source, str | os.PathLike) and (given.tir or given.content):
-        path = Path(source)
-        label += f", {path.absolute().parent.name if path.name == 'fit.json' else path.stem}"
     outputs = tuple(force for force in _FORCES if force in tire.modelled)
     tire = replace(tire, asked=outputs)
     values, half_width = dict[str, float](), half_width_95(False, 0)
@@ -241,12 +242,14 @@ def _columns(data: TireData) -> dict[str, np.ndarray]:
 
 def _shown_rows(columns: Mapping[str, np.ndarray], convention: str) -> dict[str, list[float]]:
     """Evenly chosen rows in the signs of a convention, to five digits."""
+    signs = CONVENTIONS[convention]
     count = min((len(column) for column in columns.values()), default=0)
     chosen = np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
-    return {
-        name: [float(f"{value:.5g}") for value in sign_of(convention, name) * column[chosen]]
-        for name, column in columns.items()
-    }
+    rows = {}
+    for name, column in columns.items():
+        sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
+        rows[name] = [float(f"{sign * value:.5g}") for value in column[chosen]]
+    return rows
 
 
 def _slider(

@@ -200,11 +200,15 @@ def _unrolled(graph: Graph, how: Mapping[str, Any], values: list[np.ndarray]) ->
 
 def _each(graph: Graph, function: Callable[..., Any], values: Sequence[np.ndarray]) -> np.ndarray:
     """A function of scalars on arrays."""
-    arrays = np.broadcast_arrays(*(value.astype(object) for value in values))
+    arrays = np.broadcast_arrays(*values)
     result = np.empty(arrays[0].shape, object)
     for at in np.ndindex(result.shape):
-        result[at] = function(graph, *(array[at] for array in arrays))
+        result[at] = function(graph, *(_plain(array[at]) for array in arrays))
     return result
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _power(graph: Graph, x: Any, y: int) -> Any:
