@@ -7,12 +7,12 @@ import numpy as np
 
 from tirefit.diagnosis.summary.compare import Apart, Comparison, Number
 from tirefit.diagnosis.summary.forces import ForceCurve, ForceDifference
-from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, together
+from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, images_of, together
 from tirefit.report.diagnosis.words import name_of, readable_unit
 from tirefit.report.fit.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit.tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
-from tirefit.report.page import Rows, Section, report_text
+from tirefit.report.page import Rows, Section, fragment, image_of, page, report_text, verdict_of
 from tirefit.results import UsageError
 
 _NAMED = 6  # largest number of parameters that do not differ and are named
@@ -235,3 +235,23 @@ def plot_comparison(result: Comparison) -> Picture:
         raise UsageError("no figure: no forces to compare")
     panels = [_force_panel(force) for force in result.forces]
     return together(panels, _title(result), "; ".join(answer(result)), "braking positive, SI")
+
+
+def comparison_page(result: Comparison) -> str:
+    """The comparison as one HTML document with its pictures."""
+    sections = [
+        Section("", pictures=images_of(map(_force_panel, result.forces))),
+        *sections_of(result),
+    ]
+    first, *more = answer(result)
+    return page(_title(result), sections, verdict_of(first, more, True), record=result.to_json())
+
+
+def comparison_fragment(result: Comparison) -> str:
+    """The tables, with the figure, for notebooks."""
+    if result.models:
+        return fragment("", sections_of(result))
+    pictures = [image_of(plot_comparison(result), _title(result))] if result.forces else []
+    first, *more = answer(result)
+    sections = [Section("", pictures=pictures), *sections_of(result)]
+    return fragment(_title(result), sections, verdict_of(first, more, True))

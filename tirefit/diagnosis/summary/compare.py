@@ -122,6 +122,8 @@ class Comparison(Record):
 
     text_by: ClassVar[str] = "tirefit.report.compare:comparison_text"
     plot_by: ClassVar[str] = "tirefit.report.compare:plot_comparison"
+    html_by: ClassVar[str] = "tirefit.report.compare:comparison_fragment"
+    page_by: ClassVar[str] = "tirefit.report.compare:comparison_page"
     internal: ClassVar[tuple[str, ...]] = ("sources",)
 
     sources: tuple[Source, ...]
