@@ -132,7 +132,7 @@ def test_a_late_simulator_is_described_at_the_slip_that_it_follows():
     np.testing.assert_allclose([own["mu"].value, own["cpa2"].value], [1.3 * MU, CPA2], rtol=0.01)
     assert both.first == "described" and not both.simulator.effects
     text = " ".join(diagnosis_text(found).split())
-    assert "it follows the slip 400 ms late: take this delay out of the simulator" in text
+    assert "it follows the slip 400 ms late. To do: take this delay out of the simulator" in text
     assert "% too high (set mu to 0.9" in text
 
 
