@@ -21,10 +21,10 @@ from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.models.mf import MFTire
 from tirefit.params import parameter_values, with_values
 from tirefit.results import DataError, InputProblem, UsageError
-from tirefit.slip import CONVENTIONS, kappa_from_sigma
+from tirefit.slip import kappa_from_sigma
 from tirefit.targets.code import C, body, results
 from tirefit.targets.program import Program, traced
-from tirefit.targets.tire import ALWAYS, INPUTS, Tire, tire_of, turned_range
+from tirefit.targets.tire import ALWAYS, INPUTS, Tire, sign_of, tire_of, turned_range
 
 SCHEMA = "tirefit.explore/1"
 MOST = 6
@@ -242,14 +242,12 @@ def _columns(data: TireData) -> dict[str, np.ndarray]:
 
 def _shown_rows(columns: Mapping[str, np.ndarray], convention: str) -> dict[str, list[float]]:
     """Evenly chosen rows in the signs of a convention, to five digits."""
-    signs = CONVENTIONS[convention]
     count = min((len(column) for column in columns.values()), default=0)
     chosen = np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
-    rows = {}
-    for name, column in columns.items():
-        sign = getattr(signs, {"kappa": "slip"}.get(name, name), 1)
-        rows[name] = [float(f"{sign * value:.5g}") for value in column[chosen]]
-    return rows
+    return {
+        name: [float(f"{value:.5g}") for value in sign_of(convention, name) * column[chosen]]
+        for name, column in columns.items()
+    }
 
 
 def _slider(

@@ -70,22 +70,22 @@ _RELATED, _NEAR = 0.95, 0.15
 from that of a unit or a sign, that show the wrong unit or sign."""
 
 
-_STATED: dict[str, tuple[str, str, Callable[[Vehicle, float], tuple[float, float]]]] = {
-    "centre_of_gravity": (
-        "l_f",
+_Stated = tuple[str, str, Callable[[Vehicle, float], tuple[float, float]]]
+
+
+def _arm(name: str, sign: float) -> _Stated:
+    """A distance of the car that an amplitude in wheelbases makes longer (sign 1) or shorter."""
+    return (
+        name,
         "m",
-        lambda car, x: (car.l_f - x * (car.l_f + car.l_r), car.l_f + car.l_r),
-    ),
-    "front_axle": (
-        "l_f",
-        "m",
-        lambda car, x: (car.l_f + x * (car.l_f + car.l_r), car.l_f + car.l_r),
-    ),
-    "rear_axle": (
-        "l_r",
-        "m",
-        lambda car, x: (car.l_r + x * (car.l_f + car.l_r), car.l_f + car.l_r),
-    ),
+        lambda car, x: (getattr(car, name) + sign * x * car.wheelbase, car.wheelbase),
+    )
+
+
+_STATED: dict[str, _Stated] = {
+    "centre_of_gravity": _arm("l_f", -1.0),
+    "front_axle": _arm("l_f", 1.0),
+    "rear_axle": _arm("l_r", 1.0),
     "yaw_inertia": ("yaw_inertia", "kg m2", lambda car, x: (car.yaw_inertia * math.exp(x),) * 2),
     "steering_delay": (
         "steering.delay",
@@ -94,7 +94,7 @@ _STATED: dict[str, tuple[str, str, Callable[[Vehicle, float], tuple[float, float
     ),
 }
 """Effect -> the quantity of ``vehicle.toml`` that it changes, its unit, and the function of the
-amplitude that gives its value and its slope."""
+amplitude that gives its value and the size of its slope."""
 
 
 def compare_with_simulator(

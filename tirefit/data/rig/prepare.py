@@ -98,11 +98,12 @@ class Prepared(Record):
 
         return record_of(self, {})
 
-    def rows_by_kind(self) -> dict[str, int]:
-        """Rows of each kind of segment, in order of appearance."""
+    def rows_by_kind(self, kept: bool = False) -> dict[str, int]:
+        """Rows of each kind of segment, in order of appearance: all, or those that are kept."""
         rows: dict[str, int] = {}
         for part in self.segments:
-            rows[part.kind] = rows.get(part.kind, 0) + part.end - part.begin
+            count = int(self.kept[part.begin : part.end].sum()) if kept else part.end - part.begin
+            rows[part.kind] = rows.get(part.kind, 0) + count
         return rows
 
 

@@ -146,12 +146,9 @@ def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict[str, Any]:
 
 def summary(prepared: Prepared) -> str:
     """A summary of the segments, in a few lines."""
-    rows = prepared.rows_by_kind()
+    rows, used = prepared.rows_by_kind(), prepared.rows_by_kind(kept=True)
     total, kept = len(prepared.data), int(prepared.kept.sum())
     count = Counter(part.kind for part in prepared.segments)
-    used = Counter[str]()
-    for part in prepared.segments:
-        used[part.kind] += int(prepared.kept[part.begin : part.end].sum())
     lines = [
         f"{prepared.data.name}: {kept} of {total} rows kept"
         f" ({', '.join(prepared.config.keep)}), convention braking, SI units"
