@@ -274,7 +274,10 @@ def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Ite
 
 def _bare(result: Comparison, meaning: str) -> Comparison:
     """The comparison with one sentence in place of numbers and effects."""
-    sources = tuple(x._replace(numbers={}, effects={}, standing={}) for x in result.sources)
+    sources = tuple(
+        source._replace(kind="states", numbers={}, effects={}, standing={})
+        for source in result.sources
+    )
     return replace(result, sources=sources, numbers=(), effects=(), meanings=(meaning,))
 
 

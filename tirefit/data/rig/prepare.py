@@ -99,7 +99,14 @@ class Prepared(Record):
         return record_of(self, {})
 
     def rows_by_kind(self, kept: bool = False) -> dict[str, int]:
-        """Rows of each kind of segment, in order of appearance: all, or those that are kept."""
+        """Rows of each kind of segment.
+
+        Args:
+            kept: whether only rows that are kept count.
+
+        Returns:
+            Kind -> number of rows, in order of appearance.
+        """
         rows: dict[str, int] = {}
         for part in self.segments:
             count = int(self.kept[part.begin : part.end].sum()) if kept else part.end - part.begin

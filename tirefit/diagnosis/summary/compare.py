@@ -47,7 +47,7 @@ class Source(NamedTuple):
 
     Attributes:
         name: short, unlike the others.
-        kind: ``fit``, ``tir``, ``trajectory``, ``diagnosis`` or ``description``.
+        kind: ``fit``, ``tir``, ``trajectory``, ``diagnosis``, ``description`` or ``states``.
         file: its path, or that of its data.
         model: of the tire or the car.
         rows: identifies the rows that it was found from; empty if not known.
