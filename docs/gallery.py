@@ -41,8 +41,8 @@ FIGURES = (
         " --config fits/rig_test/fit.toml --html --out fit",
     ),
     (
-        "Parts of a simulator's error",
-        "fits/dart_simulator/waterfall.png",
+        "How far a simulator's error shrinks",
+        "fits/dart_simulator/ladder.png",
         "fits/dart_simulator/README.md",
         "tirefit diagnose fits/dart_simulator/free_driving.csv"
         " --model out/circles/fit.json --figures --out out/axle",

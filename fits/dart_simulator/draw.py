@@ -1,6 +1,6 @@
 """The figure and the asserted numbers of the diagnosis.
 
-``python -m fits.dart_simulator.draw`` writes ``waterfall.png`` to this folder.
+``python -m fits.dart_simulator.draw`` writes ``ladder.png`` to this folder.
 """
 
 from pathlib import Path
@@ -54,7 +54,7 @@ def properties() -> dict:
 
 
 def main() -> None:
-    diagnosed().plot("budget").savefig(HERE / "waterfall.png")
+    diagnosed().plot("ladder").savefig(HERE / "ladder.png")
 
 
 if __name__ == "__main__":

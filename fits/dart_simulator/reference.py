@@ -1,8 +1,8 @@
 """The simulator, its error on another day and the parts of it, without tirefit.
 
 ``python -m fits.dart_simulator.reference``: SciPy's least squares on S(12) in NumPy,
-with equal weights, without priors of effects; shares by the Shapley formula for two
-players.
+with equal weights, without priors of effects; shares of the mean square error on blocks of time
+left out in turn, of the parameters, then of the shift beside them.
 """
 
 import csv
@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fits.diagnosis_measured.reference import fitted, force, rmse
-from fits.formulas import fit_scipy
+from fits.diagnosis_measured.reference import fitted, rmse
 
 HERE = Path(__file__).parent
 
@@ -23,24 +22,26 @@ def rows_of(name: str) -> np.ndarray:
     return np.array([[float(row[k]) for k in ("alpha", "fy", "fz")] for row in rows]).T
 
 
-def shift_alone(rows, c: float, mu: float) -> float:
-    """The shift of tan(alpha) that fits a given tire best."""
-    found = fit_scipy(
-        lambda shift: force(rows, c, mu, shift), rows[1], [np.zeros(1)], [-0.1], [0.1]
-    )
-    return float(found[0][0])
+PARTS = 8  # blocks of time that are left out in turn
+
+
+def left_out(rows: np.ndarray, shifted: bool) -> float:
+    """Mean square error on each block of rows, which are in the order of time, of a fit to the
+    others."""
+    code = np.arange(rows.shape[1]) * PARTS // rows.shape[1]
+    squares = [
+        np.sum(code == k) * rmse(rows[:, code == k], *fitted(rows[:, code != k], shifted)) ** 2
+        for k in range(PARTS)
+    ]
+    return sum(squares) / rows.shape[1]
 
 
 def reference() -> dict[str, float]:
     rows = rows_of("free_driving")
     given = fitted(rows_of("circles"), False)
     plain, both = fitted(rows, False), fitted(rows, True)
-    shift = shift_alone(rows, *given)
-    whole, tuned, shifted, left = (
-        rmse(rows, *parameters) ** 2 for parameters in (given, plain, (*given, shift), both)
-    )
-    parameters = (whole - tuned + shifted - left) / 2
-    offset = (whole - shifted + tuned - left) / 2
+    whole, tuned, left = (rmse(rows, *parameters) ** 2 for parameters in (given, plain, both))
+    tuned_out, left_there = (left_out(rows, shifted) for shifted in (False, True))
     found = {
         "simulated cpa2": given[0],
         "simulated mu": given[1],
@@ -50,8 +51,9 @@ def reference() -> dict[str, float]:
         "error": whole**0.5,
         "tuned": tuned**0.5,
         "left": left**0.5,
-        "share of the parameters": parameters / whole,
-        "share of the shift": offset / whole,
+        "left out": left_there**0.5,
+        "share of the parameters": (whole - tuned_out) / whole,
+        "share of the shift": (tuned_out - left_there) / whole,
     }
     return {key: float(value) for key, value in found.items()}
 

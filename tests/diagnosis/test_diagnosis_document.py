@@ -25,7 +25,7 @@ GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
     "": [
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
-        "budget", "budgets", "where", "verdict", "ladder",
+        "budget", "where", "verdict", "ladder",
         "candidates", "untestable", "resolution", "next_measurement",
         "slip_check", "runs", "base_parameters", "extended_parameters", "extension",
         "settings", "seed", "version", "asked", "ladder_on",
@@ -42,8 +42,6 @@ KEYS = {
     "gap channels fx": GAP,
     "gap holdout": [*GAP, "on"],
     "where 0": ["covariate", "low", "high", "share", "p_value"],
-    "budgets": ["fx"],
-    "budgets fx 0": ["part", "rms", "share", "closed_ci"],
     "budget 0": ["part", "rms", "share", "closed_ci"],
     "verdict": [
         "status", "effects", "acts_like", "probability", "each", "also_possible", "left",
@@ -94,7 +92,7 @@ def test_every_record_survives_writing_and_reading(diagnosed):
     written = {f.name for f in fields(Diagnosis) if f.metadata.get("written", True)}
     assert written | {"schema", "ladder_on"} == set(document)
     # Keyed by what the file and the model have.
-    free = ("parameters", "budgets", "runs")
+    free = ("parameters", "runs")
     assert all(
         not isinstance(getattr(found, name), dict) or name.endswith(free) for name in written
     )

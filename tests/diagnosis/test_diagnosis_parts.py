@@ -3,7 +3,6 @@
 import ast
 import re
 from dataclasses import fields, replace
-from math import factorial
 from pathlib import Path
 
 import jax
@@ -29,7 +28,6 @@ from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepa
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.subject import fit_base
-from tirefit.diagnosis.summary.closure import shapley
 from tirefit.diagnosis.summary.forecast import _told_apart, decided, separability, size_apart
 from tirefit.diagnosis.summary.views import _shape, adjusted, regions
 from tirefit.models import MODELS, Brush, TireInputs
@@ -347,20 +345,6 @@ def test_one_wave_among_many_is_found():
     pair = np.stack([np.sin(4 * few), np.cos(4 * few)], axis=1)
     left = [np.linalg.lstsq(a, residual[:60])[1][0] for a in (one, np.hstack([one, pair]))]
     assert waves_within(pair, one, residual[:60])[0] == pytest.approx(left[0] - left[1], rel=1e-4)
-
-
-def test_shares_do_not_depend_on_the_order():
-    """Compared with the sum over subsets, weighted by the orders in which each comes first."""
-    worth = {(): 0.0, (1,): 2.0, (2,): 3.0, (3,): 0.0, (1, 2): 4.0, (1, 3): 2.5,
-             (2, 3): 3.0, (1, 2, 3): 5.0}  # fmt: skip
-    found = shapley((1, 2, 3), worth)
-    for player in (1, 2, 3):
-        value = 0.0
-        for subset in (s for s in worth if player not in s):
-            weight = factorial(len(subset)) * factorial(2 - len(subset)) / factorial(3)
-            value += weight * (worth[tuple(sorted((*subset, player)))] - worth[subset])
-        assert found[player] == pytest.approx(value)
-    assert sum(found.values()) == pytest.approx(5.0)
 
 
 def test_separability_is_right_for_known_directions():

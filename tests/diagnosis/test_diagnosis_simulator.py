@@ -1,6 +1,5 @@
 """Diagnoses of simulators with known errors."""
 
-import json
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -16,11 +15,12 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine.decide import Each, Status, Verdict
+from tirefit.diagnosis.engine.left_out import Ladder, Step
 from tirefit.diagnosis.rows.fits import as_measured
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.simulator import given_simulator, simulator_at
 from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.closure import _energies, block_means, parameter_changes
+from tirefit.diagnosis.summary.closure import block_means, budget_of, parameter_changes
 from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
@@ -69,7 +69,7 @@ def as_given(frame):
 
 
 def scipy_budget(frame):
-    """Shapley values of the parameters and of the offset [N^2] by SciPy's refits."""
+    """Mean square error that the parameters, then the offset close [N^2], by SciPy's refits."""
     slip, force, fz = frame["sigma_x"], frame["fx"], frame["fz"]
     start = np.array([TRUE["cpa2"], TOO_HIGH * TRUE["mu"]])
 
@@ -81,11 +81,8 @@ def scipy_budget(frame):
         x = least_squares(residual, [1.0, 1.0, 0.1], x_scale=[0.1, 0.1, 0.1]).x
         return np.mean((40 * residual(x)) ** 2)
 
-    nothing, parameters, offset, both = (left(*free) for free in ((0, 0), (1, 0), (0, 1), (1, 1)))
-    return nothing, {
-        "parameters": (nothing - parameters + offset - both) / 2,
-        "slip_offset": (nothing - offset + parameters - both) / 2,
-    }
+    nothing, parameters, both = (left(*free) for free in ((0, 0), (1, 0), (1, 1)))
+    return nothing, {"parameters": nothing - parameters, "slip_offset": parameters - both}
 
 
 def test_shares_of_parameters_and_effect_agree_with_scipy(frame, as_given):
@@ -395,7 +392,7 @@ def test_a_lateral_simulator_is_accepted_by_its_force():
     assert {"sim_fy", "tuned_fy"} <= set(rows_in_file_terms(found))
 
 
-def test_every_channel_of_a_simulator_has_its_budget():
+def test_every_channel_of_a_simulator_has_its_gap():
     """Friction too high: the moment has a separate error in its own unit."""
     generator, slip = np.random.default_rng(8), np.tile(np.linspace(-0.2, 0.2, 60), 3)
     fz, alpha = np.repeat((2000.0, 4000.0, 6000.0), 60), np.arctan(slip)
@@ -416,21 +413,16 @@ def test_every_channel_of_a_simulator_has_its_budget():
         rig=Rig(noise=noise),
         effects=LIBRARY,
     )
-    assert list(found.budgets) == ["fy", "mz"] and found.budget == found.budgets["fy"]
+    assert list(found.gap.channels) == ["fy", "mz"]
     for channel, std in noise.items():
-        parts = {part.part: part for part in found.budgets[channel]}
-        assert sum(part.share for part in parts.values()) == pytest.approx(1.0)
-        error = np.mean((frame[channel] - sim[channel]) ** 2)
-        energy = sum(part.rms**2 for part in parts.values())
-        assert energy == pytest.approx(error, rel=1e-6)
+        gap = found.gap.channels[channel]
         # The stated noise, less the part that stiffness, friction and length take over.
-        assert parts["noise"].rms == pytest.approx(std * np.sqrt(177 / 180), rel=1e-3)
-        # What the right friction takes away, worked out without the diagnosis.
-        closed = error - np.mean((frame[channel] - truth[channel]) ** 2)
-        assert parts["parameters"].rms ** 2 == pytest.approx(closed, rel=0.05)
-    document = json.loads(found.to_json())
-    assert document["budget"] == document["budgets"]["fy"]
-    assert document["budgets"]["mz"][0]["part"] == "parameters"
+        noise = std**2 * 177 / 180
+        errors = (np.mean((frame[channel] - x[channel]) ** 2) for x in (sim, truth))
+        whole, left = (max(error - noise, 0.0) ** 0.5 for error in errors)
+        assert gap.rms == pytest.approx(whole, rel=1e-3)
+        # What the right friction leaves, worked out without the diagnosis.
+        assert gap.remaining_rms == pytest.approx(left, abs=0.1 * std)
 
 
 def test_an_excluded_force_has_no_influence():
@@ -484,14 +476,18 @@ def test_block_means_are_taken_over_whole_blocks():
     np.testing.assert_array_equal(drawn[:, 1], 1.0)
 
 
-def test_a_part_that_increases_the_error_has_share_zero():
-    # Two parts, remainder, noise, total: 6 of 10 are closed.
-    means = np.array([[7.0, -1.0, 4.0, 1.0, 10.0], [2.0, 4.0, 4.0, 5.0, 10.0]])
-    wanted = [[6.0, 0.0, 3.0, 1.0, 10.0], [2.0, 4.0, 0.0, 4.0, 10.0]]
-    np.testing.assert_allclose(_energies(means), wanted)
-    # Nothing closed anything: all is left, even where the fit is worse than none.
-    worse = _energies(np.array([-2.0, -1.0, 13.0, 1.0, 10.0]))
-    np.testing.assert_allclose(worse, [0.0, 0.0, 9.0, 1.0, 10.0])
+def test_the_parts_of_an_error_follow_the_ladder():
+    """Mean squares of 100, 64, 81 (worse: no part), 25, and 16 of noise."""
+    names = ("as given",), (), ("a",), ("a", "b"), ("own model",), ("anything smooth",), ("noise",)
+    rms = 10.0, 8.0, 9.0, 5.0, 4.8, 4.5, 4.0
+    steps = [Step(k, x, 0.0, 0.0, 0.0, 2.0) for k, x in zip(names, rms, strict=True)]
+    parts = budget_of(Ladder("runs", tuple(steps)))
+    assert [part.part for part in parts] == ["parameters", "a", "b", "unexplained", "noise"]
+    np.testing.assert_allclose([part.share for part in parts], [0.36, 0.0, 0.39, 0.09, 0.16])
+    np.testing.assert_allclose([part.rms**2 for part in parts], [36, 0, 39, 9, 16], atol=1e-12)
+    # 1.645 standard errors of 2 of 100.
+    np.testing.assert_allclose(parts[0].closed_ci, [0.3271, 0.3929])
+    np.testing.assert_allclose(parts[1].closed_ci, [0.0, 0.0329])
 
 
 def test_invalid_simulators_are_refused(frame):

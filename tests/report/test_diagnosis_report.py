@@ -42,7 +42,6 @@ from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import answer, change_texts
 from tirefit.report.diagnosis.figures import (
     after_label,
-    budget_bars,
     draw_comparison,
     ladder_bars,
     panels_of,
@@ -50,7 +49,6 @@ from tirefit.report.diagnosis.figures import (
 )
 from tirefit.report.diagnosis.report import diagnosis_page, diagnosis_text
 from tirefit.report.diagnosis.sections import (
-    budget_section,
     first_screen,
     gap_line,
     missing_lines,
@@ -197,7 +195,7 @@ def records(channel):
         ),
         "model": "brush", "simulator": None, "n": 360, "n_effective": 287.0,
         "noise": noise_of(channel),
-        "gap": GAP, "budget": (), "budgets": {channel: ()}, "meanings": {},
+        "gap": GAP, "budget": (), "meanings": {},
         "where": (
             Region("fz", 6000.0, 6000.0, 0.81, 1e-30),
             Region("fz", 2000.0, 2000.0, 0.19, 0.21),
@@ -287,7 +285,7 @@ def flat(text):
 
 def test_regions_beyond_the_noise_are_drawn_with_their_shares():
     bars = where_bars(diagnosis())
-    assert [(bar.label, bar.right) for bar in bars] == [
+    assert [(bar.label, bar.length) for bar in bars] == [
         ("load F_z 6000 N", pytest.approx(81.0)),
         ("size of the slip shrinking", pytest.approx(53.0)),
         ("size of the slip growing", pytest.approx(47.0)),
@@ -505,17 +503,8 @@ SIMULATED = {
         "columns", "columns", None, Surrogate(model="brush", rms=75.0, of_force=0.019, of_gap=0.23)
     ),
     "budget": BUDGET,
-    "budgets": {"fx": BUDGET},
     "meanings": {"E": "curvature factor"},
 }
-
-
-MOMENT = (
-    # 6, 8 and 24 N m: 26 in all.
-    Part("parameters", 24.0, 576 / 676, (0.8, 0.9)),
-    Part("unexplained", 6.0, 36 / 676, (0.02, 0.08)),
-    Part("noise", 8.0, 64 / 676, (0.08, 0.1)),
-)
 
 
 def simulated(status="named", effects=("slip_offset",), changes=CHANGES, **others):
@@ -523,21 +512,13 @@ def simulated(status="named", effects=("slip_offset",), changes=CHANGES, **other
     return diagnosis(verdict=verdict, **SIMULATED | others)
 
 
-def test_the_error_of_a_simulator_is_reported_by_part():
+def test_the_parameters_of_a_simulator_are_reported():
     found = simulated()
-    assert budget_section(found, "fx").table[1:] == [
-        ("whole error of the simulator", "454", "100 %"),
-        ("its parameters", "400", "78 % [70 %, 80 %]"),
-        ("slip offset", "160", "12 % [10 %, 20 %]"),
-        ("unexplained", "80", "3 % [1 %, 5 %]"),
-        ("noise", "120", "7 % [6 %, 8 %]"),
-    ]
-    assert "BUDGET OF THE SIMULATOR'S ERROR (360 rows)" in str(found)
     line = stand_in_line(found)
     assert line.endswith("by 75 N rms, 2 % of its force and 23 % of the gap")
     off = found.simulator.surrogate._replace(of_gap=0.6)
     summary = found.simulator._replace(surrogate=off)
-    assert "the parts are rough" in stand_in_line(simulated(simulator=summary))
+    assert "the steps are rough" in stand_in_line(simulated(simulator=summary))
     assert stand_in_line(diagnosis()) == ""
     # The surest change first: E is 30 standard errors off, mu nine.
     assert change_texts(found) == [
@@ -621,38 +602,9 @@ def test_the_answer_on_a_derived_slip_and_on_a_small_gap():
     assert "small" not in answer(found) and "(0.91): add it to the slip." in answer(found)
 
 
-def test_the_waterfall_ends_at_the_noise():
-    found = simulated()
-    bars = budget_bars(found, "fx")
-    kinds = ["base", "parameters", "effect", "unexplained", "noise"]
-    assert [bar.kind for bar in bars] == kinds
-    left = 100 * np.array([1.0, 46400 / 206400, 20800 / 206400, 14400 / 206400])
-    np.testing.assert_allclose([bar.right for bar in bars[1:]], left)
-    np.testing.assert_allclose([bar.left for bar in bars[1:]], [*left[1:], 0])
-    assert (bars[0].left, bars[0].right) == (0.0, 100.0)
-    (axes,) = panel_pictures(found)["budget"].axes
-    # A bar is as long as its text says, on an axis that says of what.
-    ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axes.patches]
-    np.testing.assert_allclose(ends[2], (left[2], left[1]))
-    assert axes.texts[2].get_text() == "slip offset: 160 N (rms), 12 % [10, 20]"
-    assert axes.get_xlabel() == "share of the squared error [%]"
-
-
 def texts_of(figure):
     """All texts of a figure, at any depth."""
     return [text.get_text() for text in figure.findobj(Text)]
-
-
-def test_every_channel_has_a_budget_in_its_unit():
-    found = simulated(budgets={"fy": BUDGET, "mz": MOMENT})
-    force, moment = (budget_section(found, channel).table for channel in ("fy", "mz"))
-    assert force[0][:2] == ("F_y, part of the error", "rms [N]")
-    assert moment[0][:2] == ("M_z, part of the error", "rms [N m]")
-    assert moment[1][1] == "26" and moment[2][1] == "24"
-    bars = budget_bars(found, "mz")
-    np.testing.assert_allclose([bar.right for bar in bars[1:]], [100, 10000 / 676, 6400 / 676])
-    assert bars[1].text.startswith("24 N m (rms), 85 %")
-    assert list(panels_of(found))[3:] == ["budget of F_y", "budget of M_z"]
 
 
 STEP = Shape("friction", "fz", False, 6000.0, -0.049, 0.97, 0.8)

@@ -2,7 +2,6 @@
 independent program (fits/withheld_vehicle/drives.py)."""
 
 import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -26,7 +25,6 @@ from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
 from tirefit.vehicle.applied import Applied, applied
 from tirefit.vehicle.car import State, cubic, delayed, lagged, with_play
-from tirefit.vehicle.diagnose import subject_of
 from tirefit.vehicle.effects import (
     CAR_EFFECTS,
     SIMULATOR_EFFECTS,
@@ -124,9 +122,7 @@ def test_the_record_prints_draws_and_saves(found, tmp_path):
     paths = found.save(tmp_path)
     content = json.loads(paths[0].read_text())
     assert content["verdict"]["effects"] == ["steering_delay"]
-    # The ladder, and the budget of each logged channel: of all but that of all together.
-    assert len(found.plot().axes) == 1 + len(found.budgets) - 1
-    assert "Budget of the simulator" in found._repr_html_()
+    assert len(found.plot().axes) == 1  # the ladder
     record = record_of_document(paths[0])
     amplitude = next(row for row in record.rows if row.kind == "effect")
     assert (amplitude.name, amplitude.unit) == ("steering_delay: amplitude", "s")
@@ -152,31 +148,6 @@ def test_the_document_has_the_keys_of_rows_of_forces(found, tmp_path):
         assert of_car[key].keys() == of_rows[key].keys(), key
     for key in ("ladder", "candidates", "budget"):
         assert of_car[key][0].keys() == of_rows[key][0].keys(), key
-
-
-def test_the_budget_of_each_channel_adds_up_along_the_ladder(late, found):
-    """The whole and each step are the squares of a car predicted anew from the best start
-    states, without the linearisation of the search."""
-    log, vehicle, tires = late
-    cut = cut_in_windows([log], load_vehicle(vehicle), 1.0)
-    made, _ = subject_of(cut, load_vehicle(vehicle), [axle_tire(t) for t in tires], LIBRARY)
-    made = replace(made, noise=np.array([*found.noise.forces.values()]))
-    factors, ids = np.log([*found.extended_parameters.values()]), [a.effect.id for a in made.atoms]
-    k = ids.index("steering_delay")
-    size = found.amplitudes["steering_delay: amplitude"].value / made.priors.scale[k]
-    whole, last = (
-        made.rms(z) for z in (made.coefficients(), made.coefficients(factors, [k], [size]))
-    )
-    samples = made.cut.data.logged.shape[1]
-    free = np.sqrt((2 * samples - 2) / (2 * samples))  # that the two start states leave
-    for c, (channel, parts) in enumerate([*found.budgets.items()][1:]):
-        assert channel == ("v_y", "yaw_rate")[c]
-        assert sum(part.share for part in parts) == pytest.approx(1.0)
-        energy = sum(part.rms**2 for part in parts)
-        assert np.sqrt(energy) * free == pytest.approx(whole[c], rel=0.01)
-        rest = sum(part.rms**2 for part in parts if part.part in ("unexplained", "noise"))
-        assert np.sqrt(rest) * free == pytest.approx(last[c], rel=0.02)
-    assert [part.part for part in parts] == ["parameters", "steering_delay", "unexplained", "noise"]
 
 
 @pytest.mark.long

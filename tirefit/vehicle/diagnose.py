@@ -11,7 +11,6 @@ the log over their noise.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,22 +23,13 @@ from tirefit.diagnosis.effects import Effect, atoms_of
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder
 from tirefit.diagnosis.engine.search import Effort, Search, searched
 from tirefit.diagnosis.summary.case import Concluded
-from tirefit.diagnosis.summary.closure import (
-    PARAMETERS,
-    budget,
-    changed,
-    closure_of,
-    fits_of,
-    of_the_ladder,
-    on_files,
-)
+from tirefit.diagnosis.summary.closure import changed, closure_of, fits_of, of_the_ladder, on_files
 from tirefit.diagnosis.summary.document import of_any_subject
 from tirefit.diagnosis.summary.forecast import manoeuvres
 from tirefit.diagnosis.summary.result import (
     Diagnosis,
     HeldOut,
     NoiseSummary,
-    Part,
     Settings,
     Shrinkage,
     SimulatorSummary,
@@ -123,7 +113,7 @@ def diagnose_vehicle(
         without: ids of effects that are not looked for.
         holdout: logs that only check the answer.
         window: length [s] of the stretches that are predicted.
-        seed: of the intervals of closure and budget.
+        seed: of the intervals of closure.
         progress: called with the share done and the present step.
 
     Returns:
@@ -278,7 +268,6 @@ def _document_of(
         for channel in _channels(base)
     }
     each = zip(FACTORS, np.exp(z).tolist(), (np.exp(z) * spread).tolist(), strict=True)
-    budgets = _budgets(case, ladder, generator)
     rows, names = base.cut.data.v_x.size, CHANNELS[base.model.channels]
     length = (base.cut.data.v_x.shape[1] - 1) * base.step
     of_windows = f"{len(base.cut.log)} windows of {length:g} s, each from the start state that"
@@ -287,7 +276,6 @@ def _document_of(
             case,
             gaps,
             held,
-            budgets,
             ladder,
             {name: changed(1.0, factor, error) for name, factor, error in each},
             base.unit,
@@ -361,23 +349,3 @@ def _held_out(
     closure = _closure(other, ALL, left[AS_GIVEN], left[case.verdict.key], generator)
     missed = {key: other.over_noise(rest).ravel() for key, rest in left.items()}
     return on_files(ladder, closure, missed, 1.0, ", ".join(logs))
-
-
-def _budgets(
-    case: Concluded, ladder: Ladder, generator: np.random.Generator
-) -> dict[str, tuple[Part, ...]]:
-    """Parts of the energy of each channel in the order of the ladder: the parameters of the
-    tires, the effects, the remainder and the noise."""
-    base, fits, budgets = case.base, fits_of(case, ladder), {}
-    names = [PARAMETERS, *(" + ".join({*b} - {*a}) for a, b in pairwise(fits))]
-    left = base.given_residual, *(fit.residual for fit in fits.values())
-    squares = np.square([base.over_noise(rest) for rest in left])
-    run = np.repeat(base.cut.log, base.cut.data.v_x.shape[1])
-    fitted = len(case.chosen.pull) * base.inflation / squares[0].size
-    for channel, (unit, columns) in _channels(base).items():
-        energy = unit**2 * squares[:, :, columns].mean(axis=2)
-        parts = dict(zip(names, -np.diff(energy, axis=0), strict=True))
-        floor = np.full(len(run), unit**2 * max(1 - fitted, 0.0))
-        rest = energy[-1], floor, energy[0]
-        budgets[channel] = budget(parts, rest, run, base.inflation, generator)
-    return budgets

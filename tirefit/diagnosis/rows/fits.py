@@ -77,7 +77,7 @@ def refit(
     for side, end in ((-np.inf, design.low), (np.inf, design.high)):
         ends = np.clip(np.append(end, side)[index], -_FARTHEST, _FARTHEST)
         bounds.append(np.hstack([np.full((len(sets), p), side), ends]))
-    pull = np.append(np.full(p, float(design.hold) ** 2), np.ones(MOST_EFFECTS))
+    pull = np.append(np.zeros(p), np.ones(MOST_EFFECTS))
 
     def at(numbers: Sequence[int], points: np.ndarray) -> Normal:
         """Normal equations at points (k, w), priors included."""
@@ -143,7 +143,6 @@ def design_of(prepared: Prepared, effects: tuple[Effect, ...], rig: Rig) -> Desi
         # A first guess; the noise is estimated later.
         scale={c: np.full(size, 0.05 * np.std(x)) for c, x in observed.items()},
         offset={c: np.zeros(size) for c in observed},
-        hold=np.zeros(()),
         keep=(np.arange(size) < prepared.n).astype(float),
         rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
         prior_scale=scale,

@@ -34,9 +34,9 @@ class Design(NamedTuple):
 
     ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their probabilities.
     ``observed``, ``scale`` and ``offset`` (force of a simulator minus that of its tire) are (n,) by
-    channel; ``keep`` (n,) is 0 for padding and outliers. ``hold`` is the stiffness that pulls z to
-    the start of a refit. For the amplitudes (K,), ``prior_scale`` is in their own units, center,
-    ``low`` and ``high`` are in prior scales. ``reference`` is load and speed.
+    channel; ``keep`` (n,) is 0 for padding and outliers. For the amplitudes (K,), ``prior_scale``
+    is in their own units, center, ``low`` and ``high`` are in prior scales. ``reference`` is load
+    and speed.
     """
 
     inputs: TireInputs
@@ -47,7 +47,6 @@ class Design(NamedTuple):
     scale: Mapping[str, Values]
     offset: Mapping[str, Values]
     keep: Values
-    hold: Values
     rows: Covariates
     prior_scale: Values
     prior_center: Values

@@ -1,9 +1,8 @@
-"""Closure of the gap beyond the noise, and its parts: parameters of a simulator, effects, an
-unexplained part, and noise, whose squares add up. Both follow from energies of residuals, on the
-fitted rows, on files held out, and for a car alike."""
+"""Closure of the gap beyond the noise, on the fitted rows, on files held out, and for a car alike;
+and the parts of the error: parameters of a simulator, effects, an unexplained part, and noise."""
 
 from collections.abc import Mapping, Sequence
-from itertools import permutations
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,17 +10,16 @@ from scipy.special import softmax, stdtrit
 
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.fit import Fit, Key
-from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder, jackknife_error
-from tirefit.diagnosis.engine.search import parts_of
-from tirefit.diagnosis.rows.fits import refit
+from tirefit.diagnosis.engine.left_out import AS_GIVEN, OWN_MODEL, SMOOTH, Ladder, jackknife_error
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.subject import Base, on_rows
+from tirefit.diagnosis.rows.subject import on_rows
 from tirefit.diagnosis.summary.case import Case, Concluded
 from tirefit.diagnosis.summary.result import Change, HeldOut, Part, Shrinkage
 
 DRAWS = 400  # number of draws and bootstrap samples; 20 are beyond each end of 90 %
 INTERVAL = (0.05, 0.95)  # quantiles at the ends of a 90 % interval
+NORMAL = 1.645  # its ends for a normal law, in standard errors
 WORST = -1.0  # lower limit of the closure: the gap has doubled
 
 
@@ -147,7 +145,7 @@ def of_the_ladder(ladder: Ladder) -> HeldOut | None:
         return None
     base, floor = steps[0].rms_left_out, ladder.steps[-1].rms_left_out
     rms, closed = float(np.sqrt(max(base**2 - floor**2, 0.0))), steps[-1].closed
-    reach = 1.645 * steps[-1].closed_std  # 90 %
+    reach = NORMAL * steps[-1].closed_std
     return HeldOut(
         rms=rms,
         resolvable=True,
@@ -227,104 +225,30 @@ def on_files(
 PARAMETERS = "parameters"
 
 
-def shapley(players: tuple[Any, ...], worth: Mapping[tuple[Any, ...], Any]) -> dict[Any, Any]:
-    """Shapley value of every player: its mean gain over all orders, from the worth of each
-    subset in the order of ``players``."""
-    orders, values = list(permutations(players)), dict.fromkeys(players, 0.0)
-    for order in orders:
-        for place, player in enumerate(order):
-            without, joined = (
-                worth[tuple(p for p in players if p in order[:count])]
-                for count in (place, place + 1)
-            )
-            values[player] += (joined - without) / len(orders)
-    return values
+def budget_of(ladder: Ladder) -> tuple[Part, ...]:
+    """Parts of the mean square error on data left out, with 90 % intervals, in the order of the
+    ladder: parameters of a simulator, each effect that helps, what is unexplained, and noise.
 
-
-def budgets_of(case: Case, generator: np.random.Generator) -> dict[str, tuple[Part, ...]]:
-    """Parts of the energy of every channel: parameters (of a simulator), each named
-    effect, unexplained, noise; their shares add to one."""
-    base, budgets = case.base, {}
-    players = ((PARAMETERS,) if base.simulator else ()) + case.chosen.atoms
-    for channel, missed in _missed(base, case.chosen).items():
-        used, variance, run, inflation = _fitted_rows(case, channel)
-        energy = {subset: left[used] ** 2 for subset, left in missed.items()}
-        whole, rest = energy[()], energy[players]
-        parts = shapley(players, {subset: whole - left for subset, left in energy.items()})
-        named = {p if p == PARAMETERS else base.atoms[p].effect.id: x for p, x in parts.items()}
-        energies = rest, variance, whole
-        budgets[channel] = budget(named, energies, run, inflation, generator)
-    return budgets
-
-
-def budget(
-    parts: Mapping[str, np.ndarray],
-    rest: tuple[np.ndarray, np.ndarray, np.ndarray],
-    run: np.ndarray,
-    inflation: float,
-    generator: np.random.Generator,
-) -> tuple[Part, ...]:
-    """Parts of the energy of a channel with 90 % intervals; their shares add to one.
-
-    Args:
-        parts: (n,) energy that each part closes.
-        rest: (n,) energies of the remainder, of the noise in it, and of the whole.
-        run, inflation: as in :func:`closure_of`.
+    The shares add to one. A step that increases the error counts zero.
     """
-    terms = np.stack([*parts.values(), *rest], axis=1)
-    energies = _energies(terms.mean(axis=0))
-
-    def shares(energies: np.ndarray) -> np.ndarray:
-        return energies[..., :-1] / energies[..., -1:]
-
-    drawn = shares(_energies(block_means(terms, run, inflation, generator)))
-    low, high = np.quantile(drawn, INTERVAL, axis=0)
-    if len(fewer := without_each(terms, run)):
-        low, high = of_so_few_runs(shares(energies), low, high, shares(_energies(fewer)))
-    ends = np.clip([low, high], 0.0, 1.0).T.tolist()
-    columns = np.sqrt(energies[:-1]).tolist(), shares(energies).tolist(), map(tuple, ends)
-    return tuple(map(Part, [*parts, "unexplained", "noise"], *columns))
-
-
-def _energies(means: np.ndarray) -> np.ndarray:
-    """Convert means (..., parts + 3) of the parts, the remainder, the noise and the whole
-    to non-negative ones that add up to the whole, with the remainder beyond the noise and
-    the remaining noise. A part that increases the error counts zero; the others share the
-    energy that was closed."""
-    parts = np.maximum(means[..., :-3], 0.0)
-    left, noise, whole = np.moveaxis(means[..., -3:], -1, 0)
-    whole = np.maximum(whole, NONZERO)
-    total = np.sum(parts, axis=-1)
-    left = np.where(total > 0, np.minimum(left, whole), whole)
-    parts = parts * ((whole - left) / np.where(total > 0, total, 1.0))[..., None]
-    noise = np.minimum(left, noise)
-    rest = np.stack([left - noise, noise, whole], axis=-1)
-    return np.concatenate([parts, rest], axis=-1)
+    *steps, noise = [x for x in ladder.steps if x.effects not in (OWN_MODEL, SMOOTH)] or [None]
+    if noise is None:
+        return ()
+    left = np.minimum.accumulate([step.rms_left_out**2 for step in (*steps, noise)])
+    whole = max(float(left[0]), NONZERO)
+    names = [" + ".join(e for e in b.effects if e not in a.effects) for a, b in pairwise(steps)]
+    names = [name or PARAMETERS for name in names]
+    closed = zip([*names, "unexplained"], -np.diff(left), [*steps[1:], noise], strict=True)
+    each = [(name, energy, step.gain_std) for name, energy, step in closed]
+    return tuple(
+        _part(name, float(energy), whole, NORMAL * error)
+        for name, energy, error in (*each, ("noise", left[-1], noise.gain_std))
+    )
 
 
-def _missed(base: Base, chosen: Fit) -> dict[str, dict[tuple[Any, ...], np.ndarray]]:
-    """Residual (n,) of every channel for each subset of the players. All subsets are
-    refitted; the parameters of the simulator are held unless they are in the subset."""
-    atoms, sets = chosen.atoms, [(), *parts_of(chosen.atoms)]
-    guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
-    freed = refit(base.tire, [(chosen.z, a) for a in guess], sets, base.design)
-    free = dict(zip(sets, zip(freed.z, freed.amplitude, strict=True), strict=True))
-    free[atoms] = chosen.z, chosen.amplitude
-    fits: dict[tuple[Any, ...], tuple[Any, ...]] = {**free}
-    if base.simulator is not None:
-        # This stiffness holds z: it moves by 1e-8 of the gradient.
-        start, held = base.simulator.z, base.design._replace(hold=np.array(1e4))
-        stuck = refit(base.tire, [(start, a) for a in guess], sets, held)
-        fits = {(PARAMETERS, *s): fit for s, fit in free.items()}
-        fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
-    forces = {
-        subset: base.forces(z, base.amplitudes([k for k in subset if k != PARAMETERS], amplitude))
-        for subset, (z, amplitude) in fits.items()
-    }
-    return {
-        channel: {k: base.rows.observed[channel] - x[channel] for k, x in forces.items()}
-        for channel in base.rows.channels
-    }
+def _part(name: str, energy: float, whole: float, reach: float) -> Part:
+    ends = max(energy - reach, 0.0) / whole, min((energy + reach) / whole, 1.0)
+    return Part(name, float(np.sqrt(energy)), energy / whole, ends)
 
 
 def parameter_changes(case: Case) -> Mapping[str, Change]:

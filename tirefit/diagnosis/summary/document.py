@@ -18,7 +18,7 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import offsets_of_runs
 from tirefit.diagnosis.rows.subject import Base
 from tirefit.diagnosis.summary.case import Case, Concluded, all_rows, rows_of
-from tirefit.diagnosis.summary.closure import budgets_of, gaps_of, held_out, parameter_changes
+from tirefit.diagnosis.summary.closure import budget_of, gaps_of, held_out, parameter_changes
 from tirefit.diagnosis.summary.forecast import next_measurements
 from tirefit.diagnosis.summary.result import (
     Amplitude,
@@ -29,7 +29,6 @@ from tirefit.diagnosis.summary.result import (
     HeldOut,
     Left,
     NoiseSummary,
-    Part,
     Settings,
     Shrinkage,
     SimulatorSummary,
@@ -60,10 +59,9 @@ def document_of(
     data, base, rig = whole.data, case.base, settings.rig or Rig()
     n, channels = base.rows.n, base.rows.channels
     rows, main = rows_of(case, base.measured), channels[0]
-    # Random numbers are drawn in this order: held-out data, gaps, budget.
+    # Random numbers are drawn in this order: held-out data, gaps.
     held, ladder = held_out(case, holdout, rig, generator)
     gaps = {c: _gap(case, gap, rows[c]["gap"]) for c, gap in gaps_of(case, generator).items()}
-    budgets = budgets_of(case, generator)
     missed = base.residual(base.as_given, base.amplitudes())[:n]
     # Rows of the fit without effects, counted as by `tirefit fit`: its residuals contain the
     # misfit of the model, which the noise does not.
@@ -75,7 +73,7 @@ def document_of(
     # The parameters of a simulator may explain the whole gap.
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
     return Diagnosis(
-        **of_any_subject(case, gaps, held, budgets, ladder, *others),
+        **of_any_subject(case, gaps, held, ladder, *others),
         data=data_summary(data, base, rig),
         model=model,
         simulator=_simulator(base, model, gaps[main].rms),
@@ -150,7 +148,6 @@ def of_any_subject(
     case: Concluded,
     gaps: Mapping[str, Shrinkage],
     held: HeldOut | None,
-    budgets: Mapping[str, tuple[Part, ...]],
     ladder: Ladder,
     parameters: Mapping[str, Change],
     scale: np.ndarray,
@@ -173,8 +170,7 @@ def of_any_subject(
     energy = 2.5 * np.sqrt(2 * directions) / len(scale)
     return {
         "gap": gap,
-        "budget": budgets[main],
-        "budgets": budgets,
+        "budget": budget_of(ladder),
         "verdict": _verdict(case, gap, parameters, shapes),
         "ladder": ladder,
         "candidates": _candidates(case),

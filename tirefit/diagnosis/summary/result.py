@@ -127,7 +127,7 @@ class Change(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A part of the distance from a base to the measurement of a channel; shares add to one."""
+    """A part of the distance from a base to the measurement; shares add to one."""
 
     part: str  # parameters, the id of an effect, unexplained or noise
     rms: float  # root of its mean square
@@ -255,10 +255,10 @@ class Diagnosis(Record):
     The first channel of a car is all of them over their noise. What only rows of forces have
     is empty or None for a car.
     ``resolution`` is the rms [N] of the smallest unlisted remainder that would have been seen.
-    ``budget`` is that of the first channel, ``budgets`` those of all. ``next_measurement`` has the
-    largest gain first. ``slip_check`` compares the slip column with the slip of the wheel speed;
-    None if that is not known. ``runs`` describes the differences of the runs, by kind of offset;
-    empty for a single run.
+    ``budget`` has the parts of the error of the first channel on data left out, by the steps of
+    the ladder. ``next_measurement`` has the largest gain first. ``slip_check`` compares the slip
+    column with the slip of the wheel speed; None if that is not known. ``runs`` describes the
+    differences of the runs, by kind of offset; empty for a single run.
     ``asked`` is a hash of data and settings, by which ``--resume`` recognises the result.
 
     ``rows`` holds arrays (n,) by channel for all rows of the file, canonical, NaN if
@@ -282,7 +282,6 @@ class Diagnosis(Record):
     noise: NoiseSummary
     gap: Gap
     budget: tuple[Part, ...]
-    budgets: Mapping[str, tuple[Part, ...]]
     where: tuple[Region, ...] = ()
     verdict: VerdictSummary
     ladder: Ladder = Ladder()

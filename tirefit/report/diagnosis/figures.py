@@ -1,4 +1,4 @@
-"""The figures of a diagnosis: ladder, before and after, location of the gap, budget."""
+"""The figures of a diagnosis: ladder, before and after, location of the gap."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,6 @@ from tirefit.report.canvas import (
     DARK,
     GREY,
     ORANGE,
-    PURPLE,
     WIDE,
     Panel,
     Picture,
@@ -32,39 +31,24 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import answer
-from tirefit.report.diagnosis.sections import (
-    foot_line,
-    in_order,
-    part_name,
-    step_label,
-    subject,
-    whole_error,
-)
+from tirefit.report.diagnosis.sections import foot_line, step_label, subject
 from tirefit.report.fit.curves import slip_axis
 from tirefit.report.numbers import format_number
 
 _SIZE = (WIDE, 3.5)
 _SHOWN = 3  # number of panels of the figure beside the page
-_KIND = {
-    "base": GREY,
-    "effect": BLUE,
-    "smooth": ORANGE,
-    "noise": "#bbbbbb",
-    "parameters": ORANGE,
-    "unexplained": PURPLE,
-}
+_KIND = {"base": GREY, "effect": BLUE, "smooth": ORANGE, "noise": "#bbbbbb"}
 """Colours of the bars by their kind."""
 
 
 class Bar(NamedTuple):
-    """A step of the ladder, or a part of a simulator's error."""
+    """A step of the ladder, or a region."""
 
     label: str
-    left: float
-    right: float
+    length: float
     kind: str
     text: str  # its size
-    error: float = 0.0  # standard error of the right end
+    error: float = 0.0  # standard error of the length
     mark: float | None = None  # the same on the files held out
 
 
@@ -75,7 +59,7 @@ def ladder_bars(result: Diagnosis) -> list[Bar]:
     if not steps:
         noise = result.noise.forces.get(result.data.channels[0], 1.0)
         sizes = ("no effect", math.hypot(result.gap.rms, noise)), ("noise floor", noise)
-        return [Bar(k, 0.0, x, "base", f"{format_number(x, 3)} {unit}") for k, x in sizes]
+        return [Bar(k, x, "base", f"{format_number(x, 3)} {unit}") for k, x in sizes]
     kinds = {AS_GIVEN: "base", (): "base", SMOOTH: "smooth", NOISE: "noise"}
     gap = max(steps[0].rms_left_out ** 2 - steps[-1].rms_left_out ** 2, 0.0)
     for k, step in enumerate(steps):
@@ -85,38 +69,22 @@ def ladder_bars(result: Diagnosis) -> list[Bar]:
             text += f", {100 * step.closed:.0f} % closed"
             # With the gap g beyond the noise n, rms^2 = n^2 + g^2 (1 - closed)^2.
             error = gap * abs(1 - step.closed) * step.closed_std / rms
-        bars.append(Bar(step_label(result, k), 0.0, rms, kind, text, error, step.rms_held_out))
-    return bars
-
-
-def budget_bars(result: Diagnosis, channel: str) -> list[Bar]:
-    """The parts of a simulator's error, one after the other down to the noise, as shares [%] of
-    its mean square."""
-    parts, unit = in_order(result.budgets[channel]), UNITS[channel]
-    text = f"{whole_error(parts)} {unit} (rms), 100 %"
-    left, bars = 100.0, [Bar("simulator's error", 0.0, 100.0, "base", text)]
-    for part in parts:
-        rest = max(left - 100 * part.share, 0.0) if part.part != "noise" else 0.0
-        low, high = (100 * end for end in part.closed_ci)
-        text = f"{format_number(part.rms, 3)} {unit} (rms), {100 * part.share:.0f} %"
-        kind = part.part if part.part in _KIND else "effect"
-        bars.append(Bar(part_name(part), rest, left, kind, f"{text} [{low:.0f}, {high:.0f}]"))
-        left = rest
+        bars.append(Bar(step_label(result, k), rms, kind, text, error, step.rms_held_out))
     return bars
 
 
 def draw_bars(figure: Any, bars: Sequence[Bar], x_label: str, title: str, note: str) -> None:
     """Draw bars one below the other, each below its text."""
     axes = figure.subplots()
-    reach = 1.05 * max(max(bar.right + bar.error, bar.mark or 0.0) for bar in bars)
+    reach = 1.05 * max(max(bar.length + bar.error, bar.mark or 0.0) for bar in bars)
     for place, bar in zip(range(len(bars))[::-1], bars, strict=True):
-        axes.barh(place, bar.right - bar.left, 0.34, left=bar.left, color=_KIND[bar.kind])
+        axes.barh(place, bar.length, 0.34, color=_KIND[bar.kind])
         if bar.error:
-            axes.errorbar(bar.right, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2)
+            axes.errorbar(bar.length, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2)
         if bar.mark is not None:
             axes.plot(bar.mark, place, "D", ms=6, mfc="white", mec=DARK)
-        if bar.kind in ("smooth", "noise") and not bar.left:
-            axes.axvline(bar.right, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
+        if bar.kind in ("smooth", "noise"):
+            axes.axvline(bar.length, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
         boxed(axes, 0.01 * reach, place + 0.28, f"{bar.label}: {bar.text}", 9)
     tidy(axes, x_label, size=9.5)
     axes.set_xlim(0, reach)
@@ -138,7 +106,7 @@ def where_bars(result: Diagnosis) -> list[Bar]:
     for region in [part for part in result.where if part.p_value <= SIGNIFICANT][:6]:
         label = f"{words.covariate_text(region.covariate)} {words.range_text(region)}"
         share = 100 * region.share
-        bars.append(Bar(label, 0.0, share, "effect", f"{share:.0f} %"))
+        bars.append(Bar(label, share, "effect", f"{share:.0f} %"))
     return bars
 
 
@@ -207,14 +175,6 @@ def panels_of(result: Diagnosis) -> dict[str, Panel]:
         titles |= {"note": f"measured minus {base}: regions beyond the noise (5 % false)"}
         text = "Regions of load, speed, slip or time with their shares of the gap"
         panels["where"] = Panel(partial(draw_bars, bars=regions, **titles), text, _SIZE)
-    for channel in result.budgets if result.simulator else ():
-        of = f" of {words.channel_name(channel)}" * (len(result.budgets) > 1)
-        titles = {"title": f"Budget{of}: from the simulator's error to noise"}
-        titles |= {"note": "parts add in squares; [90 % interval]"}
-        titles |= {"x_label": "share of the squared error [%]"}
-        text = f"Waterfall from the simulator's error, part by part, to the noise{of}"
-        draw = partial(draw_bars, bars=budget_bars(result, channel), **titles)
-        panels[f"budget{of}"] = Panel(draw, text, _SIZE)
     return panels
 
 

@@ -54,10 +54,8 @@ def diagnosis_page(result: Diagnosis) -> str:
     from tirefit.report.canvas import images_of  # Matplotlib
     from tirefit.report.diagnosis.figures import panels_of
 
-    # The tables have the budget.
-    panels = [panel for name, panel in panels_of(result).items() if not name.startswith("budget")]
     sections = [
-        Section("", pictures=images_of(panels)),
+        Section("", pictures=images_of(panels_of(result).values())),
         *first_screen(result),
         *(section._replace(folded=True) for section in _details(result)),
         Section("", [foot_line(result)]),

@@ -1,6 +1,6 @@
 """The first screen of a diagnosis: the answer, and what a reader acts on."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -8,14 +8,7 @@ from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.engine.decide import Each, Status
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH
 from tirefit.diagnosis.summary.closure import WORST
-from tirefit.diagnosis.summary.result import (
-    UNITS,
-    Diagnosis,
-    NextMeasurement,
-    Part,
-    Readings,
-    Shrinkage,
-)
+from tirefit.diagnosis.summary.result import UNITS, Diagnosis, NextMeasurement, Readings, Shrinkage
 from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import readings_section, worse_steps
 from tirefit.report.numbers import format_estimate, format_number
@@ -126,6 +119,8 @@ def _ladder(result: Diagnosis) -> Section:
         ]
     if held_out and (held := result.gap.holdout) is not None:
         lines.append(gap_line(result, held, f"files held out ({held.on})"))
+    if stand_in := stand_in_line(result):
+        lines.append(stand_in)
     # On the page the first panel has the ladder.
     return Section(f"How far the gap shrinks on data left out{on}", lines, table, folded=True)
 
@@ -151,42 +146,6 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
     )
 
 
-def part_name(part: Part) -> str:
-    """Readable name of a part of a simulator's error."""
-    return "its parameters" if part.part == "parameters" else words.name_of(part.part)
-
-
-def whole_error(budget: Sequence[Part]) -> str:
-    """Rms error of the simulator, noise included."""
-    largest = max(budget, key=lambda part: part.share)
-    return format_number(largest.rms / np.sqrt(largest.share), 3)
-
-
-def in_order(budget: Sequence[Part]) -> list[Part]:
-    """The parts that are explained, the largest first, then what is left."""
-    return sorted(
-        budget, key=lambda part: -part.share * (part.part not in ("unexplained", "noise"))
-    )
-
-
-def budget_section(result: Diagnosis, channel: str) -> Section:
-    """The error of a simulator or model and its parts, one per row."""
-    budget, what = result.budgets[channel], "simulator" if result.simulator else "model"
-    of_channel = f" of {words.channel_name(channel)}" if len(result.budgets) > 1 else ""
-    head = f"{words.channel_name(channel)}, part of the error", f"rms [{UNITS[channel]}]"
-    rows = [
-        (*head, "share of the mean square [90 % interval]"),
-        (f"whole error of the {what}", whole_error(budget) if budget else "-", "100 %"),
-        *(
-            (part_name(x), format_number(x.rms, 3), words.share_text(x.share, x.closed_ci))
-            for x in in_order(budget)
-        ),
-    ]
-    first = stand_in_line(result) if channel == result.data.channels[0] else ""
-    title = f"Budget of the {what}'s error{of_channel} ({result.n} rows)"
-    return Section(title, [first] if first else (), rows if budget else [])
-
-
 def stand_in_line(result: Diagnosis) -> str:
     """A line on the error of the stand-in of a simulator; empty if there is none."""
     if result.simulator is None or result.simulator.surrogate.of_force <= 1e-6:
@@ -199,7 +158,7 @@ def stand_in_line(result: Diagnosis) -> str:
     # Of twelve simulators of other tires, four were diagnosed correctly with a brush, eleven with a
     # tire that followed them.
     if resolvable and followed.of_gap > 0.5:
-        line += "; the parts are rough"
+        line += "; the steps are rough"
     return line
 
 
@@ -315,16 +274,11 @@ def first_screen(result: Diagnosis) -> list[Section]:
 
 
 def of_effects(result: Diagnosis) -> list[Section]:
-    """Budget of a simulator, effects, remainder, next measurement, effects that cannot be
-    tested."""
-    sections = []
-    if result.simulator or result.verdict.helping:
-        sections += [budget_section(result, channel) for channel in result.budgets]
+    """Effects, remainder, next measurement, effects that cannot be tested."""
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
     missing, more = missing_lines(result)
     missing += [f"and {len(more)} more in the details"] * bool(more)
     return [
-        *sections,
         Section("Effects", list(_effect_lines(result))),
         Section("What is left", list(left_lines(result))),
         Section("Next measurement", steps),
