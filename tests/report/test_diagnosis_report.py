@@ -405,7 +405,7 @@ def test_without_held_out_rows_the_fitted_rows_are_shown():
     assert "no part of these rows can be left out" in flat(found)
     assert "the rows fitted: gap of 125 N (3.1 % of mean F_z) rms" in flat(found)
     base, noise = ladder_bars(found)
-    assert base.right == pytest.approx(np.hypot(125.0, 19.7)) and noise.right == 19.7
+    assert base.length == pytest.approx(np.hypot(125.0, 19.7)) and noise.length == 19.7
     (axes,) = panel_pictures(found)["ladder"].axes
     assert axes.get_xlabel() == "rms on the rows fitted [N]"
 

@@ -24,6 +24,7 @@ _FEW = 3  # largest numbers of compared pairs of effects and of listed additions
 _WORTHWHILE = 0.02
 """Smallest rise of the probability to distinguish two effects that is worth measuring."""
 _SAME_AGAIN, _MOMENT = "the same again", "the aligning moment M_z on lateral runs"
+_SHUFFLED = "the same points in random order"
 
 
 def separability(first: np.ndarray, second: np.ndarray) -> float:
@@ -51,7 +52,7 @@ def _changes(prepared: Prepared) -> dict[str, dict[str, Any]]:
     if float(np.median(prepared.covariates.v)) > 0:
         options["other speeds (half and twice)"] = {"v": _FACTORS}
     if "time" in prepared.has and not prepared.random_order:
-        options["the same points in random order"] = {"shuffle": True}
+        options[_SHUFFLED] = {"shuffle": True}
     options["small slips (a tenth)"] = {"slip": _SMALL}
     return options
 
@@ -223,7 +224,8 @@ def next_measurements(
     for effect, claim in verdict.each.items():
         if effect in verdict.key and 0.2 <= claim.probability <= 0.8:
             fit, now = weighed.best_of[verdict.key], max(claim.probability, 1 - claim.probability)
-            for name in (name for name in changes if name != _SAME_AGAIN):
+            # Under the same conditions a stand-in has the same size.
+            for name in (name for name in changes if name not in (_SAME_AGAIN, _SHUFFLED)):
                 distance = size_apart([here, added(name)], fit, fit.effects.index(effect))
                 after = decided(claim.probability, distance)
                 considered.append(NextMeasurement(name, (effect, UNKNOWN), now, after))
