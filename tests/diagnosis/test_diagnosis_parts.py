@@ -24,7 +24,7 @@ from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
 from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, waves_within
 from tirefit.diagnosis.rows.noise import judge_noise
-from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
+from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.diagnosis.rows.slips import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.subject import fit_base
@@ -141,21 +141,6 @@ def test_fields_agree_with_central_differences(base):
             scale[k] * factor * linear.fields[:, PLACE[field]],
             atol=1e-9 * np.abs(linear.columns[:, k]).max() + 1e-12,
         )
-
-
-def test_settings_held_only_once_are_blocks():
-    frame, _ = record(None)
-    blocks = blocks_of_settings(prepare(read_frame(frame), RIG, ("fx",)))
-    # Three loads in order, two speeds at each: one load is neither first nor last, and
-    # four of the six of both; each speed comes three times.
-    lengths = np.ptp(blocks, axis=1)
-    assert len(blocks) == 5
-    assert sorted(np.round(6 * lengths)) == [1, 1, 1, 1, 2]
-    assert coincides(-0.17, 0.17, blocks) and not coincides(-0.3, 0.05, blocks)
-    mixed = np.random.default_rng(0).permutation(len(frame["time"]))
-    shuffled = {name: values[mixed] for name, values in frame.items()}
-    shuffled["time"] = frame["time"]
-    assert not len(blocks_of_settings(prepare(read_frame(shuffled), RIG, ("fx",))))
 
 
 def _history(base, values, interval, step):

@@ -17,13 +17,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.diagnosis.engine.search import searched
-from tirefit.diagnosis.rows.prepared import (
-    Prepared,
-    blocks_of_settings,
-    coincides,
-    prepare,
-    thinned,
-)
+from tirefit.diagnosis.rows.prepared import Prepared, prepare, thinned
 from tirefit.diagnosis.rows.rig import Rig, load_rig, unfit
 from tirefit.diagnosis.rows.simulator import (
     STAND_INS,
@@ -269,11 +263,9 @@ def _testable(
 ) -> tuple[list[int], dict[str, list[str]]]:
     """Atoms that the data can show, and the missing needs of the other effects."""
     possible, missing = [], {}
-    blocks = blocks_of_settings(prepared)
     for k, atom in enumerate(atoms):
         effect = atom.effect
-        during = effect.during and effect.during(atom.constants)
-        if effect.id in without or (during and coincides(during[0], during[1], blocks)):
+        if effect.id in without:
             continue
         lacks = [need for need in effect.needs if need not in prepared.has]
         if effect.channels and not set(effect.channels) & set(prepared.channels):

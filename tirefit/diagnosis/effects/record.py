@@ -95,8 +95,6 @@ class Effect:
         variants: constants of each formula that is tried; all of one length.
         which: (constants, covariates, time [s] or None) -> text for the formula of a
             variant, with the values to which its amplitude refers.
-        during: constants -> begin and end of the stretch that a variant changes (shares
-            of the record about its middle); not tried if a setting was held during it.
         singular: its tangent at zero vanishes; it is always refitted.
         looks_like: ids of effects that it is confused with.
         told_apart_by: the measurement that separates it from them.
@@ -126,7 +124,6 @@ class Effect:
     channels: tuple[str, ...] = ()
     variants: tuple[Constants, ...] = ((),)
     which: Callable[[Constants, Covariates | None, object], str] | None = None
-    during: Callable[[Constants], tuple[float, float]] | None = None
     singular: bool = False
     looks_like: tuple[str, ...] = ()
     told_apart_by: str = ""

@@ -177,7 +177,6 @@ CODE: Code = {
         which=_which_step,
         # A change that lasts ends outside the record.
         variants=(*((at, 1.0) for at in STEPS), *_STRETCHES),
-        during=lambda constants: (constants[0], constants[1]),
     ),
     "friction_hysteresis": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
     "drive_brake_asymmetry": multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),

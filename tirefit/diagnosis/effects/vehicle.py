@@ -22,7 +22,6 @@ from tirefit.diagnosis.effects.record import (
     blend,
     multiplies,
     scaled,
-    seldom,
     xp,
 )
 from tirefit.diagnosis.effects.state import Covariates, State
@@ -272,19 +271,6 @@ def _ellipse(state: State, share: float, constants: Constants, rows: Covariates)
     return state._replace(friction=state.friction * left, stiffness=stiffness)
 
 
-def _one_speed_of_the_slip(prepared: "Prepared") -> float:
-    """Log odds, smaller if the speed follows the slip, as slip then explains the same."""
-    speed, slip = prepared.covariates.v, np.abs(prepared.slip)
-    alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
-    return seldom(prepared) - 2 * float(alike > 0.9)
-
-
-def _one_load(prepared: "Prepared") -> float:
-    """Log odds, smaller if the load hardly varies, as a constant offset fits as well."""
-    varies = float(np.std(np.log(prepared.inputs.fz)))
-    return seldom(prepared) - 2 * float(varies < 0.1)
-
-
 def _slope(slope: float, constants: Constants, rows: Covariates) -> np.ndarray:
     along, across = constants
     towards = along * xp.cos(rows.heading) + across * xp.sin(rows.heading)
@@ -305,14 +291,10 @@ def _of_the_axle(factor: Callable[..., Any]) -> Callable[..., Any]:
 
 CODE: Code = {
     **_PAST,
-    "slip_offset_load": dict(
-        change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), odds=_one_load
-    ),
-    "slip_offset_speed": dict(change=adds("shift", _slip_speed), odds=_one_speed_of_the_slip),
-    "speed_zero": dict(
-        change=adds("shift", lambda a, _, rows: a / rows.pace), odds=_one_speed_of_the_slip
-    ),
-    "speed_drag": dict(change=adds("force", _drag), odds=_one_speed_of_the_slip),
+    "slip_offset_load": adds("shift", lambda a, about, rows: a * (rows.fz - about[0])),
+    "slip_offset_speed": adds("shift", _slip_speed),
+    "speed_zero": adds("shift", lambda a, _, rows: a / rows.pace),
+    "speed_drag": adds("force", _drag),
     "friction_ellipse": dict(change=_ellipse, prior=of_a_known_force),
     "tracked_point": dict(
         change=adds("shift", lambda a, _, rows: a * rows.yaw),

@@ -277,27 +277,3 @@ def standing_in(
         return sum(float(np.mean(values**2)) for values in stand_in[-1][1].values())
 
     return min(first, other, key=energy)
-
-
-def not_followed(
-    missed: np.ndarray, slip: np.ndarray, groups: Sequence[np.ndarray], changed: float
-) -> np.ndarray:
-    """Changes of a simulator beyond those of its stand-in: columns (n, 2), to first
-    order. If the stand-in has the error e, friction times 1 + a and stiffness times 1 + b
-    add a (e - slip e') + b slip e' to the change of the stand-in.
-
-    Args:
-        missed: e, simulated force minus that of the stand-in, (n,).
-        groups: index arrays of like rows in the order of their slip.
-        changed: typical size of a and b, at least a tenth.
-    """
-    around = 4  # number of rows on either side for the slope of the error
-    steep, wide = np.zeros(len(slip)), 2 * around + 1
-    for rows in (rows for rows in groups if len(rows) >= wide):
-        x, y = (
-            np.lib.stride_tricks.sliding_window_view(np.pad(v, around, "edge"), wide)
-            for v in (slip[rows], missed[rows])
-        )
-        x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))
-        steep[rows] = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), NONZERO)
-    return max(changed, 0.1) * np.stack([missed, slip * steep], axis=1)

@@ -24,16 +24,12 @@ from tirefit.diagnosis.rows.slips import slip_law, slip_rate
 from tirefit.fitting.problem.build import check_slip_noise
 from tirefit.fitting.problem.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
-from tirefit.params import Values
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that cause the forces -> forces that may be diagnosed."""
 
 SCATTER = "scatter about smooth sweeps"
 NOT_STATED = "none assumed"
-
-_NEAR = 0.02
-"""Distance within which a step coincides with a change of run, as a share of the record."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +70,6 @@ class Prepared:
     def slip_law(self) -> SlipDistribution | None:
         """Distribution of the true slips; None without slip noise."""
         return slip_law(self.slip, self.slip_std)
-
-    @cached_property
-    def common(self) -> np.ndarray:
-        """Share (n,) of the variance of each true slip that rows of one standing slip
-        have in common, see :class:`SlipDistribution`."""
-        if self.slip_law is None:
-            return np.zeros(self.n)
-        return self.slip_law.moments(self.slip, self.slip_std)[2]
 
     @property
     def past(self) -> np.ndarray | None:
@@ -231,45 +219,3 @@ def neighbours(prepared: Prepared) -> list[np.ndarray]:
     cell = np.ravel(np.unique(settings, axis=0, return_inverse=True)[1])
     order = np.lexsort((prepared.slip, cell))
     return np.split(order, np.flatnonzero(np.diff(cell[order])) + 1)
-
-
-def blocks_of_settings(prepared: Prepared) -> np.ndarray:
-    """Begin and end (k, 2) of stretches, as shares of the record about its middle, with a
-    load, a speed or a pair of both that occurs at no other time. There an effect of the
-    time equals one of the setting. Stretches at the ends of the record are ignored (a
-    change is a step there); a change of run has an infinite end.
-    """
-    rows = prepared.covariates
-    settings = [levels(values) for values in (rows.fz, rows.v)]
-    codes = [setting.code for setting in settings if setting.few() and len(setting.center) > 1]
-    if len(codes) == 2:
-        codes.append(codes[0] * (1 + codes[1].max()) + codes[1])
-    if "time" not in prepared.has:
-        return np.zeros((0, 2))
-    order = np.argsort(rows.time, kind="stable")
-    time, run = np.asarray(rows.time)[order], prepared.run[order]
-    blocks: set[tuple[float, float]] = set()
-    for at in np.flatnonzero(np.diff(run)) + 1 if "runs" in prepared.has else ():
-        if not np.intersect1d(run[:at], run[at:]).size:
-            pause = time[at] - time[at - 1]
-            within = np.linspace(time[at - 1], time[at], 2 + int(pause / _NEAR))
-            blocks.update((begin, np.inf) for begin in within.tolist())
-    for code in codes:
-        sequence = code[order]
-        ends = np.flatnonzero(np.diff(sequence)) + 1
-        for begin, end in zip(ends[:-1], ends[1:], strict=True):
-            if np.count_nonzero(sequence == sequence[begin]) == end - begin:
-                edges = (time[begin - 1] + time[begin], time[end - 1] + time[end])
-                blocks.add((edges[0] / 2, edges[1] / 2))
-    return np.array(sorted(blocks)).reshape(-1, 2)
-
-
-def coincides(
-    begin: Values | float, end: Values | float, blocks: np.ndarray
-) -> np.ndarray | np.bool:
-    """Whether stretches (...,) coincide with any of the blocks (k, 2)."""
-    first, last = np.asarray(begin)[..., None], np.asarray(end)[..., None]
-    both = np.minimum(last, blocks[:, 1]) - np.maximum(first, blocks[:, 0])
-    either = np.maximum(last, blocks[:, 1]) - np.minimum(first, blocks[:, 0])
-    of_runs = np.isinf(blocks[:, 1]) & (np.abs(first - blocks[:, 0]) <= _NEAR)
-    return np.any((both > 0.8 * either) | (of_runs & (end > 0.5)), axis=-1)

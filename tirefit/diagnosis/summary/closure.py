@@ -231,19 +231,16 @@ def budget_of(ladder: Ladder) -> tuple[Part, ...]:
 
     The shares add to one. A step that increases the error counts zero.
     """
-    *steps, noise = [x for x in ladder.steps if x.effects not in (OWN_MODEL, SMOOTH)] or [None]
-    if noise is None:
+    steps = [step for step in ladder.steps if step.effects not in (OWN_MODEL, SMOOTH)]
+    if not steps:
         return ()
-    left = np.minimum.accumulate([step.rms_left_out**2 for step in (*steps, noise)])
-    whole = max(float(left[0]), NONZERO)
-    names = [" + ".join(e for e in b.effects if e not in a.effects) for a, b in pairwise(steps)]
-    names = [name or PARAMETERS for name in names]
-    closed = zip([*names, "unexplained"], -np.diff(left), [*steps[1:], noise], strict=True)
-    each = [(name, energy, step.gain_std) for name, energy, step in closed]
-    return tuple(
-        _part(name, float(energy), whole, NORMAL * error)
-        for name, energy, error in (*each, ("noise", left[-1], noise.gain_std))
-    )
+    left = np.minimum.accumulate([step.rms_left_out**2 for step in steps])
+    whole, errors = max(float(left[0]), NONZERO), [step.gain_std for step in steps[1:]]
+    added = [[e for e in b.effects if e not in a.effects] for a, b in pairwise(steps[:-1])]
+    names = [*(" + ".join(new) or PARAMETERS for new in added), "unexplained", "noise"]
+    energies = [*(-np.diff(left)).tolist(), float(left[-1])]
+    each = zip(names, energies, [*errors, errors[-1]], strict=True)
+    return tuple(_part(name, energy, whole, NORMAL * error) for name, energy, error in each)
 
 
 def _part(name: str, energy: float, whole: float, reach: float) -> Part:
