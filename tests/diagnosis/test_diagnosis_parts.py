@@ -523,16 +523,6 @@ def test_a_wrong_radius_gives_an_offset():
     assert effect.odds(prepared) > 0 > effect.odds(prepare(data, rig, ("fx",)))
 
 
-def test_a_load_dependent_offset_is_rarely_claimed_at_nearly_constant_load():
-    effect, odds = next(e for e in EFFECTS if e.id == "slip_offset_load"), []
-    for spread in (0.03, 0.3):
-        frame, _ = record(None)
-        loads = np.mean(frame["fz"]) * np.exp(spread * np.sin(np.arange(len(frame["fz"]))))
-        data = read_frame(frame | {"fz": loads})
-        odds.append(effect.odds(prepare(data, RIG, ("fx",))))
-    assert odds[0] == odds[1] - 2
-
-
 def test_a_radius_is_estimated_only_from_the_speeds():
     frame, rig = _wheel()
     data = read_frame(frame)
