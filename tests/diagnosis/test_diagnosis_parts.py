@@ -617,12 +617,6 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
         np.testing.assert_allclose(
             whole, side * found.columns[:, slice(*cells[name, "fz"][2:4])].sum(axis=1), atol=1e-9
         )
-    waves = {(wave.quantity, wave.covariate): wave for wave in found.waves}
-    assert {name for name, _ in waves} == {"friction", "force"}
-    wave = waves["force", "time"]
-    np.testing.assert_allclose(wave.weight, 0.01 * fz / unit, rtol=0.01)
-    time = base.rows.time
-    np.testing.assert_allclose(time[0] + wave.clock * wave.tick, time, atol=0.51 * wave.tick)
 
 
 def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
@@ -630,9 +624,6 @@ def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
     found = Component(cell, 5.0, 0.8, 0.3, np.array([1.0, -4.0, 2.0]))
     shape = _shape(found)
     assert (shape.at, shape.size, shape.probability, shape.explains) == (0.5, -0.008, 0.8, 0.3)
-    # Of a wave the period is stated.
-    wave = found._replace(cell=cell._replace(covariate="time"), is_wave=True)
-    assert _shape(wave).at == 1.0
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 50])

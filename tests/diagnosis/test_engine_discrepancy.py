@@ -11,7 +11,6 @@ from tirefit.diagnosis.engine.discrepancy import (
     SIZES,
     Cell,
     Discrepancy,
-    Wave,
     likeliest_beside,
     places_of,
 )
@@ -113,7 +112,7 @@ def test_a_known_function_is_found_within_its_error():
         subject = Toy(SLOPE * (EVEN @ truth) + noise(seed + 100), X[:, None] ** 8, EVEN[:, :0], ())
         first = discrepancy().components(subject.fit(()))[0]
         assert (first.cell.quantity, first.cell.covariate) == ("friction", "slip")
-        assert first.probability > 0.9 and 0.2 < first.explains <= 1 and not first.is_wave
+        assert first.probability > 0.9 and 0.2 < first.explains <= 1
         missed.append(np.linalg.norm(first.value - truth) / np.linalg.norm(truth))
     assert np.median(missed) < 0.35
 
@@ -130,59 +129,6 @@ def test_the_function_found_is_the_posterior_mean():
     np.testing.assert_allclose(found["fz"].value, means[best], rtol=1e-4)
     explained = means[best] @ columns.T @ rest / (rest @ rest)
     assert found["fz"].explains == pytest.approx(explained, rel=1e-3)
-
-
-CLOCK = np.arange(ROWS)
-
-
-def test_evidence_of_waves_agrees_with_dense_densities():
-    """Sine and cosine of every number of half turns, from three on, averaged over their
-    sizes; of a constant weight, as the formula neglects its changes within a wave."""
-    weight = np.full(ROWS, 0.7)
-    waves = Discrepancy(np.zeros((ROWS, 0)), (), (Wave("force", "time", weight, CLOCK, 0.5),))
-    observed = noise(3) + 1.2 * np.sin(2 * np.pi * 9 * CLOCK / ROWS)
-    subject = Toy(observed, np.zeros((ROWS, 0)), np.zeros((ROWS, 0)), ())
-    logs = []
-    for half_turns in range(3, ROWS + 1):
-        angle = np.pi * half_turns * CLOCK / ROWS
-        both = weight[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        if half_turns == ROWS:  # at Nyquist's frequency there is a cosine only
-            continue
-        each = [
-            log_normal(observed, np.eye(ROWS) + t**2 * both @ both.T, both[:, :0]) for t in SIZES
-        ]
-        logs.append(logsumexp(each) - np.log(len(each)))
-    right = logsumexp(logs) - np.log(len(logs) + 1)
-    none = log_normal(observed, np.eye(ROWS), both[:, :0])
-    assert waves.log_evidence(subject.fit(())) == pytest.approx(right - none, abs=0.02)
-
-
-@pytest.mark.parametrize(("turns", "phase"), [(5.0, 0.7), (11.5, -2.0), (20.0, 3.0)])
-def test_a_wave_is_found_with_period_size_and_phase(turns, phase):
-    """Also across rows that are missing in its regular time."""
-    kept = np.random.default_rng(2).uniform(size=ROWS) > 0.2
-    kept[[0, -1]] = True
-    weight = SLOPE[kept]
-    time = 0.5 * CLOCK[kept]
-    period = 0.5 * ROWS / turns
-    wave = 1.5 * np.cos(2 * np.pi * time / period + phase)
-    unlisted = Discrepancy(
-        SLOPE[kept, None] * EVEN[kept],
-        (Cell("friction", "slip", 0, 9, EVEN_PLACES, False),),
-        tuple(
-            Wave(name, "time", of, CLOCK[kept], 0.5)
-            for name, of in (("friction", weight), ("force", 1 + 0 * weight))
-        ),
-    )
-    observed = weight * wave + 0.2 * noise()[kept]
-    subject = Toy(observed, X[kept, None], np.zeros((kept.sum(), 0)), ())
-    first = unlisted.components(subject.fit(()))[0]
-    assert first.is_wave and first.cell.quantity == "friction"
-    assert first.cell.places[-1] == pytest.approx(period)
-    right = 1.5 * np.cos(2 * np.pi * first.cell.places / period + phase)
-    # The gaps mix a few per cent of other waves into it.
-    assert np.max(np.abs(first.value - right)) < 0.35
-    assert first.probability > 0.9 and first.explains > 0.7
 
 
 def test_a_smooth_part_is_the_ridge_estimate_with_the_best_size():

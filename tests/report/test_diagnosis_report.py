@@ -607,19 +607,15 @@ def texts_of(figure):
     return [text.get_text() for text in figure.findobj(Text)]
 
 
-STEP = Shape("friction", "fz", False, 6000.0, -0.049, 0.97, 0.8)
+STEP = Shape("friction", "fz", 6000.0, -0.049, 0.97, 0.8)
 SHAPES = {
     "setting": (STEP, "friction changes with load F_z, by -4.9 % at 6000 N"),
     "smooth": (
-        Shape("stiffness", "v", False, 12.0, 0.2, 1.0, 1.0),
+        Shape("stiffness", "v", 12.0, 0.2, 1.0, 1.0),
         "stiffness changes with speed v, by 20 % at 12 m/s",
     ),
-    "wave": (
-        Shape("force", "time", True, 0.7, 0.061, 1.0, 1.0),
-        "force goes up and down with time, period 0.7 s, by ± 6.1 % of F_z",
-    ),
     "slip": (
-        Shape("slip", "slip_fraction", False, 1.2, 2e-3, 1.0, 1.0),
+        Shape("slip", "slip_fraction", 1.2, 2e-3, 1.0, 1.0),
         "slip changes with slip / slip of full sliding, by 0.002 at 1.2",
     ),
 }

@@ -1,8 +1,8 @@
 """An effect that the library does not list: smooth functions with a Gaussian prior.
 
 Each :class:`Cell` is one quantity of the model (a force, a friction, ...) that varies with one
-covariate as a Gaussian process (Matern 3/2), or with time as a wave. Which cell, its length
-scale and its size are averaged over; the same functions show where a gap lies and what is left.
+covariate as a Gaussian process (Matern 3/2). Which cell, its length scale and its size are
+averaged over; the same functions show where a gap lies and what is left.
 """
 
 from dataclasses import dataclass
@@ -38,29 +38,16 @@ class Cell(NamedTuple):
     is_local: bool = False
 
 
-class Wave(NamedTuple):
-    """A quantity that may be a wave over a covariate, such as time: whitened weights (m,) of
-    a usual change, the place (m,) of each residual in even steps of the covariate, -1 for
-    none, and the length of such a step."""
-
-    quantity: str
-    covariate: str
-    weight: np.ndarray
-    clock: np.ndarray
-    tick: float
-
-
 class Component(NamedTuple):
     """A cell in the remainder of a fit: its log evidence, its probability among all, the
     share of the mean square of the remainder that it explains, and the function at the places of
-    the cell, in usual changes of its quantity. The places of a wave are within its period."""
+    the cell, in usual changes of its quantity."""
 
     cell: Cell
     log_evidence: float
     probability: float
     explains: float
     value: np.ndarray
-    is_wave: bool = False
 
 
 def places_of(
@@ -91,7 +78,6 @@ class Discrepancy:
 
     columns: np.ndarray
     cells: tuple[Cell, ...]
-    waves: tuple[Wave, ...] = ()
 
     @cached_property
     def _roots(self) -> np.ndarray:
@@ -131,25 +117,20 @@ class Discrepancy:
         return [part.T @ part for part in parts]
 
     def log_evidence(self, fit: "Fit") -> float:
-        """Log evidence of an unlisted effect beside a fit, over none: each cell, and each
-        quantity as a wave, is equally likely."""
-        waves = [wave.log_evidence for wave in self._of_waves(fit)]
-        each = [*_averaged(self._gains(fit)[0], (1, 2)), *waves]
-        return float(_averaged(np.array(each), 0)) if each else -np.inf
-
-    def _of_waves(self, fit: "Fit") -> list[Component]:
-        """The most probable wave of each quantity, with the evidence of all of them."""
-        return [best for wave in self.waves if (best := _wave_in(fit, wave)) is not None]
+        """Log evidence of an unlisted effect beside a fit, over none: each cell is equally
+        likely."""
+        gains = self._gains(fit)[0]
+        return float(_averaged(gains, (0, 1, 2))) if gains.size else -np.inf
 
     def local_share(self, fit: "Fit") -> float:
         """Share of the evidence beside a fit that local cells have."""
-        components = self.components(fit, len(self.cells) + len(self.waves))
+        components = self.components(fit, len(self.cells))
         return sum(part.probability for part in components if part.cell.is_local)
 
     def components(self, fit: "Fit", most: int = 3) -> list[Component]:
-        """The most probable functions and waves in the remainder of a fit, the first one first."""
+        """The most probable functions in the remainder of a fit, the first one first."""
         gains, parts = self._gains(fit)
-        rest, components = fit.remainder(), self._of_waves(fit)
+        rest, components = fit.remainder(), list[Component]()
         energy = max(float(rest @ rest), ROUNDING)
         for k, (cell, log) in enumerate(zip(self.cells, _averaged(gains, (1, 2)), strict=True)):
             size = len(cell.places)
@@ -174,29 +155,6 @@ class Discrepancy:
         ]
         many = max(len(parts), 1) ** 0.5
         return np.concatenate([self.columns[:, :0], *parts], axis=1) / many
-
-
-def _wave_in(fit: "Fit", wave: Wave) -> Component | None:
-    """The most probable wave in the remainder of a fit, from three half turns over a record of 16
-    places and more, with the evidence of all, averaged over frequency and size."""
-    count, weight, least = int(wave.clock.max(initial=-1)) + 1, wave.weight, 3
-    if count < 16:
-        return None
-    rest, there = fit.remainder(), wave.clock >= 0
-    weighted = (weight * rest[: len(weight)])[there]
-    sums = np.fft.rfft(np.bincount(wave.clock[there], weighted, count), 2 * count)[least:]
-    # Sine and cosine of unit size share the square of the weights.
-    half = max(0.5 * float(weight @ weight), NONZERO)
-    t = SIZES[:, None] ** 2
-    logs = _averaged(0.5 * t * np.abs(sums) ** 2 / (1 + t * half) - np.log1p(t * half), 0)
-    best = int(np.argmax(logs))
-    size, angle = np.abs(sums[best]) / half, np.angle(sums[best])
-    period = 2 * count / (best + least) * wave.tick
-    at = np.linspace(0.0, period, 41)
-    value = size * np.cos(2 * np.pi * at / period + angle)
-    explains = min(size**2 * half / max(float(rest @ rest), ROUNDING), 1.0)
-    cell = Cell(wave.quantity, wave.covariate, 0, 0, at, False)
-    return Component(cell, float(_averaged(logs, 0)), 0.0, explains, value, True)
 
 
 def _averaged(logs: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from tirefit.data.rig.levels import levels
 from tirefit.diagnosis.effects.state import State
 from tirefit.diagnosis.engine import FLAT, ROUNDING, UNSEEN
-from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, Wave, places_of
+from tirefit.diagnosis.engine.discrepancy import Cell, Discrepancy, places_of
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slips import segments
 from tirefit.params import Values
@@ -93,28 +93,7 @@ def discrepancy_of(base: "Base") -> Discrepancy:
             columns.append(weight[:, None] * np.tile(signed, (channels, 1)))
             cells.append(Cell(parameter, covariate, first, first + len(places), places, few))
             first += len(places)
-    return Discrepancy(np.concatenate(columns, axis=1), tuple(cells), _waves(rows, weights))
-
-
-def _waves(rows: Prepared, weights: dict[str, np.ndarray]) -> tuple[Wave, ...]:
-    """Waves of friction and force over time, and over distance where the speed varies: of mains
-    hum, chatter or an uneven road, and of the turning wheel."""
-    if rows.time is None or "time" not in rows.has or rows.random_order:
-        return ()
-    waves, over = [], {"time": rows.time}
-    if "speeds" in rows.has:
-        over["distance"] = travelled(rows)
-    for covariate, values in over.items():
-        # The place of each row in even steps, the median ones; a record that needs more than four
-        # for each row is not sampled evenly.
-        moments = np.unique(values)
-        tick = float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0
-        clock = np.rint((values - moments[0]) / tick).astype(int)
-        if clock.max() >= 4 * len(values):
-            clock = np.full(len(values), -1)
-        clock = np.tile(clock, len(rows.channels))
-        waves += [Wave(x, covariate, weights[x], clock, tick) for x in ("friction", "force")]
-    return tuple(waves)
+    return Discrepancy(np.concatenate(columns, axis=1), tuple(cells))
 
 
 _WAVES = 96

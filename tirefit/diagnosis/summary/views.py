@@ -45,12 +45,11 @@ class Region(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A quantity as a function of a covariate, or as a wave over it, that fits the remainder."""
+    """A quantity as a function of a covariate that fits the remainder."""
 
     parameter: str
     covariate: str
-    is_wave: bool
-    at: float  # covariate of the largest change; period of a wave
+    at: float  # covariate of the largest change
     size: float  # largest change: relative (stiffness, friction), a slip, force over load
     probability: float  # among all such functions
     explains: float  # share of the mean square of the remainder
@@ -222,6 +221,5 @@ def _shape(function: Component) -> Shape:
     cell = function.cell
     change = PARAMETERS[cell.quantity][1] * function.value
     largest = int(np.argmax(np.abs(change)))
-    at = float(cell.places[-1 if function.is_wave else largest])
     sizes = float(change[largest]), function.probability, function.explains
-    return Shape(cell.quantity, cell.covariate, function.is_wave, at, *sizes)
+    return Shape(cell.quantity, cell.covariate, float(cell.places[largest]), *sizes)

@@ -135,14 +135,11 @@ def covariate_unit(name: str) -> str:
 def shape_text(shape: Shape) -> str:
     """What a remainder resembles: ``friction changes with time, by -7 % at 60 s``."""
     covariate = covariate_text(shape.covariate)
-    # The place of the largest change, or the period of a wave.
     at = f"{format_number(shape.at, 3)} {covariate_unit(shape.covariate)}".rstrip()
     at = NAMED_VALUES.get(shape.covariate, {}).get(round(shape.at), at)
     size = f"{format_number(100 * shape.size, 2)} %{' of F_z' * (shape.parameter == 'force')}"
     if shape.parameter == "slip":
         size = format_number(shape.size, 2)
-    if shape.is_wave:
-        return f"{shape.parameter} goes up and down with {covariate}, period {at}, by ± {size}"
     return f"{shape.parameter} changes with {covariate}, by {size} at {at}"
 
 
