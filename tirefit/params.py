@@ -49,8 +49,8 @@ def par(
     bounds: tuple[float, float],
     unit: str,
     meaning: str,
-    source: str,
-    symbol: str,
+    source: str = "",
+    symbol: str = "",
     *,
     free: bool = True,
     scale: str = "linear",
@@ -62,8 +62,8 @@ def par(
         bounds: smallest and largest allowed value; a fit stays strictly inside.
         unit: SI unit, ``-`` for none.
         meaning: one line for tables and reports.
-        source: the equation that defines it.
-        symbol: TeX symbol for figures.
+        source: the equation that defines it, for the table of models.
+        symbol: TeX symbol for figures of fits; settings of online methods need neither.
         free: whether a fit estimates it by default.
         scale: ``linear``, or ``log`` for a positive scale over many decades.
 

@@ -1,4 +1,4 @@
-"""Variable pressure laws, and laws from a function or a table."""
+"""Pressure laws compared with direct integration, and laws that vary."""
 
 import jax
 import jax.numpy as jnp
@@ -19,13 +19,11 @@ from tirefit.models import (
     LoadAsymmetric,
     Parabolic,
     Quartic,
-    Tabulated,
     TireInputs,
     Uniform,
     forces,
 )
 from tirefit.params import with_values
-from tirefit.results import UsageError
 
 C, MU, FZ = 5e4, 0.9, 4000.0
 
@@ -40,7 +38,6 @@ LAWS = {
     },
 }
 EACH = pytest.mark.parametrize(("law", "density"), LAWS.values(), ids=LAWS)
-RHO = np.concatenate([np.geomspace(1e-9, 0.1, 20), np.linspace(0.1, 4, 67)])
 
 
 # Elliptic
@@ -141,19 +138,7 @@ def test_asymmetry_depends_on_the_load():
         np.testing.assert_allclose(mine, same, rtol=1e-12)
 
 
-# Functions and tables
-
-
-def both(law, rho):
-    """Force and moment over friction (2,)."""
-    tire = Brush(1.0, 1.0, pressure=law, friction=Friction((Kinetic(0.6),)))
-    return jnp.stack(tire.pure(rho, 1.0, 0.0))
-
-
-@jax.jit
-def outputs(law, rho):
-    """Forces and moments over friction, (n, 2)."""
-    return jax.vmap(both, (None, 0))(law, rho)
+# Closed forms
 
 
 @jax.jit
@@ -162,125 +147,51 @@ def integrals(law, u):
 
 
 @jax.jit
-def all_of(law, rho, u):
-    """Outputs with their slopes over rho; breakaway points with theirs, forward and
-    backward, each (n,); integrals."""
-    points = jax.jacfwd(law.breakaway), jax.grad(law.breakaway)
-    return (
-        (outputs(law, rho), jax.vmap(jax.jacfwd(both, 1), (None, 0))(law, rho)),
-        (law.breakaway(rho), *(jax.vmap(slope)(rho) for slope in points)),
-        integrals(law, u),
-    )
+def closed_forms(law, rho):
+    """Force and moment over friction (n, 2) and their slopes over rho; breakaway points (n,)
+    and their slopes, forward and backward."""
+
+    def both(rho):
+        tire = Brush(1.0, 1.0, pressure=law, friction=Friction((Kinetic(0.6),)))
+        return jnp.stack(tire.pure(rho, 1.0, 0.0))
+
+    points = law.breakaway, jax.jacfwd(law.breakaway), jax.grad(law.breakaway)
+    return *(jax.vmap(f)(rho) for f in (both, jax.jacfwd(both), *points)), law
+
+
+def integrated(density, rho):
+    """Force and moment over friction, and the breakaway point, by a root and quadrature."""
+    total = quad(density, -1, 1)[0]
+
+    def excess(xi):
+        return density(xi) / total - rho * (1 - xi)
+
+    # Below one: the density and the demand are both zero at the leading edge.
+    low, high = -1.0, 1 - 1e-9
+    xi = -1.0 if excess(low) >= 0 else 1.0
+    if excess(low) < 0 < excess(high):
+        xi = brentq(excess, low, high, xtol=1e-15)
+    load, lever = (quad(lambda x, k=k: x**k * density(x) / total, -1, xi)[0] for k in (0, 1))
+    sticks = rho * (1 - xi) ** 2 / 2, rho * (1 / 6 - xi**2 / 2 + xi**3 / 3)
+    return 0.6 * load + sticks[0], 0.6 * lever + sticks[1], 1 + xi
 
 
 @EACH
-def test_function_agrees_with_the_closed_form(law, density):
-    """To the sagitta of 4,000 chords, some 1e-7 of the largest pressure; their slopes, which
-    move the breakaway point, by the length of a chord (8e-4), more where rho hardly rises."""
-    at = np.linspace(0.0, 2.0, 41)
+def test_closed_forms_agree_with_direct_integration(law, density):
     law = jax.tree.map(jnp.asarray, law)  # all asymmetries by one program
-    made, expected = all_of(Tabulated.from_function(density), RHO, at), all_of(law, RHO, at)
-    made, expected = jax.tree.map(np.asarray, (made, expected))
-    (value, slope), (exact, exact_slope) = made[0], expected[0]
-    np.testing.assert_allclose(value, exact, atol=1e-6)
-    np.testing.assert_allclose(slope, exact_slope, atol=3e-3)
-    (u, forward, backward), (exact, _, _) = made[1], expected[1]
-    np.testing.assert_allclose(u, exact, atol=1e-5)
+    rho = np.array([1e-5, 0.01, 0.1, 0.24, 0.26, 0.6, 0.95, 1.1, 1.45, 1.9, 2.4, 2.6, 4.0])
+    value, slope, u, forward, backward, _ = closed_forms(law, rho)
+    h = 1e-6 * rho[:, None] * np.array([0.0, 1.0, -1.0])
+    expected = np.array([[integrated(density, x) for x in xs] for xs in rho[:, None] + h])
+    np.testing.assert_allclose(np.c_[value, u], expected[:, 0], atol=1e-8)
+    differences = (expected[:, 1] - expected[:, 2]) / (2e-6 * rho[:, None])
+    np.testing.assert_allclose(np.c_[slope, forward], differences, rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(backward, forward, rtol=1e-12)
-    for mine, part in zip(made[2], expected[2], strict=True):
-        np.testing.assert_allclose(mine, part, atol=1e-6)
-
-
-def trapezoid(xi):
-    """The static patch of S Fig. 1: constant, then falling over the last fifth."""
-    return np.minimum(1.0, 5 * (1 - np.abs(xi)))
-
-
-KNOTS = np.array([-1.0, -0.8, 0.8, 1.0])
-
-
-def test_table_and_function_with_kinks_agree_with_quadrature():
-    table = Tabulated.from_table(KNOTS, trapezoid(KNOTS))
-    given = Tabulated.from_function(trapezoid, kinks=KNOTS)
-    found = Tabulated.from_function(trapezoid)
-    demand = np.array([0.02, 0.2, 0.5, 1.2, 2.6, 2.8])
-    expected = []
-    for rho in demand:
-        # p / (1 - xi) rises to 5 / 1.8 on the leading ramp, where it is level.
-        if rho >= 5 / 1.8:
-            xi = 1.0
-        else:
-            xi = brentq(lambda x, r=rho: trapezoid(x) / 1.8 - r * (1 - x), -1, 0.8 + 1e-12)
-        load, lever = (
-            quad(lambda x, k=k: x**k * trapezoid(x), -1, xi, points=KNOTS[1:-1])[0] for k in (0, 1)
-        )
-        sticks = rho * (1 - xi) ** 2 / 2, rho * (1 / 6 - xi**2 / 2 + xi**3 / 3)
-        expected.append((0.6 * load / 1.8 + sticks[0], 0.6 * lever / 1.8 + sticks[1]))
-    for law, within in ((table, 1e-12), (given, 1e-8), (found, 1e-6)):
-        np.testing.assert_allclose(outputs(law, demand), expected, rtol=0, atol=within)
-
-
-def test_a_kink_beyond_the_patch_is_refused():
-    for xi in (-1.5, 1.5):
-        with pytest.raises(UsageError, match="not go from -1 to 1"):
-            Tabulated.from_function(trapezoid, kinks=[xi])
-
-
-def test_a_tabulated_law_satisfies_the_model_contract():
-    """Batched, compiled, in combined slip, and finite at the ends."""
-    xi = np.linspace(-1, 1, 9)
-    tire = Brush(C, MU, pressure=Tabulated.from_table(xi, 1 - xi**4))
-    slips = np.array([0.0, 1e-12, 0.05, 0.3, 1e6])
-    inputs = TireInputs(slips, 0.05, np.array([0.0, 4e3, 4e3, 4e3, 4e3]))
-
-    def total(inputs):
-        result = forces(tire, inputs)
-        return sum(jnp.sum(part) for part in result[:3]), result
-
-    arrays = jax.tree.map(jnp.asarray, inputs)
-    slopes, result = jax.jit(jax.grad(total, has_aux=True))(arrays)
-    assert np.isfinite(np.stack(result[:3])).all()
-    np.testing.assert_allclose(np.hypot(result.fx, result.fy)[-1], MU * FZ, rtol=1e-9)
-    for leaf in slopes:
-        assert np.isfinite(leaf).all()
-    with jax.enable_x64(False):
-        single = forces(tire, TireInputs(np.float32(slips), 0.05, np.float32(4e3)))
-    assert single.fx.dtype == np.float32
-    np.testing.assert_allclose(single.fx[1:], result.fx[1:], rtol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("density", "message"),
-    [
-        (lambda xi: xi, "negative at xi = -1"),
-        (lambda xi: np.where(xi > 0.5, np.nan, 1.0), "not a finite number at xi = 0.5"),
-        (lambda xi: 0.0, "nowhere positive"),
-        (lambda xi: (1 - xi**2) * (1 - 0.5 * xi), r"over \(1 - xi\) falls at xi = 0"),
-        (lambda xi: (1 - xi**2) ** 2, r"over \(1 - xi\) falls at xi = 0.3"),
-        (lambda xi: 1 + np.sin(1e9 * xi), "jumps or bends"),
-    ],
-)
-def test_a_density_that_is_no_pressure_is_refused(density, message):
-    with pytest.raises(UsageError, match=message) as error:
-        Tabulated.from_function(density)
-    assert error.value.problems[0].remedy
-
-
-@pytest.mark.parametrize(
-    ("xi", "density", "problems"),
-    [
-        ([-1, 0, 1], [0, 1, np.nan], [("point 2", "not a finite number")]),
-        (
-            [-1, 0, 0],
-            [0, -1, 1],
-            [("point 1", "negative"), ("point 2", "not increase"), ("point 2", "not go from -1")],
-        ),
-        ([-1], [0], [("", "not two columns")]),
-        ([-1, 0.5, 0.8, 1], [0, 1, 0.1, 0.1], [("", "falls at xi")]),
-    ],
-)
-def test_a_wrong_table_is_refused_with_its_point(xi, density, problems):
-    with pytest.raises(UsageError) as error:
-        Tabulated.from_table(xi, density)
-    for found, (point, reason) in zip(error.value.problems, problems, strict=True):
-        assert point in found.reason and reason in found.reason and found.remedy
+    at = np.linspace(0.0, 2.0, 9)
+    total = quad(density, -1, 1)[0]
+    shares = [
+        [quad(lambda x, k=k: x**k * density(x) / total, -1, end - 1)[0] for end in at]
+        for k in (0, 1)
+    ]
+    pressures = [density(end - 1) / total for end in at]
+    np.testing.assert_allclose(integrals(law, at), [pressures, *shares], atol=1e-8)

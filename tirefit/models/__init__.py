@@ -37,15 +37,14 @@ from tirefit.models.pressure import (
     Uniform,
 )
 from tirefit.models.relaxation import Relaxed
-from tirefit.models.tabulated import Tabulated
 
 __all__ = [
     "MODELS", "AbstractTire", "AnisotropicBrush", "Asymmetric", "BeamCarcass", "Brush",
     "BrushAtPeak", "CombinedMagicFormula", "Elliptic", "Exponential", "ForceAsymmetric",
     "Friction", "Kinetic", "LinearInSpeed", "LiuPeng", "LoadAsymmetric", "LoadDependent",
     "Logarithmic", "LuGre", "LuGreLumped", "MagicFormula", "Parabolic", "ParabolicCarcass",
-    "Quartic", "Relaxed", "Stribeck", "Tabulated", "ThreadCarcass", "TireForces", "TireInputs",
-    "Uniform", "forces", "modelled", "mu_from_peak", "peak_from_mu",
+    "Quartic", "Relaxed", "Stribeck", "ThreadCarcass", "TireForces", "TireInputs", "Uniform",
+    "forces", "modelled", "mu_from_peak", "peak_from_mu",
 ]  # fmt: skip
 
 _PRESSURE = {
