@@ -3,7 +3,7 @@
 import tomllib
 from pathlib import Path
 
-_PRESSURE = ("brush", "brush-d", "uniform", "quartic", "elliptic")
+_PRESSURE = ("brush", "brush-d", "uniform", "quartic")
 _SPEED = ("", "n", "ns", "h", "hs")
 
 
@@ -26,8 +26,6 @@ MODEL_NAMES = (
     "brush-stribeck",
     "brush-stribeck-s",
     "brush-ln",
-    "brush-d-force",
-    "brush-d-load",
     "brush-load",
     "brush-load-d",
     "brush-load-m",

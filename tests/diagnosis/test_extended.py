@@ -92,7 +92,6 @@ def only(base, k):
         ("y", "brush", HELD | LATERAL, 1),
         ("x", "brush", OF_SHAPE, 1),
         pytest.param("y", "brush", HELD | LATERAL, 99, marks=pytest.mark.long),
-        pytest.param("x", "brush-d-force", OF_SHAPE, 1, marks=pytest.mark.long),
     ],
 )
 def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model, expected, variants):

@@ -137,7 +137,7 @@ def test_share_counts_both_forces_in_combined_slip():
         ("magic-formula", ["brush", "brush-d"]),
         ("brush-dmn", ["brush-mn", "magic-formula"]),
         ("brush-load", ["brush-load-d", "magic-formula"]),
-        ("elliptic", ["brush", "brush-d", "magic-formula"]),
+        ("quartic", ["brush", "brush-d", "magic-formula"]),
         ("brush-anisotropic-m", ["brush-anisotropic-dm", "magic-formula"]),
     ],
 )

@@ -32,8 +32,6 @@ def reference_density(family, d, xi):
         return np.full_like(xi, 0.5)
     if family == "quartic":
         return 5 / 8 * (1 - xi**4)
-    if family == "elliptic":
-        return 2 / np.pi * np.sqrt(1 - xi**2)
     return 3 / 4 * (1 - xi**2) * (1 + d * xi)
 
 
@@ -43,8 +41,6 @@ def holding_ratio(family, d, xi):
         return 0.5 / np.maximum(1 - xi, 1e-300)
     if family == "quartic":
         return 5 / 8 * (1 + xi) * (1 + xi**2)
-    if family == "elliptic":
-        return 2 / np.pi * np.sqrt((1 + xi) / np.maximum(1 - xi, 1e-300))
     return 3 / 4 * (1 + xi) * (1 + d * xi)
 
 

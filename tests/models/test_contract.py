@@ -220,9 +220,8 @@ def test_forces_are_odd_in_slip(name):
         np.testing.assert_array_equal(ahead.fx, mirrored.fx)
     if ahead.mz is not None:
         np.testing.assert_array_equal(ahead.mz, -mirrored.mz)
-    # The Magic Formula is odd in kappa; falling friction sees kappa through v_s; d
-    # that follows the brake force knows braking from driving.
-    even = name.startswith("magic-formula") or name == "brush-d-force"
+    # The Magic Formula is odd in kappa; falling friction sees kappa through v_s.
+    even = name.startswith("magic-formula")
     if not even and "v" not in MODELS[name].needs and ahead.fx is not None:
         np.testing.assert_array_equal(braked.fx, -driven.fx)
 

@@ -4,7 +4,7 @@ import pytest
 
 from tirefit.models import MODELS
 
-PRESSURES = ["brush", "brush-d", "uniform", "quartic", "elliptic"]
+PRESSURES = ["brush", "brush-d", "uniform", "quartic"]
 FRICTIONS = [level + speed for level in ("", "m") for speed in ("", "n", "ns", "h", "hs")]
 
 

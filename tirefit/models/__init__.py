@@ -7,14 +7,7 @@ friction of ``brush-ln`` changes with the logarithm of the sliding speed.
 """
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs, forces, modelled
-from tirefit.models.brush import (
-    AnisotropicBrush,
-    Brush,
-    BrushAtPeak,
-    LoadDependent,
-    mu_from_peak,
-    peak_from_mu,
-)
+from tirefit.models.brush import AnisotropicBrush, Brush, BrushAtPeak, LoadDependent, mu_from_peak
 from tirefit.models.carcass import BeamCarcass, ParabolicCarcass, ThreadCarcass
 from tirefit.models.combined import CombinedMagicFormula, LiuPeng
 from tirefit.models.friction import (
@@ -27,24 +20,16 @@ from tirefit.models.friction import (
 )
 from tirefit.models.lugre import LuGre, LuGreLumped
 from tirefit.models.magic_formula import MagicFormula
-from tirefit.models.pressure import (
-    Asymmetric,
-    Elliptic,
-    ForceAsymmetric,
-    LoadAsymmetric,
-    Parabolic,
-    Quartic,
-    Uniform,
-)
+from tirefit.models.pressure import Asymmetric, Parabolic, Quartic, Uniform
 from tirefit.models.relaxation import Relaxed
 
 __all__ = [
     "MODELS", "AbstractTire", "AnisotropicBrush", "Asymmetric", "BeamCarcass", "Brush",
-    "BrushAtPeak", "CombinedMagicFormula", "Elliptic", "Exponential", "ForceAsymmetric",
-    "Friction", "Kinetic", "LinearInSpeed", "LiuPeng", "LoadAsymmetric", "LoadDependent",
-    "Logarithmic", "LuGre", "LuGreLumped", "MagicFormula", "Parabolic", "ParabolicCarcass",
-    "Quartic", "Relaxed", "Stribeck", "ThreadCarcass", "TireForces", "TireInputs", "Uniform",
-    "forces", "modelled", "mu_from_peak", "peak_from_mu",
+    "BrushAtPeak", "CombinedMagicFormula", "Exponential", "Friction", "Kinetic",
+    "LinearInSpeed", "LiuPeng", "LoadDependent", "Logarithmic", "LuGre", "LuGreLumped",
+    "MagicFormula", "Parabolic", "ParabolicCarcass", "Quartic", "Relaxed", "Stribeck",
+    "ThreadCarcass", "TireForces", "TireInputs", "Uniform", "forces", "modelled",
+    "mu_from_peak",
 ]  # fmt: skip
 
 _PRESSURE = {
@@ -52,7 +37,6 @@ _PRESSURE = {
     ("brush", "d"): Asymmetric(),
     ("uniform", ""): Uniform(),
     ("quartic", ""): Quartic(),
-    ("elliptic", ""): Elliptic(),
 }
 _LEVEL = {"": (), "m": (Kinetic(),)}
 _SPEED = {
@@ -88,8 +72,6 @@ MODELS: dict[str, AbstractTire] = {
     "brush-stribeck": Brush(friction=Friction((Stribeck(),))),
     "brush-stribeck-s": Brush(friction=Friction((Stribeck(static_too=True),))),
     "brush-ln": Brush(friction=Friction((Logarithmic(static_too=True),))),
-    "brush-d-force": Brush(pressure=ForceAsymmetric()),
-    "brush-d-load": Brush(pressure=LoadAsymmetric()),
     "brush-load": LoadDependent(),
     "brush-load-d": LoadDependent(Brush(pressure=Asymmetric())),
     "brush-load-m": LoadDependent(Brush(friction=Friction(_LEVEL["m"]))),

@@ -62,8 +62,9 @@ class AbstractTire(eqx.Module):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Inputs beyond slip and load that change the force: v, gamma, time, ..."""
-        return ()
+        """Inputs beyond slip and load that change the force: v, gamma, time, ...; by default those
+        of the ``tire`` inside."""
+        return self.tire.needs if hasattr(self, "tire") else ()
 
     @property
     def transient(self) -> bool:

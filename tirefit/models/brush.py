@@ -14,6 +14,8 @@ for a rectangular patch, to :math:`\sqrt{F_z}` for an elliptic one. So :math:`c_
 proportional to :math:`F_z^2` or :math:`F_z`; measured tires have other powers.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -23,7 +25,7 @@ from jaxtyping import Array
 from tirefit.arrays import Numbers, Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.friction import Friction, Kinetic
-from tirefit.models.pressure import AbstractPressure, Parabolic, reference_load
+from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par, parameter_values, with_values
 from tirefit.slip import kappa_from_sigma, lateral_slip
 
@@ -34,17 +36,13 @@ def bristle_stiffness(relation: str = "C_x = 2 c_p a^2", source: str = "S(12)") 
     return par(5e4, (1e-2, 1e9), "N", meaning, source, r"c_p a^2", scale="log")
 
 
-def friction_coefficient() -> Any:
-    """The field of mu."""
-    return par(1.0, (0.01, 5.0), "-", "static friction coefficient mu_s", "S(12)", r"\mu")
-
-
-def half_contact_length() -> Any:
-    """The field of the half-length a of the contact patch."""
-    return par(
-        0.1, (1e-3, 1.0), "m", "half the contact length (aligning moment only)", "S(9)", "a",
-        free=False, scale="log",
-    )  # fmt: skip
+friction_coefficient: Callable[[], Any] = partial(
+    par, 1.0, (0.01, 5.0), "-", "static friction coefficient mu_s", "S(12)", r"\mu"
+)
+half_contact_length: Callable[[], Any] = partial(
+    par, 0.1, (1e-3, 1.0), "m", "half the contact length (aligning moment only)", "S(9)", "a",
+    free=False, scale="log",
+)  # fmt: skip
 
 
 class Brush(AbstractTire):
@@ -63,16 +61,13 @@ class Brush(AbstractTire):
     pressure: AbstractPressure = Parabolic()
     friction: Friction = Friction()
 
-    def pure(
-        self, slip: Scalar, fz: Scalar, v_s: Scalar, braking: Scalar = 1.0
-    ) -> tuple[Array, Array]:
+    def pure(self, slip: Scalar, fz: Scalar, v_s: Scalar) -> tuple[Array, Array]:
         """Force [N] and moment over half-length [N] along the slip.
 
         Args:
             slip: physical slip sigma [-], >= 0.
             fz: load [N]; the force is zero at zero load.
             v_s: sliding speed of the contact patch [m/s], >= 0.
-            braking: share of the slip that brakes [-]: 1 pure braking, -1 driving.
         """
         loaded = fz > 0
         load = jnp.where(loaded, fz, 1.0)
@@ -81,8 +76,7 @@ class Brush(AbstractTire):
         mu_s = jnp.maximum(self.friction.static(self.mu, v_s), 1e-6)
         mu_k = self.friction.kinetic(self.mu, v_s)
         rho = demand / (mu_s * load)
-        pressure = self.pressure.under(rho, braking, load)
-        u = pressure.breakaway(rho)
+        pressure, u = self.pressure, self.pressure.breakaway(rho)
         sticking = 2 - u
         force = load * mu_k * pressure.cdf(u) + demand * sticking**2 / 2
         moment = load * mu_k * pressure.moment(u) + demand * (sticking**2 / 2 - sticking**3 / 3)
@@ -98,7 +92,7 @@ class Brush(AbstractTire):
         slip_y = self.stiffness_ratio * lateral_slip(tan_alpha, inputs.sigma_x)
         slip, along, across = polar(slip_x, slip_y)
         v_s = inputs.v * resultant(kappa_from_sigma(inputs.sigma_x), tan_alpha)
-        force, moment = self.pure(slip, inputs.fz, v_s, along)
+        force, moment = self.pure(slip, inputs.fz, v_s)
         return TireForces(along * force, across * force, self.half_length * across * moment)
 
     @property
@@ -163,11 +157,6 @@ def mu_from_peak(mu_peak: float, m: float) -> float:
     return mu_peak * (3 - 2 * m) ** 2 / (4 - 3 * m)
 
 
-def peak_from_mu(mu: float, m: float) -> float:
-    """Peak force over load of a brush-m with static friction mu, S(33)."""
-    return mu * (4 - 3 * m) / (3 - 2 * m) ** 2
-
-
 class BrushAtPeak(AbstractTire):
     """``brush-m`` with the peak F_max / F_z as its parameter, S(34) corrected."""
 
@@ -203,7 +192,10 @@ class LoadDependent(AbstractTire):
     mu_load: float = par(
         -0.1, (-1.0, 1.0), "-", "change of mu per relative change of the load", "S §2.1", r"\mu_z"
     )
-    fz0: float = reference_load()
+    fz0: float = par(
+        4000.0, (1e-3, 1e6), "N", "reference load of the load-dependent parameters", "S §2.1",
+        "F_{z0}", free=False, scale="log",
+    )  # fmt: skip
 
     def at(self, fz: Scalar) -> AbstractTire:
         """The tire with its parameters at load fz [N] > 0."""
@@ -216,10 +208,6 @@ class LoadDependent(AbstractTire):
             "mu": jnp.maximum(mu, 0.01 * base["mu"]),
         }
         return with_values(self.tire, values)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return self.tire.needs
 
     def static_friction(self, fz: Scalar) -> Scalar | None:
         return self.at(fz).static_friction(fz)

@@ -12,20 +12,16 @@ and the carcass, fixed at the rim at both ends of the patch, deflects by
    S\, w'' = -q, \qquad \frac{EI}{a^2} w'''' = q, \qquad
    w = \frac{F_y}{a K_c} s (2 - s)
 
-(thread; beam, with :math:`w'' = 0` at its ends; a parabola of height :math:`F_y/K_c`,
-whatever the distribution). Forces below are over :math:`\mu F_z`, so that one demand
-ratio :math:`\rho = c_p a^2 \sigma_y / (\mu F_z)` and one flexibility
-:math:`\lambda = c_p a^2/S`, :math:`c_p a^4/EI` or :math:`c_p a/K_c` remain;
+(thread; beam, with :math:`w'' = 0` at its ends; a parabola of height :math:`F_y/K_c`). Forces
+below are over :math:`\mu F_z`, so that one demand ratio :math:`\rho = c_p a^2 \sigma_y / (\mu F_z)`
+and one flexibility :math:`\lambda = c_p a^2/S`, :math:`c_p a^4/EI` or :math:`c_p a/K_c` remain;
 :math:`\lambda = 0` is the rigid brush.
 
-**One breakaway point.** If every bristle is bent towards its slip, bristles slide behind
-one point and stick before it, since q is then convex in s and the pressure concave (or
-falling). This holds for the thread of any flexibility, for the beam up to 7.82
-(:math:`x^4/4` with :math:`\tan x = -\tanh x`), for the parabola up to 3/8. Above, the
-slope of the carcass at the leading edge bends the first bristles the other way. That has
-no effect until they slide. They slide first for the pressure that rises slowest there,
-S(24) with d = -1/3: above 73 (beam) and 2.7 (parabola). The bounds of ``flexibility``
-are below these values.
+**One breakaway point.** If every bristle is bent towards its slip, bristles slide behind one point
+and stick before it, as q is convex in s and the pressure concave: for the thread of any
+flexibility, for the beam up to 7.82, for the parabola up to 3/8. Above, the carcass bends the first
+bristles the other way, without effect until they slide: above 73 (beam) and 2.7 (parabola) for the
+pressure that rises slowest there, S(24) with d = -1/3. The bounds of ``flexibility`` are below.
 """
 
 import abc
@@ -123,8 +119,7 @@ class AbstractCarcass(AbstractTire):
         loaded = inputs.fz > 0
         limit = self.mu * jnp.where(loaded, inputs.fz, 1.0)
         rho = self.cpa2 * slip / limit
-        pressure = self.pressure.under(rho, 0.0, inputs.fz)
-        patch = self.settled(rho, pressure)
+        patch = self.settled(rho, self.pressure)
         scale = limit * loaded * across
         return TireForces(None, scale * patch.force, self.half_length * scale * patch.moment)
 
@@ -185,17 +180,13 @@ class ThreadCarcass(AbstractCarcass):
         return Patch(slope * y[1], stuck + share, stuck + moment - lever)
 
 
-# Gauss-Legendre nodes of v in [0, 1]; t = u v^2 (3 - 2v) also smooths the square roots
-# at the ends of an elliptic pressure.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_V = (1 + _NODES) / 2
-_SHARE, _SPACING = _V**2 * (3 - 2 * _V), 3 * _V * (1 - _V) * _WEIGHTS
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def _third_moment(pressure: AbstractPressure, u: Array) -> Array:
-    """Integral of t^3 p(t) over [0, u]; exact for polynomials up to degree six."""
-    t = u * jnp.asarray(_SHARE, u.dtype)
-    return u * jnp.sum(jnp.asarray(_SPACING, u.dtype) * t**3 * pressure.density(t))
+    """Integral of t^3 p(t) over [0, u]; exact for polynomials up to degree eight."""
+    t = u * jnp.asarray((1 + _NODES) / 2, u.dtype)
+    return u / 2 * jnp.sum(jnp.asarray(_WEIGHTS, u.dtype) * t**3 * pressure.density(t))
 
 
 class BeamCarcass(AbstractCarcass):

@@ -1,11 +1,6 @@
 r"""Combined slip beyond one brush: S(21), scaled pure-slip curves, and O(12)-(22).
 
-The isotropic and the anisotropic brush are in ``tirefit.models.brush``. Here are
-
-* the quantities by which O controls the brakes: the friction in use :math:`\gamma` and
-  the slopes of the anisotropic brush, O(21) and O(22);
-* the extension of the brush by Liu and Peng, S(21);
-* the semi-empirical scaling of two pure-slip curves, S §2.3 "Combined slip".
+The isotropic and the anisotropic brush are in ``tirefit.models.brush``.
 """
 
 from typing import Any
@@ -149,11 +144,10 @@ def scaled_to_combined(
        F_x = \hat F_x(\sigma^\circ_x \psi) \left[A \frac{\sigma_x}{\sigma^\circ_x \psi}
              + (1 - A) \frac{\sigma_x}{\sqrt{\sigma_x^2 + \sigma_y^2}}\right]
 
-    and similarly :math:`F_y` and :math:`M_z` with :math:`\hat F_y, \hat M_z`. In full
-    sliding the force is on the ellipse of the two pure-slip forces. The curves of braking
-    and driving, and of left and right, are blended by the cosine of the direction of
-    slip. The curves must pass through zero at zero slip. The moment of the longitudinal
-    force, which acts beside the wheel plane, is neglected in :math:`M_z`.
+    and similarly :math:`F_y` and :math:`M_z`. In full sliding the force is on the ellipse of both
+    pure-slip forces. The curves of both directions are blended by the cosine of the direction of
+    slip, and must pass through zero at zero slip. The moment of the longitudinal force, which acts
+    beside the wheel plane, is neglected in :math:`M_z`.
 
     Args:
         along, across: models that give the pure-slip fx, and fy and mz; may be one.

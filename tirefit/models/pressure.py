@@ -10,14 +10,12 @@ For demand ratio :math:`\rho = c_p a^2 \sigma / (\mu_s F_z)` a bristle sticks wh
 """
 
 import abc
-from typing import Any, cast
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from tirefit.arrays import Numbers, Scalar
+from tirefit.arrays import Numbers
 from tirefit.params import par
 
 
@@ -39,13 +37,6 @@ class AbstractPressure(eqx.Module):
     @abc.abstractmethod
     def breakaway(self, rho: Numbers) -> Array:
         """u of the breakaway point for demand ratio rho >= 0; 0 sticking, 2 sliding."""
-
-    def under(self, rho: Numbers, braking: Scalar, fz: Scalar) -> "AbstractPressure":
-        """The law at demand ratio rho, share of braking in the slip, and load [N].
-
-        Only some subclasses depend on these.
-        """
-        return self
 
 
 class Parabolic(AbstractPressure):
@@ -79,59 +70,6 @@ class Uniform(AbstractPressure):
     def breakaway(self, rho: Numbers) -> Array:
         sliding = rho > 0.25
         return jnp.where(sliding, 2 - 0.5 / jnp.where(sliding, rho, 1.0), 0.0)
-
-
-@jax.custom_jvp
-def _elliptic_cdf(u: Numbers) -> Array:
-    # With xi = -cos(phi), P = (2 phi - sin 2 phi) / (2 pi).
-    x = 4 * jnp.arctan2(jnp.sqrt(u), jnp.sqrt(2 - u))
-    square = x**2
-    terms = 1 - square / 110 * (1 - square / 156 * (1 - square / 210))
-    small = x**3 / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * terms)))
-    # The difference loses precision at small u.
-    return jnp.where(x < 1, small, x - jnp.sin(x)) / (2 * jnp.pi)
-
-
-@_elliptic_cdf.defjvp
-def _elliptic_cdf_slope(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    # By the angle, the slope at both ends would be zero times infinity.
-    (u,), (du,) = primals, tangents
-    return _elliptic_cdf(u), _elliptic_density(u) * du
-
-
-def _half_chord(u: Numbers) -> Array:
-    """sqrt(1 - xi^2), with slope zero instead of infinity at both ends."""
-    square = jnp.asarray(u * (2 - u))
-    inside = square > 0
-    return jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
-
-
-def _elliptic_density(u: Numbers) -> Array:
-    return 2 / jnp.pi * _half_chord(u)
-
-
-class Elliptic(AbstractPressure):
-    r""":math:`p = \tfrac{2}{\pi} \sqrt{1 - \xi^2}`, S §4.1: a circular patch.
-
-    Some bristles slide at any slip, and the last one never slides.
-    """
-
-    def density(self, u: Numbers) -> Array:
-        return _elliptic_density(u)
-
-    def cdf(self, u: Numbers) -> Array:
-        return _elliptic_cdf(u)
-
-    def moment(self, u: Numbers) -> Array:
-        return -2 / (3 * jnp.pi) * _half_chord(u) * u * (2 - u)
-
-    def breakaway(self, rho: Numbers) -> Array:
-        # u = 2 rho^2 / (rho^2 + k^2): p^2 = (k^2 u (2 - u)) at rho (2 - u).
-        # The smaller of the two over the larger: neither square overflows.
-        k = 2 / jnp.pi
-        mostly = rho > k
-        square = (jnp.where(mostly, k, rho) / jnp.where(mostly, rho, k)) ** 2
-        return jnp.where(mostly, 2.0, 2 * square) / (1 + square)
 
 
 class Asymmetric(AbstractPressure):
@@ -194,61 +132,3 @@ class Quartic(AbstractPressure):
         u = w + 2 / 3
         u = u - (u * (u * (u - 2) + 2) - demand) / (u * (3 * u - 4) + 2)
         return jnp.where(sliding, 2.0, u)
-
-
-def reference_load() -> Any:
-    """The field of the load at which load-dependent parameters have their value."""
-    return par(
-        4000.0, (1e-3, 1e6), "N", "reference load of the load-dependent parameters", "S §2.1",
-        "F_{z0}", free=False, scale="log",
-    )  # fmt: skip
-
-
-def _within(d: Scalar) -> float:
-    """d limited to the range in which one breakaway point describes the patch."""
-    return cast(float, jnp.clip(d, -1 / 3, 1.0))
-
-
-class ForceAsymmetric(Asymmetric):
-    r""":math:`d + d_F F_x / (\mu_s F_z)`: the pressure moves with the brake force.
-
-    S §4.1 expects it to move back when braking, :math:`d_F < 0`. The force is computed
-    with static friction of the sliding bristles, so that d depends only on the demand
-    ratio and the direction of slip; a lateral force does not move it. The result is
-    limited to the range of S(24).
-    """
-
-    d_force: float = par(
-        -0.2, (-1.0, 1.0), "-", "change of d per brake force over friction, F_x / (mu_s F_z)",
-        "S §4.1", "d_F",
-    )  # fmt: skip
-
-    def under(self, rho: Scalar, braking: Scalar, fz: Scalar) -> Asymmetric:
-        share = self.d_force * braking
-
-        def newton(_: Array | int, d: float) -> float:
-            law = Asymmetric(d)
-            u = law.breakaway(rho)
-            force = law.cdf(u) + rho * (2 - u) ** 2 / 2
-            miss = d - self.d - share * force
-            return _within(d - miss / (1 + share * 3 / 16 * (u * (2 - u)) ** 2))
-
-        # The force falls by 3/16 u^2 (2-u)^2 <= 3/16 per d, so the equation has one
-        # solution, to which these steps converge within rounding.
-        start = _within(self.d + 0 * share * rho)
-        return Asymmetric(jax.lax.fori_loop(0, 5, newton, start))
-
-
-class LoadAsymmetric(Asymmetric):
-    r""":math:`d + d_z (F_z - F_{z0}) / F_{z0}`, limited to the range of S(24).
-
-    The load changes the flattening of the tread, and so the asymmetry (S §2.1, §4.1).
-    """
-
-    d_load: float = par(
-        0.2, (-2.0, 2.0), "-", "change of d per relative change of the load", "S §4.1", "d_z"
-    )
-    fz0: float = reference_load()
-
-    def under(self, rho: Scalar, braking: Scalar, fz: Scalar) -> Asymmetric:
-        return Asymmetric(_within(self.d + self.d_load * (fz / self.fz0 - 1)))

@@ -20,23 +20,13 @@ from tirefit.params import par
 
 
 def _recursion(keep: Float[Array, " n"], add: Float[Array, " n"]) -> Float[Array, " n"]:
-    """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,), by combining steps in pairs.
+    """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,)."""
 
-    It replaces ``jax.lax.associative_scan``, whose unrolled stages compile for minutes.
-    """
-    rows = jnp.arange(len(keep))
+    def follow(y: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
+        y = row[0] * y + row[1]
+        return y, y
 
-    def join(k: Array | int, joined: tuple[Array, Array]) -> tuple[Array, Array]:
-        keep, add = joined
-        before = rows - 2**k
-        known, before = before >= 0, jnp.maximum(before, 0)
-        return (
-            keep * jnp.where(known, keep[before], 0.0),
-            add + keep * jnp.where(known, add[before], 0.0),
-        )
-
-    stages = max(len(keep) - 1, 0).bit_length()
-    return jax.lax.fori_loop(0, stages, join, (keep, add))[1]
+    return jax.lax.scan(follow, jnp.zeros((), add.dtype), (keep, add))[1]
 
 
 def lag(

@@ -1,7 +1,7 @@
-r"""Combined slip without coefficients of combined slip: the method of similarity.
+r"""Combined slip without coefficients of combined slip: similarity, or the friction ellipse.
 
-Each slip is normalised by :math:`\mu_i F_z / K_i`, the slip at which its linear force
-reaches the friction limit; P(4.E78) normalises the slips of the trail by their
+**Similarity.** Each slip is normalised by :math:`\mu_i F_z / K_i`, the slip at which its linear
+force reaches the friction limit; P(4.E78) normalises the slips of the trail by their
 stiffnesses in the same way. The pure forces are evaluated at the resultant s of the
 normalised slips and resolved by the direction of the slips (Pacejka 2012, section 4.2):
 
@@ -16,6 +16,20 @@ deflection (normalised slips) to that of the sliding velocity, as in
 pure slip the force of that slip is the pure force, and the other force is its value at
 rest, which decreases with s. Without shifts the force lies within the ellipse of the
 two largest pure forces.
+
+**Friction ellipse**, FE_METHOD = 'YES' of MF 5.0 and PAC2002. With the slips
+:math:`\kappa_c` and :math:`\alpha^* = \sin\alpha_c` counted from where the pure forces are zero,
+and without the vertical shifts,
+
+.. math::
+   F_x = F_{x0} \Big/ \sqrt{1 + \Big(\frac{F_{x0} - S_{Vx}}{\kappa_c}
+         \frac{\alpha^*}{\mu_y F_z}\Big)^2}, \quad
+   F_y = F_{y0} \Big/ \sqrt{1 + \Big(\frac{F_{y0} - S_{Vy}}{\alpha^*}
+         \frac{\kappa_c}{\mu_x F_z}\Big)^2}
+
+This is :math:`\mu_i F_{i0} / \mu_{i,act}` of Adams/Tire (PAC2002, "friction ellipse") and of
+Chrono's ``ChPac02Tire``, without their angle :math:`\beta`, which has no derivative in pure
+slip. The aligning moment follows from these forces as with weighting functions.
 """
 
 import jax.numpy as jnp
@@ -66,3 +80,34 @@ def _length(x: Scalar, y: Scalar) -> Array:
     """Resultant; positive at rest, where its derivative must exist."""
     square = jnp.asarray(x**2 + y**2)
     return jnp.sqrt(square + np.finfo(square.dtype).eps)
+
+
+_REST = 1e-9
+"""Slip [-] below which the force over the slip is the stiffness: the difference of force and
+shift is rounding there."""
+
+
+def elliptic_forces(
+    along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0: Scalar
+) -> tuple[Scalar, ...]:
+    """F_x / F_z and F_y / F_z in combined slip, from the two pure curves.
+
+    Args:
+        at: operating point with both slips.
+        fz0: scaled nominal load [N].
+    """
+    fx, stiffness = along.pure(at, scale)
+    shift, side = along.shift(at, scale), across.pure(at, scale, fz0)
+    kappa = at.kappa + along.offset(at, scale) + ratio(shift, stiffness)
+    alpha = jnp.sin(at.alpha + side.offset + ratio(side.shift, side.stiffness))
+    secant_x = _secant(fx - shift, kappa, stiffness)
+    secant_y = _secant(side.force - side.shift, alpha, side.stiffness)
+    return (
+        fx / jnp.hypot(1.0, ratio(secant_x * alpha, side.mu)),
+        side.force / jnp.hypot(1.0, ratio(secant_y * kappa, along.friction(at, scale))),
+    )
+
+
+def _secant(force: Scalar, slip: Scalar, stiffness: Scalar) -> Array:
+    """The force over the slip; the stiffness at rest."""
+    return jnp.where(jnp.abs(slip) < _REST, stiffness, ratio(force, slip))

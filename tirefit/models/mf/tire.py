@@ -13,22 +13,12 @@ from jaxtyping import Array, Float
 from tirefit.arrays import Scalar
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
+from tirefit.models.mf import fields
 from tirefit.models.mf.aligning import Aligning
-from tirefit.models.mf.ellipse import elliptic_forces
-from tirefit.models.mf.fields import (
-    Curve,
-    Nominal,
-    Point,
-    Scaling,
-    Weight,
-    cos_arctan,
-    ratio,
-    weighting,
-)
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.models.mf.moments import Overturning, Rolling
-from tirefit.models.mf.similarity import similar_forces
+from tirefit.models.mf.similarity import elliptic_forces, similar_forces
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import specs, with_values
 from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
@@ -53,12 +43,12 @@ class MFTire(AbstractTire):
     shifts decrease with scaled friction (LMUX, LMUY, LMUV). It is 1 in the software of
     TNO that reads and writes the files; the book recommends 10. MF 5.2 has none.
     ``similarity``: forces in combined slip by :mod:`.similarity`, not by weighting functions.
-    ``ellipse``: both forces in combined slip by :mod:`.ellipse`.
+    ``ellipse``: both forces in combined slip by the friction ellipse.
     ``lacks``: forces that the tire does not have; they are None.
     """
 
-    nominal: Nominal = Nominal()
-    scaling: Scaling = Scaling()
+    nominal: fields.Nominal = fields.Nominal()
+    scaling: fields.Scaling = fields.Scaling()
     longitudinal: Longitudinal = Longitudinal()
     lateral: Lateral = Lateral()
     aligning: Aligning = Aligning()
@@ -86,9 +76,9 @@ class MFTire(AbstractTire):
         fz0 = nominal.FNOMIN * scale.LFZO
         along, along_stiffness = self.longitudinal.pure(at, scale)
         side = self.lateral.pure(at, scale, fz0)
-        side_weight = weighting(self.lateral.weight(at, scale))
+        side_weight = fields.weighting(self.lateral.weight(at, scale))
         load = jnp.where(inputs.fz > 0, at.fz, 0.0)
-        fx: Scalar = weighting(self.longitudinal.weight(at, scale)) * along
+        fx: Scalar = fields.weighting(self.longitudinal.weight(at, scale)) * along
         fy: Scalar = side_weight * side.force + self.lateral.induced(at, scale, side.mu)
         # The trail acts on the lateral force without the part induced by kappa
         # (4.E74), in MF 6 on that of an upright wheel.
@@ -105,7 +95,7 @@ class MFTire(AbstractTire):
             if "fy" in self.unweighted:
                 fy, turned = both[1], combined(upright_at, scale, fz0)[1]
         fx, fy, turned = load * fx, load * fy, load * turned
-        slip = ratio(along_stiffness, side.stiffness) * at.kappa
+        slip = fields.ratio(along_stiffness, side.stiffness) * at.kappa
         if "fx" in self.lacks:  # the moment is then that of a freely rolling wheel
             fx, slip = 0.0 * fx, 0.0 * slip
         mz = (
@@ -124,7 +114,7 @@ class MFTire(AbstractTire):
         lacks = (*self.lacks, *(["mx"] if "fy" in self.lacks else ()))
         return given._replace(**dict.fromkeys(lacks))
 
-    def point(self, inputs: TireInputs) -> Point:
+    def point(self, inputs: TireInputs) -> fields.Point:
         """The operating point in ISO-W axes; a load of zero becomes FNOMIN."""
         scale, nominal = self.scaling, self.nominal
         is_52 = self.version == "5.2"
@@ -141,8 +131,8 @@ class MFTire(AbstractTire):
         def shift(friction: Scalar) -> Scalar:
             return digression * friction / (1 + (digression - 1) * friction)
 
-        return Point(
-            kappa, tan_alpha if self.starred else inputs.alpha, cos_arctan(tan_alpha),
+        return fields.Point(
+            kappa, tan_alpha if self.starred else inputs.alpha, fields.cos_arctan(tan_alpha),
             jnp.sin(inputs.gamma) if self.starred else inputs.gamma, inputs.gamma, fz,
             (fz - fz0) / fz0, (pressure - nominal.NOMPRES) / nominal.NOMPRES, friction_x,
             friction_y, shift(friction_x), shift(friction_y), camber_stiffness=not is_52,
@@ -177,10 +167,6 @@ class Mirrored(AbstractTire):
     tire: AbstractTire
     turned: frozenset[str] = eqx.field(static=True, default=OTHER_SIDE)
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return self.tire.needs
-
     def __call__(self, inputs: TireInputs) -> TireForces:
         forces = self.tire(turned_inputs(inputs, self.turned))
         return turned_forces(forces, self.turned)
@@ -191,10 +177,6 @@ class Pair(AbstractTire):
     mirror image of the other, so that conicity and ply steer cancel."""
 
     tire: AbstractTire
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return self.tire.needs
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         half = inputs._replace(fz=inputs.fz / 2)
@@ -231,10 +213,9 @@ def mf_tire(
             are ignored, and missing coefficients have no effect. Without any of QSX1 to
             QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
         starred, digression: see :class:`MFTire`.
-        combination: ``none`` for weighting functions, which are one if their
-            coefficients are missing; ``similarity`` for :mod:`.similarity`; ``ellipse``
-            for :mod:`.ellipse`; None for similarity of the forces whose coefficients are
-            missing.
+        combination: ``none`` for weighting functions, which are one if their coefficients are
+            missing; ``similarity`` and ``ellipse`` for :mod:`.similarity`; None for similarity of
+            the forces whose coefficients are missing.
         lacks: forces that the values do not describe; they are None.
 
     Raises:
@@ -267,20 +248,13 @@ def mf_tire(
 
 
 def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]]:
-    """Largest curvature factor E of each force, before the limit to one.
+    """Largest curvature factor E of each force of the tire (n,), of its pure curve and of its
+    weighting function, before the limit to one.
 
     At E > 1 the curve bends back. Some programs limit E to one, as
-    :func:`~tirefit.models.magic_formula.bent` does, others do not. F_x and F_y have two
-    factors each: of the pure curve and of the weighting function.
-
-    Args:
-        tire: the tire.
-        inputs: scalars or arrays (n,).
-
-    Returns:
-        ``fx``, ``fy``, ``mz``, as far as the tire has them: (n,). An E without effect
-        on a sample (zero argument, weight without shape, zero load) counts as zero.
-        That of M_z does not include those of F_x and F_y, on which M_z also depends.
+    :func:`~tirefit.models.magic_formula.bent` does, others do not. An E without effect on a
+    sample (zero argument, weight without shape, zero load) counts as zero. That of M_z does not
+    include those of F_x and F_y, on which M_z also depends.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
     return _largest_of_all(tire, TireInputs(*jnp.broadcast_arrays(*arrays)))
@@ -292,18 +266,18 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
     fz0 = tire.nominal.FNOMIN * scale.LFZO
     side = tire.lateral.pure(at, scale, fz0)
     _, stiffness = tire.longitudinal.pure(at, scale)
-    slip = ratio(stiffness, side.stiffness) * at.kappa
+    slip = fields.ratio(stiffness, side.stiffness) * at.kappa
 
-    def acting(curve: Curve, shape: Scalar = 1.0) -> Array:
+    def acting(curve: fields.Curve, shape: Scalar = 1.0) -> Array:
         acts = (curve.x * shape != 0) & (inputs.fz > 0)
         return jnp.where(acts, curve.curvature, 0.0)
 
-    def weighting(force: str, weight: Weight) -> Scalar:
+    def weighting(force: str, weight: fields.Weight) -> Scalar:
         if force in tire.unweighted:
             return 0.0
         # Without the other slip the weight is one for any E.
         other = at.alpha if force == "fx" else at.kappa
-        return acting(Curve(other, weight.curve.curvature), weight.shape)
+        return acting(fields.Curve(other, weight.curve.curvature), weight.shape)
 
     along, across = tire.longitudinal, tire.lateral
     weights = {"fx": along.weight(at, scale), "fy": across.weight(at, scale)}
@@ -313,7 +287,7 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
         "mz": acting(tire.aligning.curve(at, scale, slip), tire.aligning.QDZ1),
     }
     for force, weight in weights.items():
-        largest[force] = jnp.maximum(largest[force], weighting(force, weight))
+        largest[force] = jnp.maximum(largest[force], fields.weighting(force, weight))
     return {force: value for force, value in largest.items() if force not in tire.lacks}
 
 
