@@ -14,6 +14,7 @@ from pathlib import Path
 
 SEEDS = 60
 CONTROLLERS = ("xbs-servo", "abs", "slip", "none")
+"""Those of `tirefit brake`, and ``SlipControl``."""
 BRUSH = ("brush-m", {"cpa2": 4e4, "m": 0.5})
 MAGIC = ("magic-formula-combined", {"Cx": 1.6, "Ex": 0.3})
 LUGRE = ("lugre", {})
@@ -63,6 +64,7 @@ def write(path: Path, rows: list[dict]) -> None:
 
 def made(road: str, speed: float, tire, limit: float, steer: float = 0.0):
     """Request and controllers by name."""
+    from fits.braking.slip_control import SlipControl
     from tirefit.models import MODELS
     from tirefit.online.braking.controllers import controller_of
     from tirefit.params import with_values
@@ -79,7 +81,8 @@ def made(road: str, speed: float, tire, limit: float, steer: float = 0.0):
     )
     check(request)
     car = known_to_controllers(request)
-    return request, {name: controller_of(name, car) for name in CONTROLLERS}
+    kinds = {name: SlipControl if name == "slip" else name for name in CONTROLLERS}
+    return request, {name: controller_of(kind, car) for name, kind in kinds.items()}
 
 
 def numbers(controller: str, key: str, values, against) -> dict:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fits.braking.slip_control import SlipControl
 from tirefit.online.braking.abs import PHASES, ConventionalABS
 from tirefit.online.braking.controller import Measurement, Truth
 from tirefit.online.braking.controllers import CONTROLLERS, controller_of
@@ -50,11 +51,11 @@ def shaken(k, w=4, truth=True):
 @cache
 def compiled(name, w):
     """A controller of w wheels; its beginning and its step, each one program."""
-    controller = controller_of(name, car(w))
+    controller = controller_of(SlipControl if name == "slip" else name, car(w))
     return controller, eqx.filter_jit(controller.init), eqx.filter_jit(controller.step)
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", [*CONTROLLERS, "slip"])
 @pytest.mark.parametrize("w", [1, 4])
 def test_every_controller_follows_the_protocol(name, w):
     controller, init, step = compiled(name, w)
@@ -71,7 +72,7 @@ def test_every_controller_follows_the_protocol(name, w):
         state = after
 
 
-@pytest.mark.parametrize("name", [n for n in CONTROLLERS if n != "slip"])
+@pytest.mark.parametrize("name", CONTROLLERS)
 def test_controllers_do_not_read_the_truth(name):
     _, init, step = compiled(name, 4)
     states = [init(measured(truth=known)) for known in (True, False)]
@@ -173,10 +174,10 @@ def test_impossible_settings_are_refused(settings, said):
 
 
 def test_settings_are_passed_to_their_controller():
-    asked = {name: CONTROLLERS[name]() for name in ("abs", "slip")}
+    asked = {"abs": CONTROLLERS["abs"](), "slip": SlipControl()}
     chosen = by_owner({"slip": 0.05, "slip.gain": 3.0}, asked)
     assert chosen == {"abs": {"slip": 0.05}, "slip": {"gain": 3.0}}
-    made = controller_of("slip", CAR, chosen["slip"])
+    made = controller_of(SlipControl, CAR, chosen["slip"])
     assert float(made.gain) == 3.0 and made.radius.shape == (4,)
     assert isinstance(made.rise, jax.Array) and made.rate == 200.0
 

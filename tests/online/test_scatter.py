@@ -8,8 +8,7 @@ from logs import CPA2, LOAD, log
 
 from tirefit.online.base import Estimate, Flag, code
 from tirefit.online.methods import estimator_of
-from tirefit.online.run import run
-from tirefit.online.scatter import Scatter, reported
+from tirefit.online.run import Scatter, reported, run
 
 RLS = estimator_of("rls", LOAD)
 

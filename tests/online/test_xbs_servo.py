@@ -12,55 +12,26 @@ from tirefit.models import TireInputs
 from tirefit.models.brush import AnisotropicBrush
 from tirefit.online.braking.controller import Measurement, Truth
 from tirefit.online.braking.controllers import controller_of
-from tirefit.online.braking.xbs_servo import XbsServo, loop_matrix, refuse_unstable
+from tirefit.online.braking.xbs_servo import XbsServo
 from tirefit.results import UsageError
 
 RATE, SCALE = 200.0, 1.2 / 0.3**2
 
 
-def largest(matrix):
-    return np.abs(np.linalg.eigvals(matrix)).max()
-
-
-@pytest.mark.parametrize("pole", [-40.0, -10.0, 0.0, 60.0])
-def test_with_an_ideal_actuator_the_condition_agrees_with_eigenvalues(pole):
-    """O(11): a wheel of pole p is stable above a = -p, with the pole of O(8)."""
-    for gain in (-pole - 1.0, -pole + 1.0, -pole + 20.0):
-        if gain < 0:
-            continue
-        # O(8) alone: wheel speed and its integral, the torque.
-        ideal = np.array([[-pole, -1.0], [-pole * gain, -gain]])
-        eigenvalues = np.linalg.eigvals(ideal)
-        moving = eigenvalues[np.argmax(abs(eigenvalues))]
-        np.testing.assert_allclose(moving, -(gain + pole), rtol=1e-9)
-        sampled = largest(loop_matrix(gain, pole, 1e5, 0, 1e-6))
-        assert (sampled < 1) == (gain > -pole)
-        np.testing.assert_allclose(sampled, np.exp(-(gain + pole) / 1e5), rtol=1e-4, atol=1e-6)
-
-
-def amplitude(gain, pole, rate, delay, lag, samples=400):
-    """Growth per sample of the same loop in small steps of plain Python."""
-    fine = 50
-    dt, x, q = 1 / rate / fine, 1.0, 0.0
-    waiting, sizes = [0.0] * delay, []
-    for _ in range(samples):
-        waiting.append(gain * x)
-        target = waiting.pop(0)
-        for _ in range(fine):
-            x, q = x + dt * (-pole * x - q), q + dt * (target - q) / lag
-        sizes.append(abs(x) + abs(q) / gain)
-    half = samples // 2
-    return (np.mean(sizes[half:]) / np.mean(sizes[:half])) ** (1 / half)
-
-
-@pytest.mark.parametrize(
-    ("gain", "pole"), [(30, -20), (75, -18.75), (100, -18.75), (100, 0), (10, -20)]
-)
-def test_the_sampled_loop_grows_by_its_eigenvalue(gain, pole):
-    eigenvalue = largest(loop_matrix(gain, pole, RATE, 2, 0.005))
-    growth = amplitude(gain, pole, RATE, 2, 0.005)
-    assert (growth < 1) == (eigenvalue < 1)
-    assert abs(growth - eigenvalue) < 0.02
+@pytest.mark.parametrize("pole", [-40.0, -10.0])
+def test_the_condition_agrees_with_eigenvalues(pole):
+    """O(8) and O(11): a wheel of pole p is stable above a = -p."""
+    for gain, stable in ((-pole - 1.0, False), (-pole + 1.0, True), (-pole + 20.0, True)):
+        # The wheel's speed and the torque, whose rate is the gain times that of the speed.
+        matrix = np.array([[-pole, -1.0], [-pole * gain, -gain]])
+        moving = max(np.linalg.eigvals(matrix).real, key=abs)
+        assert (moving < 0) == stable
+        settings = {"servo_gain": gain, "least_slope": pole * SCALE}
+        if stable:
+            XbsServo(**settings)
+        else:
+            with pytest.raises(UsageError, match=r"O\(11\)"):
+                XbsServo(**settings)
 
 
 def test_an_unstable_gain_is_refused_with_the_condition_and_its_numbers():
@@ -75,17 +46,12 @@ def test_an_unstable_gain_is_refused_with_the_condition_and_its_numbers():
         "J = 1.2 kg m2",
     ):
         assert part in text
-    with pytest.raises(UsageError, match=r"a delay of 10 ms .* eigenvalue .* 1\.0"):
-        XbsServo(servo_gain=100.0)
-    with pytest.raises(UsageError, match="k = -900"):
-        XbsServo(least_slope=-900.0)
     with pytest.raises(UsageError, match="O\\(11\\)"):
         controller_of("xbs-servo", {}, {"servo_gain": -5.0})
 
 
 def test_the_wheel_with_the_strictest_condition_decides():
     car = {"radius": np.array([0.3, 0.33]), "inertia": np.array([1.2, 0.8])}
-    refuse_unstable(20.0, -100.0, 1e4, 0.3, 1.2, RATE, 0, 0.001)
     with pytest.raises(UsageError, match=r"r = 0.33 m, J = 0.8"):
         dataclasses.replace(XbsServo(), **car, servo_gain=10.0, least_slope=-100.0)
 

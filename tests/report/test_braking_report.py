@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from fits.braking.slip_control import SlipControl
 from tirefit.models import MODELS
 from tirefit.online.braking.controllers import controller_of
 from tirefit.params import with_values
@@ -23,7 +24,8 @@ def result():
     how = {"speed": 7.0, "road": "mu=0.3:0.7@4", "time_limit": 12.0}
     request = Request(tire, "brush-m", vehicle="quarter", **how)
     car = known_to_controllers(request)
-    controllers = {name: controller_of(name, car) for name in ("abs", "slip")}
+    kinds = {"abs": "abs", "slip": SlipControl}
+    controllers = {name: controller_of(kind, car) for name, kind in kinds.items()}
     controllers["none"] = controller_of("abs", car, {"off": 10.0})  # open valves
     found = braked(request, controllers, seed=1)
     # Drawn as a car whose wheels all move as the one that was simulated.

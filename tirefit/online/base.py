@@ -1,14 +1,15 @@
-"""Base of online estimators: records with ``init``, ``step``, ``hold``, ``open``.
+"""Base of online estimators: records with ``init``, ``update``, ``wait``, ``estimate``, ``open``.
 
-A step uses one sample and has a constant cost, so the same record runs over a log
+An update uses one sample and has a constant cost, so the same record runs over a log
 (:mod:`tirefit.online.run`, one scan) and on a vehicle, sample by sample. Every sample
 that it receives is usable: for missing, locked, standing or unordered samples the runner
-calls ``hold`` instead. A further method is a file with such a record, and a line in
+only lets time pass. A further method is a file with such a record, and a line in
 :data:`tirefit.online.methods.METHODS`.
 """
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -22,9 +23,10 @@ from tirefit.params import par
 
 Sample = Mapping[str, Number]
 """Inputs of a method by canonical column, each the mean of ``count`` samples (a further
-key): noise of ``std`` in a sample is std / sqrt(count) here."""
-Condition = Bool[Array, ""] | bool
-"""Whether something holds."""
+key): noise of ``std`` in a sample is std / sqrt(count) here. ``dt``: time [s] since the last
+update, infinite before the first."""
+Updated = tuple[Any, Int[Array, ""], Number]
+"""A state, the code of the flag of its sample, and the error of prediction over its std."""
 
 
 class Flag(enum.Enum):
@@ -74,8 +76,8 @@ class Estimate(NamedTuple):
 
     value: Float[Array | np.ndarray, "*n p"]  # SI units, NaN without an estimate
     std: Float[Array | np.ndarray, "*n p"]  # standard deviation of each
-    flag: Int[Array | np.ndarray, "*n"]  # code of a :class:`Flag`
-    surprise: Float[Array | np.ndarray, "*n"]  # error of prediction / its std
+    flag: Int[Array | np.ndarray, "*n"] | int = 0  # code of a :class:`Flag`
+    surprise: Float[Array | np.ndarray, "*n"] | float = np.nan  # error of prediction / its std
     own_std: Float[Array | np.ndarray, "*n p"] | None = None
     """Standard deviations by the method alone, if the runner has widened ``std``."""
 
@@ -138,26 +140,44 @@ class AbstractEstimator(eqx.Module):
     judged: ClassVar[bool] = True
     """Whether the runner flags rows whose mu is not resolved to :data:`RESOLVED`."""
 
-    average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
+    average: float = par(10.0, (1.0, 1e4), "-", "samples averaged before a step")
 
     def init(self) -> Any:
         """The state before the first sample."""
         raise NotImplementedError
 
-    def step(self, state: Any, sample: Sample) -> tuple[Any, Estimate]:
-        """The state and the estimate after a usable sample."""
+    def update(self, state: Any, sample: Sample) -> Updated:
+        """The state after a usable sample, the sample's flag (0 for none) and its surprise."""
         raise NotImplementedError
 
-    def hold(self, state: Any, dt: Number, steps: Number) -> tuple[Any, Estimate]:
+    def wait(self, state: Any, dt: Number, steps: Number) -> Any:
         """The state ``dt`` [s] after the previous row; ``steps`` samples were lost.
 
-        It is called at every row, before a step if there is one.
+        It is called at every row, before an update if there is one.
         """
+        return state
+
+    def estimate(self, state: Any) -> Estimate:
+        """Estimates of a state, their standard deviations, and the flag of the state."""
         raise NotImplementedError
 
     def open(self, state: Any) -> Any:
         """The state after a detected change: the past has less weight."""
         return state
+
+    def step(self, state: Any, sample: Sample) -> tuple[Any, Estimate]:
+        """The state and the estimate after a usable sample."""
+        after, flag, surprise = self.update(state, sample)
+        made = self.estimate(after)
+        flag, surprise = jnp.maximum(made.flag, flag), jnp.asarray(surprise, float)
+        return after, made._replace(flag=flag, surprise=surprise)
+
+    def hold(self, state: Any, dt: Number, steps: Number) -> tuple[Any, Estimate]:
+        """The state and the estimate after a time, see :meth:`wait`."""
+        after = self.wait(state, dt, steps)
+        made = self.estimate(after)
+        flag, surprise = jnp.asarray(made.flag), jnp.asarray(made.surprise)
+        return after, made._replace(flag=flag, surprise=surprise)
 
 
 class Single(NamedTuple):
@@ -178,13 +198,12 @@ class AbstractSingleSample(AbstractEstimator):
         nothing = jnp.full(len(self.method.parameters), jnp.nan)
         return Single(nothing, nothing)
 
-    def step(self, state: Single, sample: Sample) -> tuple[Single, Estimate]:
+    def update(self, state: Single, sample: Sample) -> Updated:
         made, usable, flag = self.from_sample(sample)
-        after: Single = choose(usable, made, state)
-        return after, Estimate(*after, flag, jnp.full((), jnp.nan))
+        return choose(usable, made, state), flag, jnp.nan
 
-    def hold(self, state: Single, dt: Number, steps: Number) -> tuple[Single, Estimate]:
-        return state, Estimate(*state, jnp.zeros((), int), jnp.full((), jnp.nan))
+    def estimate(self, state: Single) -> Estimate:
+        return Estimate(*state)
 
 
 def choose(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
@@ -202,15 +221,30 @@ def widest(covariance: Float[Array, "n n"], prior: Float[Array, "n n"]) -> Float
     return jnp.diag(jnp.maximum(jnp.diag(covariance), jnp.diag(prior)))
 
 
-def nominal_stiffness() -> Any:
-    """Field of the expected stiffness; by default from the load."""
-    meaning = "expected c_p a^2; 9.26 times the load if not given"
-    return par(2.5e5, (1e-2, 1e9), "N", meaning, "S(47)", r"c_{p0} a^2", scale="log")
+def kalman_update(
+    x: Float[Array, " n"], covariance: Float[Array, "n n"], slope: Float[Array, "m n"],
+    error: Float[Array, " m"], noise: Float[Array, "m m"],
+) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, "m m"]]:  # fmt: skip
+    """A state (n,) and its covariance after a measurement (m,), in Joseph's form; the
+    covariance (m, m) of the error.
+
+    Args:
+        slope: (m, n) of the measurement over the state.
+        error: (m,) measured - predicted; noise: (m, m) its covariance for a known state.
+    """
+    spread = slope @ covariance @ slope.T + noise
+    gain = jnp.linalg.solve(spread, slope @ covariance).T
+    kept = jnp.eye(len(x)) - gain @ slope
+    return x + gain @ error, kept @ covariance @ kept.T + gain @ noise @ gain.T, spread
 
 
-def nominal_friction(default: float = 0.98, source: str = "S(48)") -> Any:
-    """Field of the expected friction."""
-    return par(default, (0.01, 5.0), "-", "expected friction", source, r"\mu_0")
+def kalman_predict(
+    ahead: Callable[[Array], Array], x: Float[Array, " n"], covariance: Float[Array, "n n"],
+    noise: Float[Array, "n n"],
+) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:  # fmt: skip
+    """A state (n,) and its covariance after a step ``ahead`` of the state, with its noise."""
+    slope = jax.jacfwd(ahead)(x)
+    return ahead(x), slope @ covariance @ slope.T + noise
 
 
 def braking(sample: Sample) -> tuple[Number, Number]:
@@ -219,24 +253,20 @@ def braking(sample: Sample) -> tuple[Number, Number]:
     return side * sample["sigma_x"], side * sample["fx"]
 
 
-def force_noise(default: float = 0.0447, source: str = "S §5.1") -> Any:
-    """Field of the standard deviation of the force over the load."""
-    meaning = "std of the force over the load"
-    return par(default, (1e-5, 1.0), "-", meaning, source, r"\sigma_F", scale="log")
-
-
-def slip_noise() -> Any:
-    """Field of the standard deviation of the slip, S section 5.1."""
-    return par(0.00447, (0.0, 1.0), "-", "std of the slip", "S §5.1", r"\sigma_\lambda")
-
-
-def excitation(source: str = "S §5.3") -> Any:
-    """Field of the smallest excitation with which a sample is used."""
-    meaning = "smallest expected force over load of a sample that is used"
-    return par(0.1, (0.0, 1.0), "-", meaning, source, "u_{min}")
-
-
-def brake_gain() -> Any:
-    """Field of the brake force over the brake pressure."""
-    meaning = "brake force over brake pressure"
-    return par(0.04, (1e-7, 10.0), "N/Pa", meaning, "S §3.1", "g_b", scale="log")
+# Fields that several methods have; the noise is that of S section 5.1, the excitation of 5.3.
+nominal_stiffness: Callable[[], Any] = partial(
+    par, 2.5e5, (1e-2, 1e9), "N", "expected c_p a^2; 9.26 times the load if not given", scale="log"
+)
+nominal_friction: Callable[..., Any] = partial(
+    par, bounds=(0.01, 5.0), unit="-", meaning="expected friction"
+)
+force_noise: Callable[..., Any] = partial(
+    par, bounds=(1e-5, 1.0), unit="-", meaning="std of the force over the load", scale="log"
+)
+slip_noise: Callable[[], Any] = partial(par, 0.00447, (0.0, 1.0), "-", "std of the slip")
+excitation: Callable[[], Any] = partial(
+    par, 0.1, (0.0, 1.0), "-", "smallest expected force over load of a sample that is used"
+)
+brake_gain: Callable[[], Any] = partial(
+    par, 0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", scale="log"
+)

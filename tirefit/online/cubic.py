@@ -55,11 +55,8 @@ class Cubic(AbstractSingleSample):
     )  # fmt: skip
 
     cpa2: float = base.nominal_stiffness()
-    mu: float = base.nominal_friction()
-    cpa2_std: float = par(
-        0.05, (0.0, 0.99), "-", "relative std of c_p a^2; 0.7 without cpa2", "S(19)", r"\sigma_c"
-    )
-    force_noise: float = base.force_noise()
+    cpa2_std: float = par(0.05, (0.0, 0.99), "-", "relative std of c_p a^2; 0.7 without cpa2")
+    force_noise: float = base.force_noise(0.0447)
     slip_noise: float = base.slip_noise()
     least_use: float = base.excitation()
 

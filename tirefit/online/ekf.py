@@ -13,14 +13,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.arrays import Number, Scalar
+from tirefit.arrays import Number
 from tirefit.models import Asymmetric, Brush
 from tirefit.online import base
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.params import par
 
-_MEMORY = 0.98  # weight of the previous mean square of surprises: a memory of about 50 steps
-_FARTHEST = 1.0  # largest step of a logarithm per sample, where the slope is valid
+_PRIOR = 0.4, 0.5  # relative std of the expected c_p a^2 and mu
+_DRIFT = 0.005, 0.02  # relative random walk of c_p a^2 and mu [1/sqrt(s)]
 
 
 class EkfState(NamedTuple):
@@ -31,34 +30,25 @@ class EkfState(NamedTuple):
     misfit: Number
 
 
-class Ekf(AbstractEstimator):
+class Ekf(base.AbstractEstimator):
     """Extended Kalman filter of stiffness and friction through the brush."""
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "ekf", "extended Kalman filter through the brush model", ("sigma_x", "fx", "fz"),
         ("mu", "cpa2"), "35 to 100 % of the friction, sliding included; below, mu is flagged",
         "S(29), Kalman filter",
     )  # fmt: skip
 
     cpa2: float = base.nominal_stiffness()
-    mu: float = base.nominal_friction()
-    d: float = par(0.0, (-0.33, 0.99), "-", "asymmetry of the pressure", "S(29)", "d")
-    prior_cpa2: float = par(
-        0.4, (1e-4, 3.0), "-", "relative std of the expected c_p a^2", "", r"\sigma_c"
-    )
-    prior_mu: float = par(
-        0.5, (1e-4, 3.0), "-", "relative std of the expected mu", "", r"\sigma_\mu"
-    )
-    drift_cpa2: float = par(
-        0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of c_p a^2", "", "q_c"
-    )
-    drift_mu: float = par(0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu")
-    force_noise: float = base.force_noise()
+    mu: float = base.nominal_friction(0.98)
+    d: float = par(0.0, (-0.33, 0.99), "-", "asymmetry of the pressure")
+    force_noise: float = base.force_noise(0.0447)
     slip_noise: float = base.slip_noise()
     least_use: float = base.excitation()
 
     def init(self) -> EkfState:
-        return EkfState(jnp.log(base.floats(self.cpa2, self.mu)), self._prior(), jnp.ones(()))
+        x = jnp.log(base.floats(self.cpa2, self.mu))
+        return EkfState(x, jnp.diag(base.floats(*_PRIOR) ** 2), jnp.ones(()))
 
     def force(self, x: Float[Array, "2"], sigma: Number, fz: Number) -> Number:
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
@@ -66,40 +56,33 @@ class Ekf(AbstractEstimator):
         tire = Brush(cpa2, mu, pressure=Asymmetric(self.d))
         return tire.pure(sigma, fz, 0.0)[0]
 
-    def step(self, state: EkfState, sample: Sample) -> tuple[EkfState, Estimate]:
+    def update(self, state: EkfState, sample: base.Sample) -> base.Updated:
         (sigma, fx), fz, count = base.braking(sample), sample["fz"], sample["count"]
-        predicted = self.force(state.x, sigma, fz)
         by_state, by_slip = jax.jacfwd(self.force, argnums=(0, 1))(state.x, sigma, fz)
         noise = ((self.force_noise * fz) ** 2 + (self.slip_noise * by_slip) ** 2) / count
-        error = fx - predicted
-        lever = state.covariance @ by_state
-        spread = by_state @ lever + noise
-        surprise = error / jnp.sqrt(spread)
-        change = jnp.clip(lever * error / spread, -_FARTHEST, _FARTHEST)
-        updated = EkfState(
-            state.x + change,
-            state.covariance - jnp.outer(lever, lever) / spread,
-            _MEMORY * state.misfit + (1 - _MEMORY) * surprise * surprise,
-        )
+        error = fx - self.force(state.x, sigma, fz)
+        given = state.covariance, by_state[None], error[None], noise[None, None]
+        x, covariance, spread = base.kalman_update(state.x, *given)
+        surprise = error / jnp.sqrt(spread[0, 0])
+        # The largest step of a logarithm per sample for which the slope is valid.
+        x = state.x + jnp.clip(x - state.x, -1.0, 1.0)
+        # A memory of about 50 steps.
+        misfit = 0.98 * state.misfit + 0.02 * surprise * surprise
         idle = 2 * self.cpa2 * sigma < self.least_use * fz
-        after = choose(idle, state, updated)
-        return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
+        after = base.choose(idle, state, EkfState(x, covariance, misfit))
+        flag = base.flag_of((idle, base.Flag.LITTLE_EXCITATION))
+        return after, flag, jnp.where(idle, jnp.nan, surprise)
 
-    def hold(self, state: EkfState, dt: Number, steps: Number) -> tuple[EkfState, Estimate]:
-        grown = jnp.diag(base.floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
-        held = state._replace(covariance=state.covariance + grown)
-        return held, self._estimate(held, False, jnp.nan)
+    def wait(self, state: EkfState, dt: Number, steps: Number) -> EkfState:
+        grown = jnp.diag(base.floats(*_DRIFT) ** 2) * dt
+        return state._replace(covariance=state.covariance + grown)
 
     def open(self, state: EkfState) -> EkfState:
         """The initial uncertainty of both is restored, without their correlation."""
-        return state._replace(covariance=base.widest(state.covariance, self._prior()))
+        return state._replace(covariance=base.widest(state.covariance, self.init().covariance))
 
-    def _prior(self) -> Float[Array, "2 2"]:
-        return jnp.diag(base.floats(self.prior_cpa2, self.prior_mu) ** 2)
-
-    def _estimate(self, state: EkfState, idle: base.Condition, surprise: Scalar) -> Estimate:
+    def estimate(self, state: EkfState) -> base.Estimate:
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))
         relative = (widened * jnp.sqrt(jnp.diag(state.covariance)))[::-1]
         value = jnp.exp(state.x)[::-1]
-        flag = flag_of((idle, Flag.LITTLE_EXCITATION))
-        return Estimate(value, value * relative, flag, jnp.asarray(surprise))
+        return base.Estimate(value, value * relative)

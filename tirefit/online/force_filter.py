@@ -23,15 +23,7 @@ from jaxtyping import Array, Float
 
 from tirefit.arrays import Number, Scalar
 from tirefit.data.table import WHEELS
-from tirefit.online.base import Estimate, Method, Sample, choose, floats
-from tirefit.online.vehicle import (
-    GRAVITY,
-    AbstractVehicleMethod,
-    axle_angles,
-    brush_share,
-    clipped,
-    kalman_update,
-)
+from tirefit.online import base, vehicle
 from tirefit.params import par
 
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
@@ -39,6 +31,9 @@ HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _MEMORY, _LEAST_SQUARE = 0.9, 0.02
 """Weight of the previous mean square surprise, and its smallest value."""
+_FORCE_DRIFT = 0.5  # random walk of the forces, over the load [1/sqrt(s)]
+_TIRE_ERROR = 0.03  # error of the tire model, over the load
+_CORRELATION = 0.5  # correlation time [s] of errors
 _STATES, _FORCES = 8, 6
 _TORQUES = tuple(f"torque_{wheel}" for wheel in WHEELS)
 _OMEGAS = tuple(f"omega_{wheel}" for wheel in WHEELS)
@@ -52,16 +47,15 @@ class ForceState(NamedTuple):
     covariance: Float[Array, "14 14"]
     log_weight: Float[Array, " j"]  # ln of the hypotheses' weights
     inputs: Float[Array, "5"]  # the last torques and steering angle
-    waited: Number  # [s] since then
     surprises: Number  # sum over ``seconds``, times dt
     seconds: Number  # [s] not reported yet
     square: Number  # mean square of those reported recently
 
 
-class ForceFilter(AbstractVehicleMethod):
+class ForceFilter(vehicle.AbstractVehicleMethod):
     """All tire forces, and friction by Bayesian selection."""
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "force-filter",
         "Kalman-Bucy filter of tire forces, friction hypotheses",
         (*_SEEN, "steering", *_TORQUES),
@@ -70,53 +64,31 @@ class ForceFilter(AbstractVehicleMethod):
         "S §3.2",
     )
 
-    track: float = par(1.5, (0.05, 5.0), "m", "track", "", "t")
-    height: float = par(0.5, (0.0, 5.0), "m", "height of the CG", "", "h")
-    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "", "R")
-    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel", "", "J")
-    force_drift: float = par(
-        0.5, (1e-4, 100.0), "1/sqrt(s)", "random walk of the forces, over the load", "S §3.2", "q_F"
-    )
-    speed_drift: float = par(
-        0.02, (0.0, 10.0), "m/s/sqrt(s)", "unknown acceleration", "S §3.2", "q_v"
-    )
-    gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate", "", r"\sigma_r")
-    omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega", "", r"\sigma_w")
-    acceleration_std: float = par(0.05, (1e-4, 10.0), "m/s2", "of a_x and a_y", "", r"\sigma_a")
-    v_std: float = par(0.03, (1e-4, 10.0), "m/s", "of v", "", r"\sigma_v")
-    tire_error: float = par(
-        0.03, (1e-4, 1.0), "-", "error of the tire model, over the load", "S §3.2", r"\epsilon"
-    )
-    correlation: float = par(
-        0.5, (1e-3, 100.0), "s", "correlation time of errors", "S §3.2", r"\tau"
-    )
-    memory: float = par(10.0, (0.1, 1e4), "s", "in which hypotheses become equal again", "", "t_m")
+    track: float = par(1.5, (0.05, 5.0), "m", "track")
+    height: float = par(0.5, (0.0, 5.0), "m", "height of the CG")
+    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius")
+    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel")
+    gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate")
+    omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega")
+    acceleration_std: float = par(0.05, (1e-4, 10.0), "m/s2", "of a_x and a_y")
+    v_std: float = par(0.03, (1e-4, 10.0), "m/s", "of v")
 
     def init(self) -> ForceState:
         flat = jnp.full(len(HYPOTHESES), -jnp.log(float(len(HYPOTHESES))))
-        n = _STATES + _FORCES
-        return ForceState(
-            jnp.zeros(n).at[0].set(1.0),
-            self._first(),
-            flat,
-            jnp.zeros(5),
-            jnp.full((), 2 * _LONGEST),
-            jnp.zeros(()),
-            jnp.zeros(()),
-            jnp.ones(()),
-        )
+        zero = jnp.zeros(())
+        x = jnp.zeros(_STATES + _FORCES).at[0].set(1.0)
+        return ForceState(x, self._first(), flat, jnp.zeros(5), zero, zero, jnp.ones(()))
 
-    def hold(self, state: ForceState, dt: Number, steps: Number) -> tuple[ForceState, Estimate]:
-        keep = jnp.exp(-dt / self.memory)
+    def wait(self, state: ForceState, dt: Number, steps: Number) -> ForceState:
+        keep = jnp.exp(-dt / 10.0)  # time [s] in which the hypotheses become equal again
         mixed = keep * jnp.exp(state.log_weight) + (1 - keep) / len(HYPOTHESES)
-        held = state._replace(waited=state.waited + dt, log_weight=jnp.log(mixed))
-        return held, self._estimate(held, jnp.nan)
+        return state._replace(log_weight=jnp.log(mixed))
 
     def open(self, state: ForceState) -> ForceState:
         return state._replace(log_weight=self.init().log_weight)
 
-    def step(self, state: ForceState, sample: Sample) -> tuple[ForceState, Estimate]:
-        dt, anew = jnp.minimum(state.waited, _LONGEST), state.waited > _LONGEST
+    def update(self, state: ForceState, sample: base.Sample) -> base.Updated:
+        dt, anew = jnp.minimum(sample["dt"], _LONGEST), sample["dt"] > _LONGEST
         inputs = jnp.stack([*(sample[name] for name in _TORQUES), sample["steering"]])
         seen = jnp.stack([sample[name] for name in _SEEN])
         began = self.init()._replace(
@@ -124,11 +96,11 @@ class ForceFilter(AbstractVehicleMethod):
         )
         moved = self._predicted(state._replace(inputs=(state.inputs + inputs) / 2), dt)
         moved, _ = self.corrected(moved._replace(inputs=inputs), seen)
-        state = choose(anew, began, moved)._replace(waited=jnp.zeros(()))
+        state = base.choose(anew, began, moved)
         log_weight, surprise = self._weighed(state, dt)
         # Report one surprise per time constant: the mean of those within it.
         total, seconds = state.surprises + dt * surprise, state.seconds + dt
-        due = (seconds >= self.correlation) & ~anew
+        due = (seconds >= _CORRELATION) & ~anew
         mean = total / jnp.maximum(seconds, 1e-9)
         # Limit the effect of a single large surprise on the scale.
         grown = jnp.minimum(mean * mean, 4 * state.square) - state.square
@@ -140,16 +112,16 @@ class ForceFilter(AbstractVehicleMethod):
             square=jnp.where(due, square, state.square),
         )
         reported = mean / jnp.sqrt(jnp.maximum(state.square, _LEAST_SQUARE))
-        after = choose(anew, state, weighed)
-        return after, self._estimate(after, jnp.where(due, reported, jnp.nan))
+        surprise = jnp.where(due, reported, jnp.nan)
+        return base.choose(anew, state, weighed), jnp.zeros((), int), surprise
 
     def _first(self) -> Float[Array, "14 14"]:
-        load = self.mass * GRAVITY
+        load = self.mass * vehicle.GRAVITY
         stds = [0.1, 0.02, 0.05, 0.1, *[0.5] * 4]
         forces = [0.1 * load] * 4 + [0.3 * load] * 2
-        return jnp.diag(floats(*stds, *forces) ** 2)
+        return jnp.diag(base.floats(*stds, *forces) ** 2)
 
-    def _from(self, sample: Sample) -> Float[Array, "14"]:
+    def _from(self, sample: base.Sample) -> Float[Array, "14"]:
         zero = jnp.zeros(())
         motion = [sample["v"], zero, sample["yaw_rate"], sample["roll_rate"]]
         wheels = [sample[name] for name in _OMEGAS]
@@ -184,20 +156,19 @@ class ForceFilter(AbstractVehicleMethod):
         """Variances (9,) of the measurements."""
         stds = [self.gyro_std, *[self.omega_std] * 4, *[self.acceleration_std] * 2]
         stds += [self.gyro_std, self.v_std]
-        return floats(*stds) ** 2
+        return base.floats(*stds) ** 2
 
     def _predicted(self, state: ForceState, dt: Number) -> ForceState:
         def ahead(x: Float[Array, "14"]) -> Float[Array, "14"]:
             half = x + dt / 2 * self.rates(x, state.inputs)
             return x + dt * self.rates(half, state.inputs)
 
-        slope = jax.jacfwd(ahead)(state.x)
-        load = self.force_drift * self.mass * GRAVITY
-        q = [self.speed_drift] * 2 + [0.01, 1.0] + [0.1] * 4
-        q += [load / 4] * 4 + [0.15 * load] * 2
-        grown = jnp.diag(floats(*q) ** 2)
-        covariance = slope @ state.covariance @ slope.T + dt * grown
-        return state._replace(x=ahead(state.x), covariance=covariance)
+        load = _FORCE_DRIFT * self.mass * vehicle.GRAVITY
+        # Unknown acceleration [m/s2], of yaw and roll, of the wheels; random walks of forces [N].
+        q = [0.02] * 2 + [0.01, 1.0] + [0.1] * 4 + [load / 4] * 4 + [0.15 * load] * 2
+        grown = dt * jnp.diag(base.floats(*q) ** 2)
+        x, covariance = base.kalman_predict(ahead, state.x, state.covariance, grown)
+        return state._replace(x=x, covariance=covariance)
 
     def corrected(
         self, state: ForceState, seen: Float[Array, "9"]
@@ -206,7 +177,7 @@ class ForceFilter(AbstractVehicleMethod):
         slope = jax.jacfwd(self.seen)(state.x, state.inputs)
         error = seen - self.seen(state.x, state.inputs)
         noise = jnp.diag(self._noise())
-        x, covariance = kalman_update(state.x, state.covariance, slope, error, noise)
+        x, covariance, _ = base.kalman_update(state.x, state.covariance, slope, error, noise)
         return state._replace(x=x, covariance=covariance), error
 
     def modelled(
@@ -214,26 +185,26 @@ class ForceFilter(AbstractVehicleMethod):
     ) -> Float[Array, "6"]:
         """Forces (6,) [N] of the brush at the slips of a state, for one friction."""
         v_x = jnp.maximum(x[0], 0.5)
-        front, rear = axle_angles(v_x, x[1], x[2], inputs[4], self.l_f, self.l_r)
+        front, rear = vehicle.axle_angles(v_x, x[1], x[2], inputs[4], self.l_f, self.l_r)
         side = self.track / 2 * x[2] * jnp.array([-1.0, 1.0, -1.0, 1.0])
-        sigma = clipped(x[4:8], v_x + side, self.radius)
+        sigma = vehicle.clipped(x[4:8], v_x + side, self.radius)
         a_x, a_y, _ = self.pushed(x, inputs[4])
         forward = -self.mass * self.height * a_x / self.base
         aside = self.mass * self.height * a_y / self.track / 4
         loads = self.loads
         axles = jnp.stack([loads[0] + forward, loads[1] - forward]) / 2
-        across = 2 * aside * jnp.array([-0.5, 0.5, -0.5, 0.5])
-        load = jnp.maximum(jnp.repeat(axles, 2) + across, 1.0)
-        stiffness = floats(self.stiffness_f, self.stiffness_r)
+        shift = 2 * aside * jnp.array([-0.5, 0.5, -0.5, 0.5])
+        load = jnp.maximum(jnp.repeat(axles, 2) + shift, 1.0)
+        stiffness = base.floats(self.stiffness_f, self.stiffness_r)
         angles = jnp.repeat(jnp.stack([front, rear]), 2)
-        share = brush_share(sigma, angles, jnp.repeat(stiffness, 2), mu)
-        y = load * share.y
-        return jnp.concatenate([load * share.x, jnp.stack([y[0] + y[1], y[2] + y[3]])])
+        along, across = vehicle.brush_share(sigma, angles, jnp.repeat(stiffness, 2), mu)
+        y = load * across
+        return jnp.concatenate([load * along, jnp.stack([y[0] + y[1], y[2] + y[3]])])
 
     def _weighed(self, state: ForceState, dt: Number) -> tuple[Float[Array, " j"], Number]:
         """ln of the weights after one sample, and the surprise of the expected mu."""
-        load = self.mass * GRAVITY
-        model = self.tire_error * load * jnp.array([0.25] * 4 + [0.5] * 2)
+        load = self.mass * vehicle.GRAVITY
+        model = _TIRE_ERROR * load * jnp.array([0.25] * 4 + [0.5] * 2)
 
         def missed(x: Float[Array, "14"], mu: Scalar) -> Float[Array, "6"]:
             return x[_STATES:] - self.modelled(x, state.inputs, mu)
@@ -250,7 +221,7 @@ class ForceFilter(AbstractVehicleMethod):
             return -0.5 * z @ z - jnp.sum(jnp.log(jnp.diag(root)))
 
         grid = jnp.array(HYPOTHESES)
-        share = jnp.minimum(dt / self.correlation, 1.0)
+        share = jnp.minimum(dt / _CORRELATION, 1.0)
         fresh = share * jax.vmap(log_likelihood)(grid)
         total = state.log_weight + fresh
         expected = jnp.exp(state.log_weight) @ grid
@@ -261,7 +232,7 @@ class ForceFilter(AbstractVehicleMethod):
         surprise = way @ z / jnp.maximum(jnp.sqrt(way @ way), 1.0)
         return total - jax.scipy.special.logsumexp(total), surprise
 
-    def _estimate(self, state: ForceState, surprise: Scalar) -> Estimate:
+    def estimate(self, state: ForceState) -> base.Estimate:
         grid, weight = jnp.array(HYPOTHESES), jnp.exp(state.log_weight)
         mu = weight @ grid
         # Add the variance of a uniform distribution within a step of the grid.
@@ -272,4 +243,4 @@ class ForceFilter(AbstractVehicleMethod):
         stds = jnp.sqrt(jnp.diag(rows @ state.covariance @ rows.T))
         value = jnp.concatenate([mu[None], rows @ state.x])
         std = jnp.concatenate([mu_std[None], stds])
-        return Estimate(value, std, jnp.zeros((), int), jnp.asarray(surprise))
+        return base.Estimate(value, std)

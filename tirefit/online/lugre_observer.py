@@ -1,40 +1,35 @@
 r"""An observer of friction from the wheel speed by the LuGre tire, S section 3.4.
 
-The level of friction is :math:`\theta g`; :math:`p = 1/\theta` is adapted. The state of
-the patch is its mean deflection, which the tread carries out at the rate c:
+The level of friction is :math:`\theta g`; :math:`p = 1/\theta` is adapted. The state of the patch
+is its mean deflection, which the tread carries out at the rate c:
 
 .. math::
    \dot z &= v_s - p a z - c z, \quad a = \sigma_0 |v_s| / g(|v_s|),
        \quad c = \kappa |\omega R| / L \\
    J \dot\omega &= R F_z [\sigma_0 z + \sigma_1 (v_s - p a z) + \sigma_2 v_s] - T
 
-:math:`\sigma_1` damps the bristles as they travel. With
-:math:`b = R F_z / J, \tau = \sigma_0/\sigma_1` and the errors
-:math:`e_x = x - \hat x` the observer is
+With :math:`b = R F_z / J, \tau = \sigma_0/\sigma_1` and errors :math:`e_x = x - \hat x` the
+observer is
 
 .. math::
    \dot{\hat z} &= v_s - \hat p a \hat z - c \hat z, \quad
-   \dot{\hat\omega} = (R \hat F - T)/J + l_1 e_\omega, \quad
+   \dot{\hat\omega} = (R \hat F - T)/J + (\tau + c) e_\omega, \quad
    \dot{\hat p} = -\gamma b \sigma_1 a \hat z e_\omega
 
-with :math:`l_1 = \tau + c`. For :math:`V = (e_\omega^2 + \varrho \eta^2 + e_p^2/\gamma)/2`
-with :math:`\eta = e_\omega - b \sigma_1 e_z` and constant load and friction, the terms with
-e_p in the derivative cancel, and
+For :math:`V = (e_\omega^2 + \varrho \eta^2 + e_p^2/\gamma)/2`, :math:`\eta = e_\omega - b
+\sigma_1 e_z` and constant load and friction,
 
 .. math:: -\dot V = (c + pa) e_\omega^2 + (\tau - pa) e_\omega \eta
     + \varrho (\tau + c) \eta^2
 
-which is positive at every slip and speed for :math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau +
-c)`. With another :math:`l_1` there is no such :math:`\varrho` for some tires. Steps are
+is positive at every slip and speed for :math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau + c)`;
+with another gain than :math:`\tau + c` there is no such :math:`\varrho` for some tires. Steps are
 implicit, so that fast bristles do not make the sampled observer diverge.
 
-This assumes a known c. Unless ``kappa`` is given, it is that of the patch at the present
-:math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at :math:`x = \hat p
-a L/|\omega R|`, 2 at rest and 1 in full sliding, with which the mean has the steady
-force of S(18); it depends on the adapted p at most a third as much as pa.
-
-V shows that the error vanishes without noise. The error with noise is the covariance of
-the observer's error, computed from the slopes of its step.
+Unless ``kappa`` is given, it is that of the patch at the present :math:`\hat p`, :math:`\kappa =
+\varphi_1(x)/\varphi_2(x)` at :math:`x = \hat p a L/|\omega R|`, with which the mean has the steady
+force of S(18); it depends on p at most a third as much as pa. V shows that the error vanishes
+without noise. The error with noise is a covariance computed from the slopes of the step.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -48,7 +43,6 @@ from tirefit.arrays import Number, Scalar
 from tirefit.models import LuGre, TireInputs
 from tirefit.models.lugre import patch_means
 from tirefit.online import base
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 
@@ -56,6 +50,7 @@ _SUBSTEPS = 4
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _JUMP = 0.03  # jump of the torque over R F_z after which the motion is initialised again
 _LEAST, _MOST = 0.05, 4.0  # limits of theta
+_PRIOR = 0.5  # relative std of theta at first
 _SLIPS = np.geomspace(0.01, 3.0, 64)
 """Slips at which the peak of the steady force is searched: in steps of 9 %."""
 
@@ -85,17 +80,16 @@ class ObserverState(NamedTuple):
 
     x: Float[Array, "7"]  # z [m], omega [rad/s], p [-]; last omega, v, fz, torque
     covariance: Float[Array, "7 7"]  # of their errors
-    waited: Number  # [s] since then
     smooth: Number  # [s] from the last jump of the torque until then
     sum: Number  # of the latest surprises
     summed: Number  # their number
     peak: Float[Array, "2"]  # mu and its slope over theta at the peak
 
 
-class LuGreObserver(AbstractEstimator):
+class LuGreObserver(base.AbstractEstimator):
     """Lyapunov observer of the level of friction of a LuGre tire."""
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "lugre-observer", "Lyapunov observer of LuGre's friction from wheel speed",
         ("omega", "v", "fz", "torque"), ("mu", "theta"),
         "40 to 100 % of the friction; below, mu is flagged", "S §3.4", "lugre",
@@ -103,62 +97,44 @@ class LuGreObserver(AbstractEstimator):
 
     average: float = 1.0
     tire: LuGre = LuGre()
-    radius: float = par(0.5, (0.01, 2.0), "m", "effective rolling radius", "", "R")
-    inertia: float = par(15.0, (1e-6, 1e3), "kg m2", "of the wheel", "", "J")
-    kappa: float = par(
-        0.0, (0.0, 4.0), "-", "c of the patch over omega R/L; 0: S(18)", "S §3.4", r"\kappa"
-    )
-    adaptation: float = par(
-        1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", "S §3.4", r"\gamma", scale="log"
-    )
-    theta: float = par(1.0, (_LEAST, _MOST), "-", "theta at first", "S §3.4", r"\theta")
-    prior_theta: float = par(
-        0.5, (1e-3, 3.0), "-", "relative std of theta at first", "", r"\sigma_\theta"
-    )
-    drift_theta: float = par(
-        0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of theta", "", r"q_\theta"
-    )
-    least_use: float = par(
-        0.1, (0.0, 1.0), "-", "smallest force over load to adapt theta", "S §5.3", "u_{min}"
-    )
-    omega_std: float = par(0.18, (1e-6, 10.0), "rad/s", "of omega", "", r"\sigma_w")
-    v_std: float = par(0.03, (0.0, 10.0), "m/s", "of v", "", r"\sigma_v")
-    load_std: float = par(0.02, (0.0, 1.0), "-", "of fz, over fz", "", r"\sigma_z")
-    torque_std: float = par(0.01, (0.0, 1.0), "-", "of the torque, over fz R", "", r"\sigma_T")
+    radius: float = par(0.5, (0.01, 2.0), "m", "effective rolling radius")
+    inertia: float = par(15.0, (1e-6, 1e3), "kg m2", "of the wheel")
+    kappa: float = par(0.0, (0.0, 4.0), "-", "c of the patch over omega R/L; 0: S(18)")
+    adaptation: float = par(1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", scale="log")
+    theta: float = par(1.0, (_LEAST, _MOST), "-", "theta at first")
+    least_use: float = par(0.1, (0.0, 1.0), "-", "smallest force over load to adapt theta")
+    omega_std: float = par(0.18, (1e-6, 10.0), "rad/s", "of omega")
+    v_std: float = par(0.03, (0.0, 10.0), "m/s", "of v")
+    load_std: float = par(0.02, (0.0, 1.0), "-", "of fz, over fz")
+    torque_std: float = par(0.01, (0.0, 1.0), "-", "of the torque, over fz R")
 
     def init(self) -> ObserverState:
-        x = jnp.zeros(7).at[2].set(1 / self.theta)
-        long, none = jnp.full((), 2 * _LONGEST), jnp.zeros(())
-        peak = self._peak(self.theta, 20.0)
-        return ObserverState(x, self._first(), long, long, none, none, peak)
+        x, none = jnp.zeros(7).at[2].set(1 / self.theta), jnp.zeros(())
+        return ObserverState(x, self._first(), none, none, none, self._peak(self.theta, 20.0))
 
-    def hold(
-        self, state: ObserverState, dt: Number, steps: Number
-    ) -> tuple[ObserverState, Estimate]:
-        # The variance of p grows with time; a usable sample continues with its step.
-        walked = (self.drift_theta * state.x[2]) ** 2 * dt
-        held = state._replace(
-            covariance=state.covariance.at[2, 2].add(walked), waited=state.waited + dt
-        )
-        return held, self._estimate(held, jnp.nan)
+    def wait(self, state: ObserverState, dt: Number, steps: Number) -> ObserverState:
+        # The variance of p grows with time; a usable sample continues with its update. The
+        # relative random walk of theta is 0.02 / sqrt(s).
+        walked = (0.02 * state.x[2]) ** 2 * dt
+        return state._replace(covariance=state.covariance.at[2, 2].add(walked))
 
     def open(self, state: ObserverState) -> ObserverState:
         """The initial uncertainty of theta is restored."""
-        p = jnp.maximum(state.covariance[2, 2], (self.prior_theta * state.x[2]) ** 2)
+        p = jnp.maximum(state.covariance[2, 2], (_PRIOR * state.x[2]) ** 2)
         kept = state.covariance.at[2, :].set(0.0).at[:, 2].set(0.0)
         return state._replace(covariance=kept.at[2, 2].set(p))
 
-    def step(self, state: ObserverState, sample: Sample) -> tuple[ObserverState, Estimate]:
+    def update(self, state: ObserverState, sample: base.Sample) -> base.Updated:
         u = jnp.stack([sample[name] for name in self.method.inputs])
         # The time of a jump of the torque and the speed in between are not known; the
         # torque at a locked wheel only holds it.
         jump = jnp.abs(u[3] - state.x[6]) > _JUMP * self.radius * jnp.abs(u[2])
         jump |= self._locked(u)
-        smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + state.waited, 1e3))
+        smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + sample["dt"], 1e3))
         # Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
         # wheel of S section 5.
-        anew = (state.waited > _LONGEST) | (smooth < 0.015)
-        dt = jnp.clip(state.waited, 1e-6, _LONGEST)
+        anew = (sample["dt"] > _LONGEST) | (smooth < 0.015)
+        dt = jnp.clip(sample["dt"], 1e-6, _LONGEST)
 
         def flat(x: Float[Array, "7"], u: Float[Array, "4"]) -> Float[Array, "8"]:
             return jnp.append(*self.moved(x, u, dt))
@@ -175,7 +151,7 @@ class LuGreObserver(AbstractEstimator):
         trust = jnp.minimum(1.0, 4.0 / jnp.maximum(jnp.abs(surprise), 1e-9))
         x = x.at[2].set(state.x[2] + trust * (x[2] - state.x[2]))
         first = self._first().at[2, 2].set(state.covariance[2, 2])
-        held = state._replace(waited=jnp.zeros(()), smooth=smooth)
+        held = state._replace(smooth=smooth)
         # The bristles in their steady state at the inputs.
         p = state.x[2]
         now = self.course(u, p)
@@ -190,10 +166,9 @@ class LuGreObserver(AbstractEstimator):
         reported = jnp.where(full & ~anew, total / jnp.sqrt(1.5 * count), jnp.nan)
         total, count = jnp.where(full, 0.0, total), jnp.where(full, 0.0, count)
         moved = held._replace(x=x, covariance=spread[:7, :7], sum=total, summed=count)
-        after = choose(anew, began, moved)
+        after = base.choose(anew, began, moved)
         peak = self._peak(1 / after.x[2], jnp.maximum(jnp.abs(u[1]), 0.5))
-        after = after._replace(peak=peak)
-        return after, self._estimate(after, reported)
+        return after._replace(peak=peak), jnp.zeros((), int), reported
 
     def course(self, u: Float[Array, "4"], p: Number) -> Course:
         """Coefficients at inputs (4,) omega, v, fz, torque, and p for the patch."""
@@ -250,19 +225,18 @@ class LuGreObserver(AbstractEstimator):
         return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]
 
     def _first(self) -> Float[Array, "7 7"]:
-        stds = [0.001, self.omega_std, self.prior_theta / self.theta] + [0.0] * 4
+        stds = [0.001, self.omega_std, _PRIOR / self.theta] + [0.0] * 4
         return jnp.diag(base.floats(*stds) ** 2)
 
-    def _estimate(self, state: ObserverState, surprise: Scalar) -> Estimate:
+    def estimate(self, state: ObserverState) -> base.Estimate:
         x, p = state.x, state.x[2]
         theta = 1 / p
         theta_std = theta * theta * jnp.sqrt(state.covariance[2, 2])
         mu, mu_std = state.peak[0], state.peak[1] * theta_std
         share = self.share(x[0], p, self.course(x[3:], p))
-        flag = flag_of(
-            ((theta <= _LEAST) | (theta >= _MOST), Flag.OUT_OF_RANGE),
-            (jnp.abs(share) < self.least_use, Flag.LITTLE_EXCITATION),
-            (self._locked(x[3:]), Flag.LOCKED),
+        flag = base.flag_of(
+            ((theta <= _LEAST) | (theta >= _MOST), base.Flag.OUT_OF_RANGE),
+            (jnp.abs(share) < self.least_use, base.Flag.LITTLE_EXCITATION),
+            (self._locked(x[3:]), base.Flag.LOCKED),
         )
-        value, std = jnp.stack([mu, theta]), jnp.stack([mu_std, theta_std])
-        return Estimate(value, std, flag, jnp.asarray(surprise))
+        return base.Estimate(jnp.stack([mu, theta]), jnp.stack([mu_std, theta_std]), flag)

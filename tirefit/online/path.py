@@ -24,17 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.arrays import Number, Scalar
-from tirefit.data.table import WHEELS
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
-from tirefit.online.vehicle import (
-    GRAVITY,
-    AbstractVehicleMethod,
-    axle_angles,
-    brush_share,
-    clipped,
-    kalman_update,
-    wrapped,
-)
+from tirefit.online import base, vehicle
 from tirefit.params import par
 
 
@@ -112,11 +102,9 @@ class Observer(NamedTuple):
     def after(
         self, omega: Array, torque: Array, dt: Array, radius: float, inertia: float, pole: float
     ) -> "Observer":
-        """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed omega.
-
-        With these gains both errors of the discrete loop shrink by exp(-pole dt) per sample, at
-        any dt; radius [m] and inertia J [kg m2] of the wheel, pole p [1/s].
-        """
+        """The observer after ``dt`` [s] with a torque [N m], corrected by a wheel speed omega;
+        both errors of the discrete loop shrink by exp(-pole dt) per sample, at any dt; radius
+        [m] and inertia J [kg m2] of the wheel, pole p [1/s]."""
         lever = radius * dt / inertia
         ahead = self.omega + lever * self.force - dt * torque / inertia
         error = omega - ahead
@@ -128,10 +116,8 @@ class Observer(NamedTuple):
 def observer_std(
     omega_std: float, torque_std: float, dt: Scalar, radius: float, inertia: float, pole: float
 ) -> Number:
-    """Standard deviation [N] of the force of the observer, due to white noise.
-
-    ``omega_std`` [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1.
-    """
+    """Standard deviation [N] of the force of the observer, due to white noise ``omega_std``
+    [rad/s], ``torque_std`` [N m] of a sample, ``dt`` [s]; pole dt << 1."""
     of_speed = inertia * omega_std * jnp.sqrt(dt * pole**3 / 4)
     return jnp.hypot(of_speed, torque_std * jnp.sqrt(dt * pole / 4)) / radius
 
@@ -160,7 +146,10 @@ class WheelRls(NamedTuple):
 
 _LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _USUAL = 0.02  # time [s] between samples for which the noise of the forces is stated
-_FARTHEST = 0.1  # largest step of the logarithm of mu per sample
+_PRIOR_MU, _PRIOR_STIFFNESS = 0.5, 0.3  # relative std of the expected mu and of C_f, C_r
+_DRIFT_MU, _DRIFT_STIFFNESS = 0.05, 0.03  # relative random walks of these [1/sqrt(s)]
+_DISTURBANCE = 0.2  # unknown lateral acceleration [m/s2/sqrt(Hz)]
+_FORCE_NOISE = 0.15  # std of the force over the load, errors of the tire model included
 _FIRST = (0.5, 0.5, 0.05, 0.1)
 """Std of the first y [m], dy/dt [m/s], heading [rad] and yaw rate [rad/s]."""
 
@@ -168,7 +157,8 @@ _FIRST = (0.5, 0.5, 0.05, 0.1)
 class PathState(NamedTuple):
     """States of the bicycle with ln of C_f, C_r over the expected ones, and their
     covariance; front force; ln mu and its variance; friction used; rates of the forces
-    [N/s] by the two estimators; the last inputs, and the time [s] since then."""
+    [N/s] by the two estimators; the last inputs; time to lane crossing and its std [s], NaN
+    between samples."""
 
     z: Float[Array, "6"]
     covariance: Float[Array, "6 6"]
@@ -179,78 +169,60 @@ class PathState(NamedTuple):
     used: Number
     rates: Float[Array, "2"]
     inputs: dict[str, Number]
-    waited: Number
+    tlc: Float[Array, "2"]
 
 
-class Path(AbstractVehicleMethod):
+class Path(vehicle.AbstractVehicleMethod):
     """Friction, cornering stiffness and the time to lane crossing."""
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "path", "bicycle along the lane, friction at combined slip, lane crossing",
         ("offset", "heading", "road_heading", "yaw_rate", "a_x", "a_y", "steering", "v",
-         *(f"{kind}_{wheel}" for kind in ("omega", "torque") for wheel in WHEELS
-           if wheel in ("fl", "fr"))),
+         "omega_fl", "omega_fr", "torque_fl", "torque_fr"),
         ("mu", "C_f", "C_r", "F_xf", "F_xf_rls", "used", "tlc"),
         "40 to 100 % of the friction; C_f, C_r and tlc of a linear tire, below 50 %",
         "S §3.8",
     )  # fmt: skip
 
-    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "", "R")
-    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel", "", "J")
-    height: float = par(0.5, (0.0, 5.0), "m", "height of the CG", "", "h")
-    mu: float = par(0.9, (0.01, 5.0), "-", "expected friction", "S(21)", r"\mu_0")
-    prior_mu: float = par(0.5, (1e-3, 3.0), "-", "relative std of it", "", r"\sigma")
-    drift_mu: float = par(0.05, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu")
-    drift_stiffness: float = par(
-        0.03, (0.0, 1.0), "1/sqrt(s)", "relative random walk of C_f, C_r", "", "q_C"
-    )
-    prior_stiffness: float = par(
-        0.3, (1e-3, 3.0), "-", "relative std of the expected C_f, C_r", "", r"\sigma_C"
-    )
-    disturbance: float = par(
-        0.2, (1e-6, 100.0), "m/s2/sqrt(Hz)", "unknown lateral acceleration", "", "q_y"
-    )
-    force_noise: float = par(
-        0.15, (1e-4, 1.0), "-", "std of the force over the load, tire included", "", r"\sigma_F"
-    )
-    gps_std: float = par(0.02, (1e-5, 10.0), "m", "noise of offset", "", r"\sigma_y")
-    heading_std: float = par(0.002, (1e-6, 1.0), "rad", "noise of heading", "", r"\sigma_\psi")
-    gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate", "", r"\sigma_r")
-    omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega", "", r"\sigma_w")
-    torque_std: float = par(10.0, (0.0, 1e5), "N m", "of torques", "", r"\sigma_T")
-    pole: float = par(40.0, (0.1, 1e3), "1/s", "of the observer", "S §3.8", "p")
-    memory: float = par(0.1, (1e-3, 10.0), "s", "of the RLS", "S §3.8", r"\tau")
-    lane: float = par(0.9, (0.05, 20.0), "m", "offset at which the lane is left", "S §3.8", "y_l")
-    horizon: float = par(4.0, (0.2, 20.0), "s", "looked ahead", "S §3.8", "t_h")
-    warn: float = par(0.85, (0.1, 1.0), "-", "used friction warned of", "S §3.8", "w")
+    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius")
+    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel")
+    height: float = par(0.5, (0.0, 5.0), "m", "height of the CG")
+    mu: float = base.nominal_friction(0.9)
+    gps_std: float = par(0.02, (1e-5, 10.0), "m", "noise of offset")
+    heading_std: float = par(0.002, (1e-6, 1.0), "rad", "noise of heading")
+    gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate")
+    omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega")
+    torque_std: float = par(10.0, (0.0, 1e5), "N m", "of torques")
+    pole: float = par(40.0, (0.1, 1e3), "1/s", "of the observer")
+    memory: float = par(0.1, (1e-3, 10.0), "s", "of the RLS")
+    lane: float = par(0.9, (0.05, 20.0), "m", "offset at which the lane is left")
+    horizon: float = par(4.0, (0.2, 20.0), "s", "looked ahead")
+    warn: float = par(0.85, (0.1, 1.0), "-", "used friction warned of")
 
     def init(self) -> PathState:
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
         inputs = dict.fromkeys(("steering", "v", "road_heading"), zero)
-        mu = floats(self.mu, self.prior_mu)
         wheel = Observer(zero, zero), WheelRls(zero, zero, self._widest())
+        mu = jnp.log(self.mu), jnp.asarray(_PRIOR_MU**2)
         return PathState(
-            jnp.zeros(6), self._first(), *wheel, jnp.log(mu[0]), mu[1] ** 2, none,
-            jnp.zeros(2), inputs, jnp.full((), 2 * _LONGEST),
+            jnp.zeros(6), self._first(), *wheel, *mu, none, jnp.zeros(2), inputs,
+            jnp.full(2, jnp.nan),
         )  # fmt: skip
 
-    def hold(self, state: PathState, dt: Number, steps: Number) -> tuple[PathState, Estimate]:
-        variance = jnp.minimum(state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2)
-        held = state._replace(waited=state.waited + dt, mu_variance=variance)
-        # Between samples there is no time to lane crossing.
-        return held, self._estimate(held, jnp.full(2, jnp.nan), jnp.nan)
+    def wait(self, state: PathState, dt: Number, steps: Number) -> PathState:
+        variance = jnp.minimum(state.mu_variance + _DRIFT_MU**2 * dt, _PRIOR_MU**2)
+        return state._replace(mu_variance=variance, tlc=jnp.full(2, jnp.nan))
 
     def open(self, state: PathState) -> PathState:
-        return state._replace(mu_variance=jnp.full_like(state.mu_variance, self.prior_mu**2))
+        return state._replace(mu_variance=jnp.full_like(state.mu_variance, _PRIOR_MU**2))
 
-    def step(self, state: PathState, sample: Sample) -> tuple[PathState, Estimate]:
-        dt = jnp.minimum(state.waited, _LONGEST)
-        anew = state.waited > _LONGEST
+    def update(self, state: PathState, sample: base.Sample) -> base.Updated:
+        dt, anew = jnp.minimum(sample["dt"], _LONGEST), sample["dt"] > _LONGEST
         omega = (sample["omega_fl"] + sample["omega_fr"]) / 2
         torque = (sample["torque_fl"] + sample["torque_fr"]) / 2
-        turned = wrapped(sample["road_heading"] - state.inputs["road_heading"])
+        turned = vehicle.wrapped(sample["road_heading"] - state.inputs["road_heading"])
         bend = jnp.where(anew, 0.0, turned / jnp.maximum(dt, 1e-3))
-        aside = wrapped(sample["heading"] - sample["road_heading"])
+        aside = vehicle.wrapped(sample["heading"] - sample["road_heading"])
         # The motion initialised from this sample; the knowledge of the tires is kept.
         motion = jnp.stack([sample["offset"], sample["v"] * aside, aside, sample["yaw_rate"]])
         began = state._replace(
@@ -266,8 +238,7 @@ class Path(AbstractVehicleMethod):
         moved = self._corrected(self._predicted(state, dt, bend), sample)
         rates = rise / jnp.maximum(dt, 1e-3)
         moved = moved._replace(observer=observer, rls=rls, rates=rates)
-        state = choose(anew, began, moved)
-        state, surprise = self._with_friction(state, sample, omega)
+        state, surprise = self._with_friction(base.choose(anew, began, moved), sample, omega)
 
         def crossing(z: Float[Array, "6"]) -> Number:
             a, drive = self._lane_rates(z, sample["steering"], sample["v"], bend)
@@ -275,15 +246,14 @@ class Path(AbstractVehicleMethod):
 
         time, slope = jax.value_and_grad(crossing)(state.z)
         tlc = jnp.stack([time, jnp.sqrt(slope @ state.covariance @ slope)])
-        kept = {name: sample[name] for name in state.inputs}
-        state = state._replace(inputs=kept, waited=jnp.zeros(()))
-        return state, self._estimate(state, tlc, jnp.where(anew, jnp.nan, surprise))
+        state = state._replace(inputs={name: sample[name] for name in state.inputs}, tlc=tlc)
+        return state, jnp.zeros((), int), jnp.where(anew, jnp.nan, surprise)
 
     def _first(self) -> Float[Array, "6 6"]:
-        return jnp.diag(floats(*_FIRST, *[self.prior_stiffness] * 2) ** 2)
+        return jnp.diag(base.floats(*_FIRST, *[_PRIOR_STIFFNESS] * 2) ** 2)
 
     def _widest(self) -> Number:
-        return jnp.asarray(self.mass * GRAVITY, float) ** 2
+        return jnp.asarray(self.mass * vehicle.GRAVITY, float) ** 2
 
     def stiffness(self, z: Float[Array, "6"]) -> Float[Array, "2"]:
         """C_f and C_r [N/rad] of the axles, of a state's z (6,)."""
@@ -307,53 +277,51 @@ class Path(AbstractVehicleMethod):
             half = z[:4] + dt / 2 * (a @ z[:4] + drive)
             return z.at[:4].add(dt * (a @ half + drive))
 
-        slope = jax.jacfwd(ahead)(state.z)
-        q, c = self.disturbance**2, self.drift_stiffness**2
+        q, c = _DISTURBANCE**2, _DRIFT_STIFFNESS**2
         turning = q * (self.mass * self.l_f / self.yaw_inertia) ** 2
-        noise = dt * jnp.diag(floats(0.0, q, 0.0, turning, c, c))
-        covariance = slope @ state.covariance @ slope.T + noise
-        return state._replace(z=ahead(state.z), covariance=covariance)
+        noise = dt * jnp.diag(base.floats(0.0, q, 0.0, turning, c, c))
+        z, covariance = base.kalman_predict(ahead, state.z, state.covariance, noise)
+        return state._replace(z=z, covariance=covariance)
 
-    def _corrected(self, state: PathState, sample: Sample) -> PathState:
+    def _corrected(self, state: PathState, sample: base.Sample) -> PathState:
         """Correct the state by the driven path."""
-        aside = wrapped(sample["heading"] - sample["road_heading"])
+        aside = vehicle.wrapped(sample["heading"] - sample["road_heading"])
         seen = jnp.stack([sample["offset"], aside, sample["yaw_rate"]])
         rows = jnp.eye(6)[jnp.array([0, 2, 3])]
-        noise = jnp.diag(floats(self.gps_std, self.heading_std, self.gyro_std) ** 2)
+        noise = jnp.diag(base.floats(self.gps_std, self.heading_std, self.gyro_std) ** 2)
         error = seen - rows @ state.z
-        z, covariance = kalman_update(state.z, state.covariance, rows, error, noise)
+        z, covariance, _ = base.kalman_update(state.z, state.covariance, rows, error, noise)
         return state._replace(z=z, covariance=covariance)
 
     def _with_friction(
-        self, state: PathState, sample: Sample, omega: Number
+        self, state: PathState, sample: base.Sample, omega: Number
     ) -> tuple[PathState, Number]:
         """ln mu after one sample of the forces of the front axle, S(21)."""
         v, force = sample["v"], 2 * state.observer.force
         load = self.loads[0] - self.height / self.base * self.mass * sample["a_x"]
         across = self.mass * sample["a_y"] * self.l_r / self.base
-        sigma = clipped(omega, v, self.radius)
+        sigma = vehicle.clipped(omega, v, self.radius)
         v_y = state.z[1] - v * state.z[2]
-        angle, _ = axle_angles(v, v_y, state.z[3], sample["steering"], self.l_f, self.l_r)
+        angle, _ = vehicle.axle_angles(v, v_y, state.z[3], sample["steering"], self.l_f, self.l_r)
 
-        def shares(log_mu: Number) -> Float[Array, "2"]:
-            return jnp.stack(brush_share(sigma, angle, self.stiffness_f, jnp.exp(log_mu)))
+        def shares(log_mu: Array) -> Float[Array, "2"]:
+            return jnp.stack(
+                vehicle.brush_share(sigma, angle, self.stiffness_f, jnp.exp(log_mu[0]))
+            )
 
-        error = jnp.stack([force, across]) / load - shares(state.log_mu)
-        slope = jax.jacfwd(shares)(state.log_mu)
-        noise = self.force_noise**2
-        held = state.mu_variance
-        size = slope @ slope
-        change = held * (slope @ error) / (held * size + noise)
-        change = jnp.clip(change, -_FARTHEST, _FARTHEST)
-        log_mu = state.log_mu + change
+        prior, variance = state.log_mu[None], state.mu_variance[None, None]
+        error = jnp.stack([force, across]) / load - shares(prior)
+        slope = jax.jacfwd(shares)(prior)
+        noise = _FORCE_NOISE**2 * jnp.eye(2)
+        (moved,), ((after,),), _ = base.kalman_update(prior, variance, slope, error, noise)
+        # The largest step of the logarithm of mu per sample.
+        log_mu = state.log_mu + jnp.clip(moved - state.log_mu, -0.1, 0.1)
         used = jnp.hypot(force, across) / (jnp.exp(log_mu) * load)
-        after = state._replace(
-            log_mu=log_mu, mu_variance=held * noise / (held * size + noise), used=used
-        )
-        along = slope @ error / jnp.sqrt(size * (noise + held * size) + 1e-20)
-        return after, along
+        size = jnp.sum(slope**2)
+        along = slope[:, 0] @ error / jnp.sqrt(size * (noise[0, 0] + variance[0, 0] * size) + 1e-20)
+        return state._replace(log_mu=log_mu, mu_variance=after, used=used), along
 
-    def _estimate(self, state: PathState, tlc: Float[Array, "2"], surprise: Scalar) -> Estimate:
+    def estimate(self, state: PathState) -> base.Estimate:
         mu, mu_std = jnp.exp(state.log_mu), jnp.sqrt(state.mu_variance)
         stiffness = self.stiffness(state.z)
         spread = jnp.sqrt(jnp.diag(state.covariance))[4:]
@@ -367,9 +335,8 @@ class Path(AbstractVehicleMethod):
         of_torque = self.torque_std**2 * _USUAL / self.memory / self.radius**2
         fitted = jnp.sqrt(2 * state.rls.spread + of_torque)
         observed, fitted = jnp.hypot(jnp.stack([observed, fitted]), late)
-        value = jnp.stack([mu, *stiffness, *forces, state.used, tlc[0]])
-        std = jnp.stack(
-            [mu * mu_std, *(stiffness * spread), observed, fitted, state.used * mu_std, tlc[1]]
-        )
-        flag = flag_of((state.used > self.warn, Flag.NEAR_LIMIT))
-        return Estimate(value, std, flag, jnp.asarray(surprise))
+        tlc, tlc_std = state.tlc
+        value = [mu, *stiffness, *forces, state.used, tlc]
+        std = [mu * mu_std, *(stiffness * spread), observed, fitted, state.used * mu_std, tlc_std]
+        flag = base.flag_of((state.used > self.warn, base.Flag.NEAR_LIMIT))
+        return base.Estimate(jnp.stack(value), jnp.stack(std), flag)

@@ -9,18 +9,15 @@ line, the heading :math:`\psi`, that of the road :math:`\psi_d` and the yaw rate
    \alpha_f = \delta_f - \arctan \frac{\dot e_y - (\psi - \psi_d) V + l_f r}{V}
 
 with every signal passed through :math:`b^2 (s + b)^{-2}`, which gives its derivatives
-without differences. The brush is linear in
-:math:`\Theta = [C, C^2/\mu, C^3/\mu^2]` over
-:math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force
-and :math:`\Phi`, with their signs, pass the filter :math:`(s + a)^{-2}` of the source. A
-single filter before :math:`\Phi` would have to be as slow as a, and the brush of a
-filtered slip is not the filtered brush: at a = 3/s and 60 % use, mu was 60 % too high.
+without differences. The brush is linear in :math:`\Theta = [C, C^2/\mu, C^3/\mu^2]` over
+:math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force and
+:math:`\Phi`, with their signs, pass the filter :math:`(s + a)^{-2}` of the source. (The brush of a
+slip that passed one filter as slow as a is not the filtered brush: mu was 60 % too high.)
 
 The source leaves the adaptive law to its reference [7]. Here it is least squares with
 forgetting on :math:`\ln C` and :math:`1/\mu`, so that the three parts of :math:`\Theta`
 are consistent. It stores only products of the regressors: each step goes towards the
-least squares of all samples, however wrong the start. (A filter that linearises once per
-sample does not: it found 0.5 for a road of 0.3.)
+least squares of all samples, however wrong the start.
 """
 
 from typing import ClassVar, NamedTuple
@@ -31,14 +28,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tirefit.arrays import Number, Scalar
 from tirefit.online import base
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of
+from tirefit.online.base import Estimate, Flag, Method, Sample, Updated, choose, flag_of
 from tirefit.online.regression import SLIDING, Regressors, regressors
 from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
 
 _SIGNALS = ("offset", "aside", "road_heading", "yaw_rate", "steering")
 """The signals that are filtered first; aside: heading - that of the road."""
-_LONGEST = 1.0  # filter times between samples after which the filter starts again
+_BANDWIDTH = 10.0  # b [1/s] of the filter of the signals
+_PRIOR = 0.3, 1.0  # relative std of the expected stiffness, std of the expected mu over mu
+_MODEL_ERROR = 0.015  # relative error of the force that is constant in a drive
 _SAMPLES_OF_NOISE = 20.0  # weight, in samples, of the stated noise relative to the observed errors
 _FARTHEST = 0.5  # largest step per sample, where the slope is valid
 _EXPECTED = (0.0, 1.0)
@@ -96,12 +95,11 @@ def coefficients(x: Float[Array, "2"]) -> Float[Array, "3"]:
 
 
 class PositionState(NamedTuple):
-    """The filters of the signals and of the regression, the time [s] since their last
-    sample and since their start, the largest recent u_0 [-], the state of the law."""
+    """The filters of the signals and of the regression, the time [s] since their start,
+    the largest recent u_0 [-], the state of the law."""
 
     signals: Filtered
     regression: Filtered
-    waited: Number
     age: Number
     peak: Number
     law: LawState
@@ -116,43 +114,28 @@ class Position(AbstractVehicleMethod):
         "40 to 90 % of the friction, in bends; below, mu is flagged", "S §3.3",
     )  # fmt: skip
 
-    prior_stiffness: float = par(
-        0.3, (1e-4, 3.0), "-", "relative std of the expected stiffness", "", r"\sigma_C"
-    )
-    prior_mu: float = par(
-        1.0, (1e-4, 10.0), "-", "std of the expected mu over mu", "", r"\sigma_\mu"
-    )
-    mu: float = par(0.9, (0.01, 5.0), "-", "expected friction", "S §3.3", r"\mu_0")
-    bandwidth: float = par(3.0, (0.1, 100.0), "1/s", "a of the filter (s+a)^-2", "S §3.3", "a")
-    signal_bandwidth: float = par(
-        10.0, (0.1, 1e3), "1/s", "b of the filter of the signals", "S §3.3", "b"
-    )
-    forgetting: float = par(
-        0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §3.3", r"\lambda"
-    )
-    model_error: float = par(
-        0.015, (0.0, 0.5), "-", "relative error of the force, constant in a drive", "", r"\epsilon"
-    )
-    force_noise: float = base.force_noise(0.05, "S §3.3")
-    least_use: float = base.excitation("S §3.3")
+    mu: float = base.nominal_friction(0.9)
+    bandwidth: float = par(3.0, (0.1, 100.0), "1/s", "a of the filter (s+a)^-2")
+    forgetting: float = par(0.999, (0.5, 1.0), "-", "forgetting factor per sample")
+    force_noise: float = base.force_noise(0.05)
+    least_use: float = base.excitation()
 
     def init(self) -> PositionState:
         of_signals = Filtered(*[jnp.zeros(len(_SIGNALS))] * 3)
         of_regression = Filtered(*[jnp.zeros(len(Regressors._fields))] * 3)
         zero = jnp.zeros(())
-        # As after a gap, the first sample initialises the filter.
-        waited = jnp.full((), 2 * _LONGEST) / self.bandwidth
         law = LawState(jnp.array(_EXPECTED), jnp.zeros((4, 4)), zero)
-        return PositionState(of_signals, of_regression, waited, zero, zero, law)
+        return PositionState(of_signals, of_regression, zero, zero, law)
 
-    def step(self, state: PositionState, sample: Sample) -> tuple[PositionState, Estimate]:
-        a, dt = self.bandwidth, state.waited
-        anew = a * dt > _LONGEST
+    def update(self, state: PositionState, sample: Sample) -> Updated:
+        a, dt = self.bandwidth, sample["dt"]
+        # After one filter time without a sample the filter starts again.
+        anew = a * dt > 1.0
         road = state.signals.u[2]
         road = road + wrapped(sample["road_heading"] - road)
         aside = wrapped(sample["heading"] - sample["road_heading"])
         u = [sample["offset"], aside, road, sample["yaw_rate"], sample["steering"]]
-        signals = _moved(state.signals, jnp.stack(u), dt, self.signal_bandwidth, anew)
+        signals = _moved(state.signals, jnp.stack(u), dt, _BANDWIDTH, anew)
         force, slip = self.force_and_slip(signals, sample["v"])
         load = self.loads[0]
         given = {"sigma_x": slip, "fx": force, "fz": jnp.asarray(load)}
@@ -169,15 +152,10 @@ class Position(AbstractVehicleMethod):
         surprise = jnp.where(settled & (flag == 0), surprise, jnp.nan)
         flag = jnp.where(settled, flag, base.code(Flag.SETTLING))
         peak = jnp.maximum(self.forgetting * state.peak, settled * abs(filtered.u0))
-        after = PositionState(signals, regression, jnp.zeros(()), age, peak, law)
-        return after, self._estimate(after, flag, surprise)
+        return PositionState(signals, regression, age, peak, law), flag, surprise
 
-    def hold(
-        self, state: PositionState, dt: Number, steps: Number
-    ) -> tuple[PositionState, Estimate]:
-        law = self._forgotten(state.law, self.forgetting**steps)
-        held = state._replace(waited=state.waited + dt, law=law)
-        return held, self._estimate(held, 0, jnp.nan)
+    def wait(self, state: PositionState, dt: Number, steps: Number) -> PositionState:
+        return state._replace(law=self._forgotten(state.law, self.forgetting**steps))
 
     def open(self, state: PositionState) -> PositionState:
         law = self._forgotten(state.law, _KEPT)
@@ -187,7 +165,7 @@ class Position(AbstractVehicleMethod):
         """Force [N] of the front axle and tangent [-] of its slip angle, from the signals
         in the order ``offset``, heading - that of the road, ``road_heading``,
         ``yaw_rate``, ``steering``."""
-        a = self.signal_bandwidth
+        a = _BANDWIDTH
         value, rate = filtered.value(a), filtered.rate(a)
         offset, aside, road, yaw, steering = range(len(_SIGNALS))
         lateral = filtered.acceleration(a)[offset] + v * rate[road]
@@ -240,7 +218,7 @@ class Position(AbstractVehicleMethod):
         self, law: LawState, noise: Number
     ) -> tuple[Float[Array, "2 2"], Float[Array, "3 2"], Float[Array, "2"]]:
         slope = jax.jacfwd(coefficients)(law.x)
-        prior = base.floats(self.prior_stiffness, self.prior_mu)
+        prior = base.floats(*_PRIOR)
         gathered = slope.T @ law.products[:3, :3] @ slope / noise**2
         return gathered + jnp.diag(1 / prior**2), slope, prior
 
@@ -249,9 +227,7 @@ class Position(AbstractVehicleMethod):
         noise = self._noise(law)
         return jnp.linalg.inv(self._information(law, noise)[0]), noise
 
-    def _estimate(
-        self, state: PositionState, flag: Int[Array, ""] | int, surprise: Scalar
-    ) -> Estimate:
+    def estimate(self, state: PositionState) -> Estimate:
         """mu and C_f.
 
         A constant error of the force bends the curve as a wrong friction does: u_0 is
@@ -264,9 +240,9 @@ class Position(AbstractVehicleMethod):
         covariance, _ = self.uncertainty(law)
         of_noise = jnp.sqrt(jnp.diag(covariance))[::-1]
         of_noise = of_noise / jnp.stack([law.x[1], jnp.ones(())])
-        bent = jnp.minimum(self.model_error * 3 * mu / state.peak, self.prior_mu)
+        bent = jnp.minimum(_MODEL_ERROR * 3 * mu / state.peak, _PRIOR[1])
         drawn = covariance[0, 1] / covariance[1, 1] * law.x[1] * bent
-        lasting = jnp.stack([bent, jnp.hypot(self.model_error, drawn)])
+        lasting = jnp.stack([bent, jnp.hypot(_MODEL_ERROR, drawn)])
         relative = jnp.hypot(of_noise, lasting)
         value = jnp.stack([mu, stiffness])
-        return Estimate(value, value * relative, jnp.asarray(flag), jnp.asarray(surprise))
+        return Estimate(value, value * relative)

@@ -15,7 +15,7 @@ section 5.3 for those must be multiplied by F_z^2.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tirefit.arrays import Number, Scalar
 from tirefit.online import base
@@ -81,16 +81,14 @@ class AbstractRegression(AbstractEstimator):
     """Settings and derived parameters that estimators on theta share."""
 
     cpa2: float = base.nominal_stiffness()
-    mu: float = base.nominal_friction()
-    d: float = par(0.0, (-1 / 3, 0.99), "-", "asymmetry of the pressure", "S(41)", "d")
-    start0: float = par(0.8, (0.01, 100.0), "-", "first theta_0", "S §5.3", r"\theta_0")
-    start1: float = par(0.8, (0.0, 100.0), "-", "first theta_1", "S §5.3", r"\theta_1")
-    prior0: float = par(0.4, (1e-6, 100.0), "-", "std of the first theta_0", "S §5.3", r"\sigma_0")
-    prior1: float = par(0.8, (1e-6, 100.0), "-", "std of the first theta_1", "S §5.3", r"\sigma_1")
-    third: float = par(
-        1.0, (0.0, 1.0), "-", "share of the cubic term that is kept; 0: two terms", "S §5.4", "c_3"
-    )
-    force_noise: float = base.force_noise()
+    mu: float = base.nominal_friction(0.98)
+    d: float = par(0.0, (-1 / 3, 0.99), "-", "asymmetry of the pressure")
+    start0: float = par(0.8, (0.01, 100.0), "-", "first theta_0")
+    start1: float = par(0.8, (0.0, 100.0), "-", "first theta_1")
+    prior0: float = par(0.4, (1e-6, 100.0), "-", "std of the first theta_0")
+    prior1: float = par(0.8, (1e-6, 100.0), "-", "std of the first theta_1")
+    third: float = par(1.0, (0.0, 1.0), "-", "share of the cubic term that is kept; 0: two terms")
+    force_noise: float = base.force_noise(0.0447)
     least_use: float = base.excitation()
 
     def prior(self) -> Float[Array, "2 2"]:
@@ -102,8 +100,8 @@ class AbstractRegression(AbstractEstimator):
 
     def beyond(
         self, x: Regressors, theta0: Number, count: Number
-    ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-        """Whether a sample is too close to zero slip, and whether the tire slides.
+    ) -> tuple[Bool[Array, ""], Int[Array, ""]]:
+        """Whether a sample is too close to zero slip or slides, and the flag of the reason.
 
         Full sliding begins where the force is a third of that of a tire without sliding,
         S(13), for any friction; the polynomial is not valid beyond. A margin of three
@@ -111,30 +109,21 @@ class AbstractRegression(AbstractEstimator):
         """
         noise = 3 * self.force_noise / jnp.sqrt(count)
         slides = x.y < SLIDING * theta0 * x.u0 - noise
-        return x.u0 < self.least_use, slides
+        idle = x.u0 < self.least_use
+        flag = flag_of((slides, Flag.OUT_OF_RANGE), (idle, Flag.LITTLE_EXCITATION))
+        return idle | slides, flag
 
-    def estimate(
-        self,
-        theta: Float[Array, "2"],
-        covariance: Float[Array, "2 2"],
-        idle: base.Condition,
-        slides: base.Condition,
-        surprise: Scalar,
-    ) -> Estimate:
+    def of_theta(self, theta: Float[Array, "2"], covariance: Float[Array, "2 2"]) -> Estimate:
         """mu and c_p a^2 by S(47)-(48), their stds by the delta method.
 
         Args:
             theta: estimates (2,) [-]; mu needs a positive theta_1.
             covariance: (2, 2) of them.
-            idle, slides: from :meth:`beyond`.
-            surprise: of the sample.
         """
         curved = theta[1] > 0
         safe = jnp.where(curved, theta[1], 1.0)
         mu = jnp.where(curved, theta[0] ** 2 / safe * self.mu, jnp.nan)
         slope = jnp.stack([2 / theta[0], -1 / safe])  # of ln mu
         mu_std = mu * jnp.sqrt(jnp.sum(covariance * jnp.outer(slope, slope)))
-        flag = flag_of((slides, Flag.OUT_OF_RANGE), (idle, Flag.LITTLE_EXCITATION))
         value = jnp.stack([mu, self.cpa2 * theta[0]])
-        std = jnp.stack([mu_std, self.cpa2 * jnp.sqrt(covariance[0, 0])])
-        return Estimate(value, std, flag, jnp.asarray(surprise))
+        return Estimate(value, jnp.stack([mu_std, self.cpa2 * jnp.sqrt(covariance[0, 0])]))

@@ -2,10 +2,9 @@ r"""Recursive least squares on the brush, S(50)-(51), and the MIT rule, S(52).
 
 S(50) subtracts the cubic term, with the previous estimate, from the output, which gives a linear
 regression: :math:`y' = y - \theta_2 u_2` with :math:`\theta_2 = \theta_1^2 / \theta_0`. As printed,
-this is done once for each sample, so the errors of the first, poor estimates stay in the memory.
-Here y and :math:`u_2` are regressed separately, with the same gain; with their coefficients
-:math:`\varphi` and :math:`\psi` the estimate is :math:`\theta = \varphi - \theta_2 \psi`, which
-uses the newest :math:`\theta_2` for all samples. For a constant :math:`\theta_2` both agree.
+the errors of the first, poor estimates stay in the memory. Here y and :math:`u_2` are regressed
+separately, with one gain; with their coefficients :math:`\varphi` and :math:`\psi` the estimate
+:math:`\theta = \varphi - \theta_2 \psi` uses the newest :math:`\theta_2` for all samples.
 
 The covariance is :math:`s^2 M^{-1} P M^{-T}` with :math:`M = I + \psi \nabla\theta_2^T`
 and :math:`s^2` the weighted mean square of the errors of prediction. With forgetting, it
@@ -19,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.arrays import Number, Scalar
-from tirefit.online.base import Condition, Estimate, Method, Sample, choose, floats, widest
+from tirefit.online import base
 from tirefit.online.regression import AbstractRegression, corrected, limited
 from tirefit.params import par
 
@@ -39,13 +38,11 @@ class RlsState(NamedTuple):
 class Rls(AbstractRegression):
     """Recursive least squares of stiffness and friction.
 
-    P0 = diag(2, 10) 1e-10 of the source is for regressors in newtons; times F_z^2 it is
-    diag(0.146, 0.729) at its 27 kN. With the noise of the source, theta would be known to
-    0.017 and 0.038 at the start, although its error is 0.2. Here the priors are realistic:
-    P0 = prior^2 / noise^2.
+    P0 = diag(2, 10) 1e-10 of the source (for regressors in newtons) states theta to 0.017 and
+    0.038 at the start, although its error is 0.2. Here it is P0 = prior^2 / noise^2.
     """
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "rls",
         "recursive least squares with forgetting on the brush",
         ("sigma_x", "fx", "fz"),
@@ -54,17 +51,15 @@ class Rls(AbstractRegression):
         "S(50)-(51)",
     )
 
-    forgetting: float = par(
-        0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §5.3", r"\lambda"
-    )
+    forgetting: float = par(0.999, (0.5, 1.0), "-", "forgetting factor per sample")
 
     def init(self) -> RlsState:
-        theta = floats(self.start0, self.start1)
+        theta = base.floats(self.start0, self.start1)
         # Weight, in samples, of the stated noise relative to the observed errors.
-        errors = 20.0 * floats(self.force_noise**2, 1.0)
+        errors = 20.0 * base.floats(self.force_noise**2, 1.0)
         return RlsState(theta, theta, jnp.zeros(2), self._first(), *errors)
 
-    def step(self, state: RlsState, sample: Sample) -> tuple[RlsState, Estimate]:
+    def update(self, state: RlsState, sample: base.Sample) -> base.Updated:
         s, x, count = state, self.regressors(sample), sample["count"]
         forget = self.forgetting**count
         k = s.p @ x.u
@@ -85,25 +80,21 @@ class Rls(AbstractRegression):
             forget * s.squares + count * error**2 / (1 + count * spread),
             forget * s.weight + 1,
         )
-        idle, slides = self.beyond(x, s.theta[0], count)
-        unused = idle | slides
+        unused, flag = self.beyond(x, s.theta[0], count)
         surprise = error / jnp.sqrt(s.squares / s.weight * (1 / count + spread))
-        after = choose(unused, state, updated)
-        surprise = jnp.where(unused, jnp.nan, surprise)
-        return after, self._estimate(after, idle, slides, surprise)
+        return base.choose(unused, state, updated), flag, jnp.where(unused, jnp.nan, surprise)
 
-    def hold(self, state: RlsState, dt: Number, steps: Number) -> tuple[RlsState, Estimate]:
+    def wait(self, state: RlsState, dt: Number, steps: Number) -> RlsState:
         # A branch, as nearly every row comes without lost samples.
         p = jax.lax.cond(
             steps > 0,
             lambda: self._forgotten(state.p, self.forgetting ** (-steps)),
             lambda: state.p,
         )
-        held = state._replace(p=p)
-        return held, self._estimate(held, False, False, jnp.nan)
+        return state._replace(p=p)
 
     def open(self, state: RlsState) -> RlsState:
-        p = widest(state.p, self._first())
+        p = base.widest(state.p, self._first())
         return state._replace(of_y=state.theta, of_u2=jnp.zeros(2), p=p)
 
     def _first(self) -> Float[Array, "2 2"]:
@@ -115,15 +106,14 @@ class Rls(AbstractRegression):
         room = jnp.min(jnp.diag(self._first()) / jnp.diag(p))
         return p * jnp.clip(room, 1.0, growth)
 
-    def _estimate(
-        self, s: RlsState, idle: Condition, slides: Condition, surprise: Scalar
-    ) -> Estimate:
+    def estimate(self, state: RlsState) -> base.Estimate:
+        s = state
         ratio = s.theta[1] / s.theta[0]
         slope = jnp.stack([-(ratio**2), 2 * ratio])  # of theta_2 over theta
         # M^-1 = I - gain slope^T, by Sherman and Morrison.
         gain = s.of_u2 / (1 + jnp.sum(slope * s.of_u2))
         covariance = s.squares / s.weight * corrected(s.p, gain, slope, 0.0)
-        return self.estimate(s.theta, covariance, idle, slides, surprise)
+        return self.of_theta(s.theta, covariance)
 
 
 class MitState(NamedTuple):
@@ -143,15 +133,14 @@ class Mit(AbstractRegression):
     the slope of the prediction and :math:`k = \Gamma g`.
 
     That noise averages out; what the model misses does not. A constant error b of the force over
-    the load moves theta by :math:`m b`, :math:`m \leftarrow (I - k g^T) m + k`. On five measured
-    logs the error of mu goes with its part of m (correlation 0.77 to 0.85), not with what is left
-    of the start. The stated covariance is :math:`P + s_b^2 m m^T`.
+    the load moves theta by :math:`m b`, :math:`m \leftarrow (I - k g^T) m + k`, with which the
+    error of mu goes on five measured logs. The stated covariance is :math:`P + s_b^2 m m^T`.
 
     The gains (0.5, 3) 1e-10 of the source are for regressors in newtons; times F_z^2 they
     are (0.0364, 0.219) at its 27 kN. These are dimensionless and apply to every load.
     """
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "mit",
         "gradient (MIT) rule on the brush",
         ("sigma_x", "fx", "fz"),
@@ -160,17 +149,15 @@ class Mit(AbstractRegression):
         "S(52)",
     )
 
-    gain0: float = par(0.0364, (0.0, 1.0), "-", "gain of theta_0 a sample", "S §5.3", r"\gamma_0")
-    gain1: float = par(0.219, (0.0, 1.0), "-", "gain of theta_1 a sample", "S §5.3", r"\gamma_1")
+    gain0: float = par(0.0364, (0.0, 1.0), "-", "gain of theta_0 a sample")
+    gain1: float = par(0.219, (0.0, 1.0), "-", "gain of theta_1 a sample")
     # Chosen on the rear axle of the f1tenth car on tires a, see fits/friction_benchmark.
-    offset: float = par(
-        0.06, (0.0, 1.0), "-", "std of a constant force error over the load", "", "s_b"
-    )
+    offset: float = par(0.06, (0.0, 1.0), "-", "std of a constant force error over the load")
 
     def init(self) -> MitState:
-        return MitState(floats(self.start0, self.start1), self.prior(), jnp.zeros(2))
+        return MitState(base.floats(self.start0, self.start1), self.prior(), jnp.zeros(2))
 
-    def step(self, state: MitState, sample: Sample) -> tuple[MitState, Estimate]:
+    def update(self, state: MitState, sample: base.Sample) -> base.Updated:
         s, x, count = state, self.regressors(sample), sample["count"]
         ratio = s.theta[1] / s.theta[0]
         error = x.y - s.theta @ x.u - s.theta[1] * ratio * x.u2
@@ -179,25 +166,18 @@ class Mit(AbstractRegression):
         noise = self.force_noise**2 / count
         spread = g @ s.covariance @ g + noise
         # The mean of several samples moves the estimate as far as all of them.
-        k = count * floats(self.gain0, self.gain1) * g
+        k = count * base.floats(self.gain0, self.gain1) * g
         covariance = corrected(s.covariance, k, g, noise)
         by_offset = s.by_offset + k * (1 - g @ s.by_offset)
         updated = MitState(limited(s.theta + k * error), covariance, by_offset)
-        idle, slides = self.beyond(x, s.theta[0], count)
-        after: MitState = choose(idle | slides, state, updated)
-        surprise = jnp.where(idle | slides, jnp.nan, error / jnp.sqrt(spread))
-        return after, self._estimate(after, idle, slides, surprise)
+        unused, flag = self.beyond(x, s.theta[0], count)
+        surprise = jnp.where(unused, jnp.nan, error / jnp.sqrt(spread))
+        return base.choose(unused, state, updated), flag, surprise
 
-    def hold(self, state: MitState, dt: Number, steps: Number) -> tuple[MitState, Estimate]:
-        """The state is not changed, as the rule has no model of change over time."""
-        return state, self._estimate(state, False, False, jnp.nan)
-
-    def _estimate(
-        self, s: MitState, idle: Condition, slides: Condition, surprise: Scalar
-    ) -> Estimate:
-        missed = self.offset**2 * jnp.outer(s.by_offset, s.by_offset)
-        return self.estimate(s.theta, s.covariance + missed, idle, slides, surprise)
+    def estimate(self, state: MitState) -> base.Estimate:
+        missed = self.offset**2 * jnp.outer(state.by_offset, state.by_offset)
+        return self.of_theta(state.theta, state.covariance + missed)
 
     def open(self, state: MitState) -> MitState:
         """The gains are kept; only the stated uncertainty is restored."""
-        return state._replace(covariance=widest(state.covariance, self.prior()))
+        return state._replace(covariance=base.widest(state.covariance, self.prior()))

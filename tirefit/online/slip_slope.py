@@ -11,15 +11,14 @@ Variations of the rolling radius appear as slip noise, to first order
 that of slip and force noise. :func:`road_of` gives the road.
 """
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float
 
-from tirefit.arrays import Number, Scalar
+from tirefit.arrays import Number
 from tirefit.online import base
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.params import par
 
 ROADS = ("asphalt", "gravel", "snow", "ice")
@@ -27,7 +26,6 @@ ROADS = ("asphalt", "gravel", "snow", "ice")
 STIFF, SOFT = 0.75, 0.45
 """Limits between asphalt, snow and ice on a smooth road, as slopes over that of asphalt."""
 _MEMORY = 0.98  # weight of the previous mean square error: a memory of about 50 steps
-_STEPS = 1 / (1 - _MEMORY)
 
 
 def road_of(relative: Number, rough: Bool[Array, ""]) -> Number:
@@ -45,11 +43,6 @@ def road_of(relative: Number, rough: Bool[Array, ""]) -> Number:
     return jnp.where(rough, jnp.where(relative >= SOFT, 2.0, 3.0), smooth)
 
 
-def _most_use(default: float) -> Any:
-    meaning = "largest force over load of a sample that is used"
-    return par(default, (0.01, 2.0), "-", meaning, "S §3.1", "u_{max}")
-
-
 class SlipSlopeState(NamedTuple):
     """1/k and the offset [-], their covariance, mean square error of one sample."""
 
@@ -58,79 +51,56 @@ class SlipSlopeState(NamedTuple):
     square: Number
 
 
-class SlipSlope(AbstractEstimator):
+class SlipSlope(base.AbstractEstimator):
     """Kalman filter of the slope at low slip, the slip offset and the road."""
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "slip-slope", "slope and offset of the slip by Kalman filter; road",
         ("sigma_x", "fx", "fz"), ("slip_slope", "slip_offset", "radius_std", "road"),
         "up to 30 % of the load; does not measure the peak", "S §3.1", "straight line",
     )  # fmt: skip
 
-    slope: float = par(
-        18.5, (0.5, 500.0), "-", "slope on asphalt, to be calibrated", "S §3.1", "k_0", scale="log"
-    )
-    prior_slope: float = par(
-        0.5, (1e-4, 5.0), "-", "relative std of the first 1/k", "S §3.1", r"\sigma_k"
-    )
-    prior_offset: float = par(
-        0.005, (0.0, 0.5), "-", "std of the first offset", "S §3.1", r"\sigma_\delta"
-    )
-    drift_slope: float = par(
-        0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of 1/k", "S §3.1", "q_k"
-    )
-    drift_offset: float = par(
-        1e-5, (0.0, 1.0), "1/sqrt(s)", "random walk of the offset", "S §3.1", r"q_\delta"
-    )
-    most_use: float = _most_use(0.3)
-    rough: float = par(
-        0.003, (0.0, 1.0), "-", "relative std of the radius on a rough road", "S §3.1", "r_g"
-    )
-    force_noise: float = base.force_noise()
+    slope: float = par(18.5, (0.5, 500.0), "-", "slope on asphalt, to be calibrated", scale="log")
+    drift_slope: float = par(0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of 1/k")
+    drift_offset: float = par(1e-5, (0.0, 1.0), "1/sqrt(s)", "random walk of the offset")
+    rough: float = par(0.003, (0.0, 1.0), "-", "relative std of the radius on a rough road")
+    force_noise: float = base.force_noise(0.0447)
     slip_noise: float = base.slip_noise()
+    gain_spread: float = 0.0  # relative std of the gain of the force; samples do not determine it
 
     def init(self) -> SlipSlopeState:
         inverse = jnp.asarray(1 / self.slope, float)
         return SlipSlopeState(base.floats(inverse, 0.0), self._first(), self._noise(inverse))
 
     def _first(self) -> Float[Array, "2 2"]:
-        return jnp.diag(base.floats(self.prior_slope / self.slope, self.prior_offset) ** 2)
+        # 1/k is first known to half of itself, the offset to 0.5 % of slip.
+        return jnp.diag(base.floats(0.5 / self.slope, 0.005) ** 2)
 
-    def use(self, sample: Sample) -> Number:
+    def use(self, sample: base.Sample) -> Number:
         """Force over load [-] of a sample."""
         return sample["fx"] / sample["fz"]
 
     def applies(self, use: Number) -> Bool[Array, ""]:
         """Whether a sample with this force over load is in the linear range."""
-        return jnp.abs(use) <= self.most_use
+        return jnp.abs(use) <= 0.3
 
-    def gain_std(self) -> float:
-        """Relative std of the gain of the force, which samples do not determine."""
-        return 0.0
-
-    def step(self, state: SlipSlopeState, sample: Sample) -> tuple[SlipSlopeState, Estimate]:
+    def update(self, state: SlipSlopeState, sample: base.Sample) -> base.Updated:
         s, use, count = state, self.use(sample), sample["count"]
         noise = jnp.maximum(s.square, self._noise(s.x[0])) / count
         row = jnp.stack([use, jnp.ones(())])
         error = sample["sigma_x"] - row @ s.x
-        lever = s.covariance @ row
-        spread = row @ lever + noise
-        updated = SlipSlopeState(
-            s.x + lever * error / spread,
-            s.covariance - jnp.outer(lever, lever) / spread,
-            _MEMORY * s.square + (1 - _MEMORY) * count * error * error * noise / spread,
-        )
+        given = s.covariance, row[None], error[None], noise[None, None]
+        x, covariance, ((spread,),) = base.kalman_update(s.x, *given)
+        seen = count * error * error * noise / spread
+        updated = SlipSlopeState(x, covariance, _MEMORY * s.square + (1 - _MEMORY) * seen)
         unused = ~self.applies(use)
-        after: SlipSlopeState = choose(unused, state, updated)
         surprise = jnp.where(unused, jnp.nan, error / jnp.sqrt(spread))
-        return after, self._estimate(after, unused, surprise)
+        flag = base.flag_of((unused, base.Flag.OUT_OF_RANGE))
+        return base.choose(unused, s, updated), flag, surprise
 
-    def hold(
-        self, state: SlipSlopeState, dt: Number, steps: Number
-    ) -> tuple[SlipSlopeState, Estimate]:
+    def wait(self, state: SlipSlopeState, dt: Number, steps: Number) -> SlipSlopeState:
         walk = base.floats(self.drift_slope / self.slope, self.drift_offset) ** 2
-        held = state._replace(covariance=state.covariance + dt * jnp.diag(walk))
-        return held, self._estimate(held, False, jnp.nan)
+        return state._replace(covariance=state.covariance + dt * jnp.diag(walk))
 
     def open(self, state: SlipSlopeState) -> SlipSlopeState:
         """Restore the uncertainty of the slope; that of the radius is kept."""
@@ -141,14 +111,15 @@ class SlipSlope(AbstractEstimator):
         """Variance of the error of one sample on a smooth road."""
         return self.slip_noise**2 + (self.force_noise * inverse) ** 2
 
-    def _estimate(self, s: SlipSlopeState, unused: base.Condition, surprise: Scalar) -> Estimate:
+    def estimate(self, state: SlipSlopeState) -> base.Estimate:
+        s = state
         sane = s.x[0] > 0
         inverse = jnp.where(sane, s.x[0], 1.0)
         inverse_std, offset_std = jnp.sqrt(jnp.diag(s.covariance))
         slope = jnp.where(sane, 1 / inverse, jnp.nan)
-        relative = jnp.hypot(inverse_std / inverse, self.gain_std())
+        relative = jnp.hypot(inverse_std / inverse, self.gain_spread)
         variance = jnp.maximum(s.square - self._noise(inverse), 0.0)
-        variance_std = s.square * jnp.sqrt(2 / _STEPS)
+        variance_std = s.square * jnp.sqrt(2 * (1 - _MEMORY))
         radius = jnp.sqrt(variance)
         # Error of a root: by its slope away from zero, else the root of the spread.
         radius_std = variance_std / jnp.maximum(2 * radius, jnp.sqrt(variance_std))
@@ -165,12 +136,10 @@ class SlipSlope(AbstractEstimator):
         road_std = jnp.sqrt(sum(p * (k - road) ** 2 for k, p in enumerate(chances, start=1)))
         resolved = relative < base.RESOLVED
         nothing = jnp.where(resolved, 0.0, jnp.nan)
-        flag = flag_of((unused, Flag.OUT_OF_RANGE), (~resolved, Flag.LITTLE_EXCITATION))
-        return Estimate(
+        return base.Estimate(
             jnp.stack([slope, s.x[1], radius, road + nothing]),
             jnp.stack([slope * relative, offset_std, radius_std, road_std]),
-            flag,
-            jnp.asarray(surprise),
+            base.flag_of((~resolved, base.Flag.LITTLE_EXCITATION)),
         )
 
 
@@ -182,26 +151,18 @@ class SlipSlopeBraking(SlipSlope):
     gain is an error of the slope; its std is added to that of the slope.
     """
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "slip-slope-braking", "slip-slope from braking, force by brake pressure",
         ("sigma_x", "brake_pressure", "fz"), ("slip_slope", "slip_offset", "radius_std", "road"),
         "braking with up to 50 % of the load", "S §3.1", "straight line",
     )  # fmt: skip
 
-    most_use: float = _most_use(0.5)
     gain: float = base.brake_gain()
-    gain_spread: float = par(
-        0.1, (0.0, 1.0), "-", "relative std of the brake's gain", "S §3.1", r"\sigma_g"
-    )
-    least_use: float = par(
-        0.05, (0.0, 1.0), "-", "least force over load that counts as braking", "S §3.1", "u_{min}"
-    )
+    gain_spread: float = par(0.1, (0.0, 1.0), "-", "relative std of the brake's gain")
 
-    def use(self, sample: Sample) -> Number:
+    def use(self, sample: base.Sample) -> Number:
         return self.gain * sample["brake_pressure"] / sample["fz"]
 
     def applies(self, use: Number) -> Bool[Array, ""]:
-        return (use >= self.least_use) & (use <= self.most_use)
-
-    def gain_std(self) -> float:
-        return self.gain_spread
+        # Less than 5 % is not braking.
+        return (use >= 0.05) & (use <= 0.5)

@@ -4,11 +4,9 @@ friction from lateral force and aligning moment, without a measurement of slip.
 For the brush S(12), :math:`\theta = 2 c_p a^2 \tan\alpha / (3 F_z)` and :math:`\mu`
 determine the force :math:`y = F_y / F_z` and the moment :math:`m = -M_z / (a F_z)`. The
 network maps these to :math:`(\theta, \mu_u)` for a tire of any stiffness, load and
-length. Its weights, ``tire_sensor.json``, are part of the package, so that all machines
-use the same; ``python -m fits.tire_sensor.train`` trains them again.
-
-It was trained on friction from 0.1 to 1.2 and on forces above 3 % of the load; samples
-that noise cannot have moved from this range are flagged.
+length. ``python -m fits.tire_sensor.train`` trains its weights, ``tire_sensor.json``, on friction
+from 0.1 to 1.2 and on forces above 3 % of the load; samples that noise cannot have moved from this
+range are flagged.
 """
 
 import json
@@ -75,21 +73,16 @@ def seen(y: Numbers, m: Numbers, y_std: Numbers = 0.0, m_std: Numbers = 0.0) -> 
         y, m: force and moment as in :func:`gough`.
         y_std, m_std: their standard deviations; three of them are allowed for.
     """
-    y_room, m_room = _STDS * y_std, _STDS * m_std
+    y_room = _STDS * y_std
+    # The moment changes at most by a third of a change of the force while the tire sticks.
+    m_room = jnp.hypot(_STDS * m_std, y_room / 3)
 
-    def moment(force: Numbers, mu: float) -> Numbers:
-        inside = jnp.clip(force / mu, 0.0, 1.0)
-        return gough(1 - jnp.cbrt(1 - inside), mu)[1]
+    def moment(mu: float) -> Numbers:
+        return gough(1 - jnp.cbrt(1 - jnp.clip(y / mu, 0.0, 1.0)), mu)[1]
 
-    most = moment(y + y_room, MOST_FRICTION)
-    most = jnp.maximum(most, moment(y - y_room, MOST_FRICTION)) + m_room
-    peak = MOST_FRICTION * 27 / 256  # at a quarter sliding
-    around = jnp.abs(y - MOST_FRICTION * 37 / 64) <= y_room
-    most = jnp.where(around, peak + m_room, most)
-    least = moment(jnp.maximum(y - y_room, 0.0), LEAST_FRICTION)
-    least = jnp.minimum(least, moment(y + y_room, LEAST_FRICTION)) - m_room
     force_fits = (y + y_room >= LEAST_FORCE) & (y - y_room <= MOST_FRICTION)
-    return (most >= m) & (least <= m) & force_fits
+    between = (moment(LEAST_FRICTION) - m_room <= m) & (m <= moment(MOST_FRICTION) + m_room)
+    return force_fits & between
 
 
 class TireSensor(AbstractSingleSample):
@@ -101,14 +94,10 @@ class TireSensor(AbstractSingleSample):
     )  # fmt: skip
 
     cpa2: float = base.nominal_stiffness()
-    half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a")
-    force_noise: float = base.force_noise()
-    moment_noise: float = par(
-        0.005, (1e-6, 1.0), "-", "std of the moment over a F_z", "S §3.6", r"\sigma_M", scale="log"
-    )
-    own_error: float = par(
-        0.01, (0.0, 1.0), "-", "std of the network in mu_u and theta / y", "S §3.6", r"\sigma_n"
-    )
+    half_length: float = par(0.1, (1e-3, 1.0), "m", "half the contact length")
+    force_noise: float = base.force_noise(0.0447)
+    moment_noise: float = par(0.005, (1e-6, 1.0), "-", "std of the moment over a F_z", scale="log")
+    own_error: float = par(0.01, (0.0, 1.0), "-", "std of the network in mu_u and theta / y")
 
     def from_sample(self, sample: Sample) -> tuple[Single, Bool[Array, ""], Int[Array, ""]]:
         side = jnp.where(sample["fy"] < 0, -1.0, 1.0)

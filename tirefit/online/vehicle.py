@@ -5,10 +5,8 @@ positive, and to the left for a positive slip angle,
 :math:`\alpha_f = \delta - \arctan((v_y + l_f r)/v_x)`.
 """
 
-from typing import Any, NamedTuple
-
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from tirefit.arrays import Scalar
 from tirefit.models.combined import mu_rate
@@ -27,16 +25,12 @@ class AbstractVehicleMethod(AbstractEstimator):
     """
 
     average: float = 1.0
-    mass: float = par(1500.0, (0.1, 1e5), "kg", "mass of the vehicle", "", "m")
-    yaw_inertia: float = par(2500.0, (1e-4, 1e6), "kg m2", "yaw inertia", "", "I_z")
-    l_f: float = par(1.2, (0.01, 10.0), "m", "front axle ahead of the CG", "", "l_f")
-    l_r: float = par(1.4, (0.01, 10.0), "m", "rear axle behind the CG", "", "l_r")
-    stiffness_f: float = par(
-        11.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, front tires", "", "C_f / F_z"
-    )
-    stiffness_r: float = par(
-        13.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, rear tires", "", "C_r / F_z"
-    )
+    mass: float = par(1500.0, (0.1, 1e5), "kg", "mass of the vehicle")
+    yaw_inertia: float = par(2500.0, (1e-4, 1e6), "kg m2", "yaw inertia")
+    l_f: float = par(1.2, (0.01, 10.0), "m", "front axle ahead of the CG")
+    l_r: float = par(1.4, (0.01, 10.0), "m", "rear axle behind the CG")
+    stiffness_f: float = par(11.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, front")
+    stiffness_r: float = par(13.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, rear")
 
     @property
     def base(self) -> float:
@@ -64,15 +58,8 @@ def axle_angles(
     return front, -jnp.arctan((v_y - l_r * yaw_rate) / v_x)
 
 
-class Shares(NamedTuple):
-    """Forces of a tire over its load [-]: braking, and to the left."""
-
-    x: Any
-    y: Any
-
-
-def brush_share(sigma_x: Array, alpha: Array, stiffness: Scalar, mu: Scalar) -> Shares:
-    """Forces over the load of an isotropic brush, S(12) on the resultant slip.
+def brush_share(sigma_x: Array, alpha: Array, stiffness: Scalar, mu: Scalar) -> tuple[Array, Array]:
+    """Forces [-] over the load, braking and to the left, of a brush, S(12) on the resultant slip.
 
     If the stiffness is proportional to the load, tires of an axle with equal slips act as
     one tire at the load of the axle.
@@ -85,7 +72,7 @@ def brush_share(sigma_x: Array, alpha: Array, stiffness: Scalar, mu: Scalar) -> 
     # Not exactly zero at rest, where its direction is not differentiable.
     slip = jnp.sqrt(sigma_x * sigma_x + sigma_y * sigma_y + 1e-20)
     force = mu * mu_rate(slip, stiffness, mu)
-    return Shares(force * sigma_x / slip, force * sigma_y / slip)
+    return force * sigma_x / slip, force * sigma_y / slip
 
 
 def clipped(omega: Array, v: Array, radius: Scalar, slowest: float = 0.01) -> Array:
@@ -96,22 +83,6 @@ def clipped(omega: Array, v: Array, radius: Scalar, slowest: float = 0.01) -> Ar
     """
     turning = jnp.maximum(omega * radius / v, slowest)
     return 1 / turning - 1
-
-
-def kalman_update(
-    x: Float[Array, " n"], covariance: Float[Array, "n n"], slope: Float[Array, "m n"],
-    error: Float[Array, " m"], noise: Float[Array, "m m"],
-) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:  # fmt: skip
-    """A state (n,) and its covariance after a measurement (m,), in Joseph's form.
-
-    Args:
-        slope: (m, n) of the measurement over the state.
-        error: (m,) measured - predicted; noise: (m, m) its covariance.
-    """
-    spread = slope @ covariance @ slope.T + noise
-    gain = jnp.linalg.solve(spread, slope @ covariance).T
-    kept = jnp.eye(len(x)) - gain @ slope
-    return x + gain @ error, kept @ covariance @ kept.T + gain @ noise @ gain.T
 
 
 def wrapped(angle: Array) -> Array:

@@ -23,7 +23,7 @@ from tirefit.report.numbers import format_number
 from tirefit.report.page import Rows, Section, report_text
 from tirefit.sim.brake import Log
 from tirefit.sim.brake_request import tire_curve
-from tirefit.sim.brake_result import MEANINGS, UNITS, Braking, Stop
+from tirefit.sim.brake_result import LOCKED_SLIP, UNITS, Braking, Stop
 from tirefit.sim.brake_vehicle import road_of
 
 _SHORT = {
@@ -67,8 +67,8 @@ def _rows(result: Braking) -> Rows:
 
 
 def _notes(result: Braking) -> list[str]:
-    notes = [f"{name}: {stop.reason}" for name, stop in result.stops.items()]
-    notes.append(f"locked: {MEANINGS['locked_time']}")
+    notes = [f"{name}: {stop.summary.reason}" for name, stop in result.stops.items()]
+    notes.append(f"locked: time with a wheel at kappa >= {LOCKED_SLIP:g}, above 2 m/s")
     for name, each in result.table().items():
         if each["stopped"] < each["stops"]:
             notes.append(f"{name}: {each['stopped']} of {each['stops']} stops ended")

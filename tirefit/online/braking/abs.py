@@ -64,36 +64,22 @@ class ConventionalABS(AbstractController):
     meaning: ClassVar[str] = "conventional ABS: rules on wheel acceleration and slip"
 
     slowing: float = par(
-        9.0, (1.0, 200.0), "m/s2", "wheel deceleration above which it tends to lock", "", "a"
+        9.0, (1.0, 200.0), "m/s2", "deceleration above which a wheel tends to lock"
     )
-    speeding: float = par(
-        5.0, (0.5, 200.0), "m/s2", "wheel acceleration above which it recovers", "", "+a"
-    )
-    racing: float = par(
-        90.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "", "+A"
-    )
-    slip: float = par(0.07, (0.005, 0.5), "-", "slip beside a deceleration", "", r"\lambda_1")
-    most_slip: float = par(
-        0.16, (0.01, 0.9), "-", "slip that is too much in any case", "", r"\lambda_2"
-    )
-    patience: float = par(0.04, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w")
+    speeding: float = par(5.0, (0.5, 200.0), "m/s2", "acceleration above which a wheel recovers")
+    racing: float = par(90.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once")
+    slip: float = par(0.07, (0.005, 0.5), "-", "slip beside a deceleration")
+    most_slip: float = par(0.16, (0.01, 0.9), "-", "slip that is too much in any case")
+    patience: float = par(0.04, (0.0, 1.0), "s", "time in which a wheel should speed up")
     quick: float = par(
-        0.65, (0.0, 1.0), "-", "share of the last lock pressure up to which it rises fast", "", "q"
+        0.65, (0.0, 1.0), "-", "share of the last lock pressure to which it rises fast"
     )
-    dump_share: float = par(
-        0.45, (0.05, 1.0), "-", "share of time with the outlet open, in a dump", "", "w"
-    )
-    step_share: float = par(
-        0.12, (0.0, 1.0), "-", "share of time with the inlet open, in steps", "", "u"
-    )
-    step_growth: float = par(
-        1.2, (0.0, 20.0), "1/s", "rate at which that share grows", "", r"\dot u"
-    )
-    smoothing: float = par(
-        0.006, (0.0, 1.0), "s", "time constant of the wheel acceleration", "", "T_f"
-    )
-    margin: float = par(0.3, (0.0, 10.0), "m/s2", "by which the reference may fall faster", "", "m")
-    off: float = par(1.5, (0.0, 10.0), "m/s", "speed below which it is off", "", "v_0")
+    dump_share: float = par(0.45, (0.05, 1.0), "-", "share of time with the outlet open, in a dump")
+    step_share: float = par(0.12, (0.0, 1.0), "-", "share of time with the inlet open, in steps")
+    step_growth: float = par(1.2, (0.0, 20.0), "1/s", "rate at which that share grows")
+    smoothing: float = par(0.006, (0.0, 1.0), "s", "time constant of the wheel acceleration")
+    margin: float = par(0.3, (0.0, 10.0), "m/s2", "by which the reference may fall faster")
+    off: float = par(1.5, (0.0, 10.0), "m/s", "speed below which it is off")
 
     def init(self, first: Measurement) -> _State:
         none = jnp.zeros_like(first.wheel_speed)
@@ -108,26 +94,21 @@ class ConventionalABS(AbstractController):
         fall = jnp.maximum(measurement.deceleration, 0.0) + self.margin
         reference = jnp.maximum(jnp.max(wheel), state.reference - fall * self.period)
         fast = jnp.where(acceleration > self.speeding, 1.0, state.fast)
-        seen = state._replace(
-            reference=reference, wheel=wheel, acceleration=acceleration, fast=fast
-        )
-        slip = 1 - seen.wheel / jnp.maximum(seen.reference, 1e-3)
+        seen = _State(reference, wheel, acceleration, state.phase, state.since, fast, state.lock)
+        slip = 1 - wheel / jnp.maximum(reference, 1e-3)
         phase = self._next_phase(seen, slip)
-        entered = phase != state.phase
-        since = jnp.where(entered, 0.0, state.since + self.period)
-        tends = (phase != state.phase) & ((phase == HELD) | (phase == DUMP))
+        since = jnp.where(phase != state.phase, 0.0, state.since + self.period)
+        tends = (phase == HELD) | (phase == DUMP)
         first = tends & ((state.phase == BUILD) | (state.phase == STEP))
         lock = jnp.where(first, measurement.pressure, state.lock)
-        after = seen._replace(
-            phase=phase, since=since, lock=lock, fast=jnp.where(phase == WAIT, seen.fast, 0.0)
-        )
-        valve = self._valve(after, measurement)
+        fast = jnp.where(phase == WAIT, fast, 0.0)
+        after = _State(reference, wheel, acceleration, phase, since, fast, lock)
         info = {
-            "reference_speed": jnp.full_like(slip, seen.reference),
-            "wheel_acceleration": seen.acceleration,
+            "reference_speed": jnp.full_like(slip, reference),
+            "wheel_acceleration": acceleration,
             "phase": phase.astype(float),
         }
-        return after, valve, info
+        return after, self._valve(after, measurement), info
 
     def _next_phase(self, seen: _State, slip: Float[Array, " w"]) -> Int[Array, " w"]:
         """Phases (w,) by the table of the module."""
@@ -151,11 +132,9 @@ class ConventionalABS(AbstractController):
         near = measurement.pressure >= self.quick * state.lock
         steps = jnp.clip(self.step_share + self.step_growth * state.since, 0.0, 1.0)
         step = jnp.where(near, steps, INCREASE)
-        choices = [INCREASE, HOLD, DECREASE * self.dump_share, HOLD, step]
-        valve = jnp.select(
-            [state.phase == k for k in range(len(PHASES))],
-            [jnp.broadcast_to(jnp.asarray(c, float), step.shape) for c in choices],
-        )
+        choices = INCREASE, HOLD, DECREASE * self.dump_share, HOLD, step
+        spread = [jnp.broadcast_to(jnp.asarray(c, float), step.shape) for c in choices]
+        valve = jnp.select([state.phase == k for k in range(len(PHASES))], spread)
         if len(valve) != 4:
             return valve
         # Select-low: the rear wheel that tends to lock sets the pressure of both.

@@ -69,11 +69,8 @@ class AbstractController(eqx.Module):
         """The state, the command, and values for the log by the name of their column.
 
         The command (w,), in [-1, 1], is the share of the interval until the next sample for which
-        the inlet (positive) or outlet (negative) is open; ``INCREASE``, ``HOLD`` or ``DECREASE``
-        if on-off.
-
-        The values have no effect on the control; those of the whole vehicle are repeated for
-        every wheel. Names and shapes are the same at every step.
+        the inlet (positive) or outlet (negative) is open. The values (w,) have no effect on the
+        control. Names and shapes are the same at every step.
         """
         raise NotImplementedError
 

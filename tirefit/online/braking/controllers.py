@@ -1,95 +1,44 @@
-"""Brake controllers by name in one visible dict, and one that serves as upper limit."""
+"""Brake controllers by name in one visible dict."""
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from tirefit.online.braking.abs import ConventionalABS
-from tirefit.online.braking.controller import AbstractController, Measurement, NoController
+from tirefit.online.braking.controller import AbstractController, NoController
 from tirefit.online.braking.xbs_servo import XbsServo
-from tirefit.params import par
 from tirefit.results import UsageError
 
-
-class _State(NamedTuple):
-    """Slip speed (w,) [m/s] at the previous sample, and its filtered rate."""
-
-    sliding: Float[Array, " w"]
-    rate: Float[Array, " w"]
-
-
-class SlipControl(AbstractController):
-    r"""Slip control at the true peak of the road with the true slip and load, an upper limit.
-
-    It commands the pressure that holds the wheel there; its loss is that of the hydraulics:
-
-    .. math:: p = \frac{R \mu F_z}{g} \left(1 + K (\kappa^* - \kappa)
-        - \frac{J}{R^2 \mu F_z} D (\dot v - \dot v_w) \right)
-    """
-
-    name: ClassVar[str] = "slip"
-    meaning: ClassVar[str] = "slip held at the true peak of the road: the upper limit"
-
-    share: float = par(0.8, (0.1, 2.0), "-", "target slip over that of the peak", "", "s")
-    gain: float = par(10.0, (0.0, 100.0), "-", "pressure by slip error", "", "K")
-    damping: float = par(0.4, (0.0, 50.0), "-", "torque by rate of the slip speed", "", "D")
-    smoothing: float = par(0.0025, (0.0, 1.0), "s", "time constant of that rate", "", "T_f")
-    response: float = par(0.045, (1e-3, 1.0), "s", "time constant of a pressure error", "", "T")
-    rise: float = par(40e6, (1e5, 1e9), "Pa/s", "of an open inlet", "", "R_+")
-    fall: float = par(80e6, (1e5, 1e9), "Pa/s", "of an open outlet", "", "R_-")
-    radius: Any = 0.3
-    inertia: Any = 1.2
-    brake_gain: Any = 1.35e-4
-
-    def init(self, first: Measurement) -> _State:
-        none = jnp.zeros_like(first.wheel_speed)
-        return _State(none, none)
-
-    def step(self, state: _State, measurement: Measurement) -> Any:
-        truth = measurement.truth
-        sliding = truth.slip * truth.speed
-        share = self.period / (self.period + self.smoothing)
-        rate = (sliding - state.sliding) / self.period
-        rate = state.rate + share * (rate - state.rate)
-        wanted = self.share * truth.peak
-        holding = truth.mu * truth.fz * self.radius
-        damped = self.damping * self.inertia / self.radius * rate
-        torque = holding * (1 + self.gain * (wanted - truth.slip)) - damped
-        target = jnp.clip(torque / self.brake_gain, 0.0, measurement.demand)
-        error = (target - measurement.pressure) / self.response
-        valve = jnp.where(error > 0, error / self.rise, error / self.fall)
-        info = {"target_pressure": target, "target_slip": wanted}
-        return _State(sliding, rate), jnp.clip(valve, -1.0, 1.0), info
-
-
 CONTROLLERS: dict[str, type[AbstractController]] = {
-    each.name: each for each in (XbsServo, ConventionalABS, SlipControl, NoController)
+    kind.name: kind for kind in (XbsServo, ConventionalABS, NoController)
 }
 """Controller name -> its record."""
 
 
 def controller_of(
-    name: str, car: Mapping[str, Any], settings: Mapping[str, float] | None = None
+    kind: str | type[AbstractController],
+    car: Mapping[str, Any],
+    settings: Mapping[str, float] | None = None,
 ) -> AbstractController:
     """The record of a controller, ready to run: its leaves are arrays.
 
     Args:
-        name: a key of :data:`CONTROLLERS`.
+        kind: a key of :data:`CONTROLLERS`, or a controller of your own.
         car: what it may know of the car, by the names of its fields: scalars or (w,).
         settings: values of its own fields, which win.
 
     Raises:
         UsageError: the settings break a condition of the controller.
     """
-    template = CONTROLLERS[name]()
+    kind = CONTROLLERS[kind] if isinstance(kind, str) else kind
+    template = kind()
     fields = set(vars(template))
     values = {key: value for key, value in car.items() if key in fields}
     try:
         made = dataclasses.replace(template, **values | dict(settings or {}))
     except ValueError as error:
-        raise UsageError(str(error), f"choose other settings of {name}") from None
+        raise UsageError(str(error), f"choose other settings of {kind.name}") from None
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), made)

@@ -8,33 +8,27 @@ Least squares with a forgetting factor on the band-passed speed, O(3)-(7) and O(
 .. math:: \hat p = (1 - \rho_1) / \tau
 
 where :math:`\rho_1` is the correlation of one increment of the filtered speed with the next. **That
-is not p.** Sampling gives 2/3 p (the increments are means of the deceleration over an interval),
-and the band-pass removes everything outside the band: with 2 to 20 Hz at 200 samples per second it
-is between 3.7 and 24.8 1/s for all p from zero to infinity. But it rises with p, and for a white
-disturbance w it can be computed: the sampled speed has the spectrum of :func:`speed_spectrum` and
-the filter is known, so :math:`\hat p` is a ratio of two integrals over frequency. The record
-computes that relation once and inverts it. The same integrals give the variance of the estimate; P
-of the recursion assumes white errors.
+is not p.** Sampling gives 2/3 p, and the band-pass removes everything outside the band: with 2 to
+20 Hz at 200 samples per second it is between 3.7 and 24.8 1/s for all p. But it rises with p: for a
+white disturbance w the sampled speed has the spectrum of :func:`speed_spectrum` and the filter is
+known, so :math:`\hat p` is a ratio of two integrals over frequency. The record computes that
+relation once and inverts it. The same integrals give the variance of the estimate; P of the
+recursion assumes white errors. Poles far below or above the band are not resolved.
 
-The data determine the square of p; poles far below or above the band are not resolved.
-
-A strong vibration in the past hides a weak one now, and a wheel near its peak shakes ten
-times as much: with a memory of 1 s, half of a fall of k is found within 0.2 s, but half
-of a rise only after 1.6 s. With ``quiet`` above zero, the past is dropped if the wheel is
-so much calmer.
+A strong vibration in the past hides a weak one now: with a memory of 1 s, half of a fall of k is
+found within 0.2 s, but half of a rise only after 1.6 s. With ``quiet`` above zero, the past is
+dropped if the wheel is so much calmer.
 """
 
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from tirefit.arrays import Number, Scalar
 from tirefit.online import base
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, Method, Sample, choose, flag_of
 from tirefit.params import par
 
 _NODES, _FREQUENCIES = 256, 4096
@@ -170,33 +164,23 @@ def rate_in_use(slope: Array, stiffness: float, direction: Scalar = 0.0) -> Arra
     return 1 - sticking**3
 
 
-class Sums(NamedTuple):
-    """Sums weighted by age: squares and products of increments [m2/s2]; weights, and
-    squares of weights."""
-
-    square: Number
-    product: Number
-    weight: Number
-    weight2: Number
-
-    def forgotten(self, share: Scalar) -> "Sums":
-        """The sums with all weights multiplied by this share."""
-        return Sums(
-            self.square * share, self.product * share, self.weight * share, self.weight2 * share**2
-        )
+def _forgotten(sums: Float[Array, "4"], share: Scalar) -> Float[Array, "4"]:
+    """The sums of a state with all weights multiplied by this share."""
+    return sums * base.floats(share, share, share, share**2)
 
 
 class XbsState(NamedTuple):
-    """States of the filters, the last filtered speed and its last increment [m/s]; the
-    sums; number of samples since the start of the filter, and the speed then; whether the
-    last interval differed from the rate; the last speed [m/s], force and load [N]."""
+    """States of the filters, the last filtered speed and its last increment [m/s]; sums
+    weighted by age: squares and products of increments [m2/s2], weights, squares of weights;
+    number of samples since the start of the filter, and the speed then; whether the last
+    interval differed from the rate; the last speed [m/s], force and load [N]."""
 
     high: tuple[Number, Number]
     low: tuple[Number, Number]
     filtered: Number
     increment: Number
     power: Number
-    sums: Sums
+    sums: Float[Array, "4"]
     age: Number
     origin: Number
     irregular: Number
@@ -205,7 +189,7 @@ class XbsState(NamedTuple):
     fz: Number
 
 
-class Xbs(AbstractEstimator):
+class Xbs(base.AbstractEstimator):
     """Extended braking stiffness, and the friction in use that follows from it, O(22).
 
     A sample needs only ``omega``. ``reference``: speed [m/s] that a deceleration servo
@@ -213,7 +197,7 @@ class Xbs(AbstractEstimator):
     updates the filter but not the regression, for example during a pressure ramp.
     """
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "xbs", "slope of force over slip velocity from wheel vibration", ("omega",),
         ("xbs", "used"), "steady braking; slopes with a break frequency near or in the band",
         "O(3)-(7)", "first-order wheel",
@@ -221,38 +205,22 @@ class Xbs(AbstractEstimator):
 
     judged: ClassVar[bool] = False
 
-    average: float = par(1.0, (1.0, 1.0 + 1e-9), "-", "every sample is a step", "", "n")
-    rate: float = par(200.0, (40.0, 1e4), "Hz", "samples a second", "O(3)", r"1/\tau")
-    low: float = par(2.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
-    high: float = par(20.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h")
-    forgetting: float = par(
-        0.995, (0.5, 1.0), "-", "forgetting factor per sample", "O(3)-(7)", r"\lambda"
-    )
-    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "O(1)", "r")
-    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel", "O(1)", "J")
-    servo_gain: float = par(
-        0.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
-    )
-    quiet: float = par(
-        0.0,
-        (0.0, 1.0),
-        "-",
-        "share of the memory's mean square below which the wheel"
-        " is calmer and the past has little weight; 0: as in O",
-        "",
-        "q",
-    )
-    servo_delay: float = par(0.0, (0.0, 0.2), "s", "time after which the servo acts", "", "T_a")
-    road_corner: float = par(
-        0.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)", "f_d"
-    )
-    speed_noise: float = par(
-        0.0, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
-    )
+    average: float = par(1.0, (1.0, 1.0 + 1e-9), "-", "every sample is a step")
+    rate: float = par(200.0, (40.0, 1e4), "Hz", "samples a second")
+    low: float = par(2.0, (0.1, 50.0), "Hz", "lower edge of the band")
+    high: float = par(20.0, (0.5, 500.0), "Hz", "upper edge of the band")
+    forgetting: float = par(0.995, (0.5, 1.0), "-", "forgetting factor per sample")
+    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius")
+    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel")
+    servo_gain: float = par(0.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo")
+    # Share of the memory's mean square below which the past has little weight; 0: as in O.
+    quiet: float = par(0.0, (0.0, 1.0), "-", "share of the past's power that makes it forgotten")
+    servo_delay: float = par(0.0, (0.0, 0.2), "s", "time after which the servo acts")
+    road_corner: float = par(0.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white")
+    speed_noise: float = par(0.0, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed")
     stiffness: float = par(
-        6e4, (1.0, 1e8), "N", "2 c_p a^2, slope of the force at rest", "O(16)", "K_s", scale="log"
+        6e4, (1.0, 1e8), "N", "2 c_p a^2, slope of the force at rest", scale="log"
     )
-    stiffness_spread: float = par(0.1, (0.0, 1.0), "-", "relative std of it", "", r"\sigma_K")
     # Computed from the settings above whenever they change; not a setting.
     sections: Any = None
     relation: Any = None
@@ -271,11 +239,11 @@ class Xbs(AbstractEstimator):
     def init(self) -> XbsState:
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
         return XbsState(
-            (zero, zero), (zero, zero), zero, zero, zero, Sums(*[zero] * 4), zero,
+            (zero, zero), (zero, zero), zero, zero, zero, jnp.zeros(4), zero,
             none, zero, none, none, none,
         )  # fmt: skip
 
-    def step(self, state: XbsState, sample: Sample) -> tuple[XbsState, Estimate]:
+    def update(self, state: XbsState, sample: base.Sample) -> base.Updated:
         s, speed = state, self.radius * sample["omega"]
         error = speed - sample.get("reference", 0.0)
         origin = jnp.where(s.age > 0, s.origin, error)
@@ -284,37 +252,35 @@ class Xbs(AbstractEstimator):
         low, filtered = second.step(s.low, passed)
         increment = filtered - s.filtered
         settled = s.age >= self._settling()
-        unit = jnp.ones(())
-        added = Sums(s.increment**2, s.increment * increment, unit, unit)
+        added = base.floats(s.increment**2, s.increment * increment, 1.0, 1.0)
         # Time [s] of the recent mean square, compared with that of the memory.
         power = s.power + (increment**2 - s.power) / (0.1 * self.rate)
-        faded = power * s.sums.weight < self.quiet * s.sums.square
+        faded = power * s.sums[2] < self.quiet * s.sums[0]
         # Forgetting factor while the wheel is so much calmer than before.
         forget = jnp.where(faded, jnp.minimum(0.9, self.forgetting), self.forgetting)
-        sums = jax.tree.map(jnp.add, s.sums.forgotten(forget), added)
+        sums = _forgotten(s.sums, forget) + added
         use = settled & (sample.get("use", 1.0) > 0)
         after = XbsState(
-            high, low, filtered, increment, power, choose(use, sums, s.sums), s.age + 1,
+            high, low, filtered, increment, power, base.choose(use, sums, s.sums), s.age + 1,
             origin, s.irregular, speed, *self._force(sample),
         )  # fmt: skip
-        return after, self._estimate(after)
+        return after, jnp.zeros((), int), jnp.full((), jnp.nan)
 
-    def hold(self, state: XbsState, dt: Number, steps: Number) -> tuple[XbsState, Estimate]:
+    def wait(self, state: XbsState, dt: Number, steps: Number) -> XbsState:
         """After lost samples, the filter starts again and the past has less weight."""
         begun = state.age > 0
         off = begun & (jnp.abs(dt * self.rate - 1) > _INTERVAL_OFF)
         gap = begun & ((steps > 0) | (dt * self.rate > 1 + _INTERVAL_OFF))
         forget = jnp.where(gap, self.forgetting ** (dt * self.rate), 1.0)
         kept = {name: getattr(state, name) for name in ("origin", "speed", "force", "fz")}
-        fresh = self.init()._replace(sums=state.sums.forgotten(forget), **kept)
-        held = choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
-        return held, self._estimate(held)
+        fresh = self.init()._replace(sums=_forgotten(state.sums, forget), **kept)
+        return base.choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
 
     def _settling(self) -> float:
         # Periods of the lower edge until the response of the band-pass to a step is below 4 %.
         return 0.8 * self.rate / self.low
 
-    def _force(self, sample: Sample) -> tuple[Number, Number]:
+    def _force(self, sample: base.Sample) -> tuple[Number, Number]:
         """Braking force and load [N] of the sample, if known."""
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan)
 
@@ -343,22 +309,23 @@ class Xbs(AbstractEstimator):
         # Error of a root: by its slope away from zero, else the root of the spread.
         std = jnp.minimum(std / (2 * pole), jnp.sqrt(std))
         none = jnp.where(clear, 0.0, jnp.nan)
-        flag = flag_of(
-            (clear & ((printed <= low) | (printed >= high)), Flag.OUT_OF_RANGE),
-            (there & ~clear, Flag.LITTLE_EXCITATION),
-            ((age < self._settling()) | ~there, Flag.SETTLING),
-            (state.irregular > 0, Flag.GAP),
+        flag = base.flag_of(
+            (clear & ((printed <= low) | (printed >= high)), base.Flag.OUT_OF_RANGE),
+            (there & ~clear, base.Flag.LITTLE_EXCITATION),
+            ((age < self._settling()) | ~there, base.Flag.SETTLING),
+            (state.irregular > 0, base.Flag.GAP),
         )
         return pole + none, std + none, printed + none, flag
 
-    def _estimate(self, state: XbsState) -> Estimate:
+    def estimate(self, state: XbsState) -> base.Estimate:
         pole, pole_std, _, flag = self.pole(state)
         scale = self.wheel_inertia / self.radius**2
         slope, slope_std = scale * (pole - self.servo_gain), scale * pole_std
         used = rate_in_use(state.speed * slope, self.stiffness)
         share = jnp.clip(state.speed * slope / self.stiffness, 0.0, 1.0)
         relative = state.speed * slope_std / self.stiffness
-        relative = jnp.hypot(relative, share * self.stiffness_spread)
+        # The stiffness at rest is known to 10 %.
+        relative = jnp.hypot(relative, 0.1 * share)
         # gamma = 1 - share^(3/2); near full use the spread of the share itself.
         used_std = jnp.minimum(1.5 * jnp.sqrt(share + relative) * relative, 1.0)
         value, std = [slope, used], [slope_std, used_std]
@@ -367,7 +334,7 @@ class Xbs(AbstractEstimator):
             safe = jnp.where(there, used, 1.0)
             mu = jnp.where(there, state.force / (safe * state.fz), jnp.nan)
             value, std = [*value, mu], [*std, mu * used_std / safe]
-        return Estimate(jnp.stack(value), jnp.stack(std), flag, jnp.full((), jnp.nan))
+        return base.Estimate(jnp.stack(value), jnp.stack(std), flag)
 
 
 class XbsBraking(Xbs):
@@ -377,7 +344,7 @@ class XbsBraking(Xbs):
     mean force matters.
     """
 
-    method: ClassVar[Method] = Method(
+    method: ClassVar[base.Method] = base.Method(
         "xbs-braking", "as xbs, and friction with the force by brake pressure",
         ("omega", "brake_pressure", "fz"), ("xbs", "used", "mu"),
         "as xbs, with 30 to 100 % of the friction", "S §3.5", "brush",
@@ -385,5 +352,5 @@ class XbsBraking(Xbs):
 
     gain: float = base.brake_gain()
 
-    def _force(self, sample: Sample) -> tuple[Number, Number]:
+    def _force(self, sample: base.Sample) -> tuple[Number, Number]:
         return self.gain * sample["brake_pressure"], sample["fz"]
