@@ -124,7 +124,7 @@ def test_a_car_that_does_not_stop_is_reported_with_the_reason(result):
     stop = braked(weak, {"none": arrays(OFF)}).stops["none"]
     numbers = stop.to_dict()
     assert not numbers["stopped"] and np.isnan(numbers["stopping_distance"])
-    assert "did not stop: still" in stop.reason and "--time-limit" in stop.reason
+    assert "did not stop: still" in stop.summary.reason and "--time-limit" in stop.summary.reason
 
 
 def test_the_summary_has_all_controllers_and_seeds(result):

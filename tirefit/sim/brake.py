@@ -9,12 +9,9 @@ slip angle, and forces :math:`d` of the uneven road add to the braking forces, O
 
 The loads follow the accelerations with a lag. The brake is dry friction: it holds a
 locked wheel at exactly zero speed until the road turns it, and never turns it backwards.
-diffrax integrates from one sample of the controller to the next with an explicit method
-of order five. At low speed its steps become shorter, as the slip is stiff with
-:math:`C_x R^2/(J v)` (bounded by :data:`tirefit.sim.brake_vehicle.LOW_SPEED`).
-
-A controller is a record with ``rate``, ``init`` and ``step``
-(:mod:`tirefit.online.braking.controller`). A stop is one scan; many are run by ``vmap`` over it.
+diffrax integrates from one sample of the controller (:mod:`tirefit.online.braking.controller`) to
+the next with an explicit method of order five. At low speed its steps become shorter, as the slip
+is stiff with :math:`C_x R^2/(J v)` (bounded by :data:`tirefit.sim.brake_vehicle.LOW_SPEED`).
 """
 
 from typing import Any, NamedTuple
@@ -181,9 +178,6 @@ def advance(
     return end, fine.astype(float)
 
 
-# --- sensors ---------------------------------------------------------------------
-
-
 class Sensors(NamedTuple):
     """Noise of the sensors and unevenness of the road."""
 
@@ -237,8 +231,6 @@ def wheel_speeds(sensors: Sensors, turning: Array, noise: Array) -> Array:
     reported = jnp.where(step > 0, jnp.round(noisy / safe) * step, noisy)
     return jnp.maximum(reported, 0.0)
 
-
-# --- the loop --------------------------------------------------------------------
 
 STANDS = 0.1
 """Speed [m/s] below which the car has stopped: 1.3 cm before standstill at mu 0.04."""

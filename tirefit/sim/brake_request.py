@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -15,18 +15,10 @@ from tirefit.models import AbstractTire, TireInputs, modelled
 from tirefit.online.vehicle import GRAVITY
 from tirefit.params import check_names, parameter_values
 from tirefit.results import InputProblem, UsageError
+from tirefit.sim import brake_vehicle
 from tirefit.sim.brake import Plant, Sensors
-from tirefit.sim.brake_vehicle import (
-    Hydraulics,
-    Vehicle,
-    four_wheels,
-    on_road,
-    quarter_car,
-    road_of,
-    wheel_slips,
-)
 
-VEHICLES = {"car": four_wheels, "quarter": quarter_car}
+VEHICLES = {"car": brake_vehicle.four_wheels, "quarter": brake_vehicle.quarter_car}
 """Name of a vehicle -> its constructor."""
 
 
@@ -40,8 +32,8 @@ class Request:
     speed: float = 15.0  # [m/s] at which the braking begins
     vehicle: str = "car"  # a key of :data:`VEHICLES`
     steer: float = 0.0  # angle [rad] of the front wheels, to the left; constant
-    hydraulics: Hydraulics = field(default_factory=Hydraulics)  # with the driver's demand
-    sensors: Sensors = field(default_factory=Sensors)  # with the unevenness of the road
+    hydraulics: brake_vehicle.Hydraulics = brake_vehicle.Hydraulics()  # with the driver's demand
+    sensors: Sensors = Sensors()  # with the unevenness of the road
     time_limit: float | None = None  # [s]; None: from speed and friction
 
     @property
@@ -49,7 +41,7 @@ class Request:
         """Time limit [s]."""
         if self.time_limit is not None:
             return self.time_limit
-        road = road_of(self.road)
+        road = brake_vehicle.road_of(self.road)
         least = min(*road.before.tolist(), *road.after.tolist())
         # 40 % of the smallest friction is used, and 3 s more.
         return round(self.speed / (GRAVITY * 0.4 * least) + 3.0, 2)
@@ -78,31 +70,16 @@ def arrays(tree: Tree) -> Tree:
 
 def plant_of(request: Request) -> Plant:
     """The plant of a checked request; its leaves are arrays."""
-    vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
-    given: Any = road_of(request.road), request.speed, request.steer
+    vehicle: brake_vehicle.Vehicle = arrays(VEHICLES[request.vehicle]())
+    given: Any = brake_vehicle.road_of(request.road), request.speed, request.steer
     road, speed, steer = arrays(given)
     frictions = jnp.concatenate([road.before, road.after])
-    tire = on_road(arrays(request.tire), speed, jnp.mean(vehicle.fz), frictions)
+    tire = brake_vehicle.on_road(arrays(request.tire), speed, jnp.mean(vehicle.fz), frictions)
     return Plant(vehicle, tire, road, arrays(request.hydraulics), steer)
 
 
 _OF_CAR = ("radius", "inertia", "brake_gain", "fz", "steered")
 _OF_VALVES = ("rise", "fall", "delay", "lag")
-_NUMBERS = {
-    "demand": (1e3, 5e7, "Pa"),
-    "ramp": (1e3, 1e10, "Pa/s"),
-    "rise": (1e3, 1e10, "Pa/s"),
-    "fall": (1e3, 1e10, "Pa/s"),
-    "lag": (1e-3, 1.0, "s"),
-    "delay": (0.0, 0.5, "s"),
-    "speed_std": (0.0, 10.0, "m/s"),
-    "speed_step": (0.0, 10.0, "m/s"),
-    "deceleration_std": (0.0, 100.0, "m/s2"),
-    "pressure_std": (0.0, 1e7, "Pa"),
-    "road_std": (0.0, 10.0, "of the load"),
-    "road_corner": (1e-2, 1e3, "Hz"),
-}
-"""Smallest and largest value of each number of hydraulics, sensors and road; unit."""
 
 
 def known_to_controllers(request: Request) -> dict[str, Any]:
@@ -123,15 +100,11 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
 def doubts(request: Request) -> list[str]:
     """A warning if the tire seems to be of another size than the car."""
     known = known_to_controllers(request)
-    slope, load = float(np.max(known["stiffness"] / known["fz"])), float(np.max(known["fz"]))
-    low, high = 3.0, 150.0  # slope at zero slip over the load; 10 to 40 for car tires
-    if low <= slope <= high:
+    slope = float(np.max(known["stiffness"] / known["fz"]))
+    if 3.0 <= slope <= 150.0:
         return []
-    return [
-        f"the slope of the braking force of {request.tire_name} over the slip is {slope:.3g}"
-        f" times the load of {load:.0f} N; car tires have {low:g} to {high:g}: the tire is"
-        " probably for another load; use one for this car, or change it with --set"
-    ]
+    what = f"the slope of the braking force of {request.tire_name} over the slip"
+    return [f"{what} is {slope:.3g} times the load, of car tires 10 to 40: use one for this load"]
 
 
 def check(request: Request) -> None:
@@ -143,14 +116,16 @@ def check(request: Request) -> None:
     ]
     if request.time_limit is not None:
         limits.append(("--time-limit", request.time_limit, 0.1, 300.0, "s"))
-    for record in (request.hydraulics, request.sensors):
-        for name, value in record._asdict().items():
-            limits.append((f"--plant {name}", value, *_NUMBERS[name]))
+    for name, value in (request.hydraulics._asdict() | request.sensors._asdict()).items():
+        # No delay and no noise are possible.
+        least = 0.0 if name == "delay" or name.endswith(("_std", "_step")) else 1e-3
+        most, unit = (0.5, "s") if name == "delay" else (1e10, "in SI units (Pa, Pa/s, s, m/s)")
+        limits.append((f"--plant {name}", value, least, most, unit))
     for option, value, low, high, unit in limits:
         if not low <= value <= high:
             reason = f"{option} {value:g} is out of range"
             problems.append(InputProblem(reason, f"{low:g} to {high:g} {unit}"))
-    road = road_of(request.road)
+    road = brake_vehicle.road_of(request.road)
     if request.vehicle not in VEHICLES:
         reason = f"there is no vehicle {request.vehicle!r}"
         problems.append(InputProblem(reason, f"choose one of {', '.join(VEHICLES)}"))
@@ -169,7 +144,7 @@ def _tire_problems(request: Request) -> list[InputProblem]:
     if tire.transient or "time" in tire.needs:
         remedy = "choose its steady-state model, such as brush for brush-relaxation"
         return [InputProblem(f"{name} is transient: its force lags behind the slip", remedy)]
-    if not (request.steer or road_of(request.road).split):  # it does not turn
+    if not (request.steer or brake_vehicle.road_of(request.road).split):  # it does not turn
         return []
     # Whether a slip angle reduces the braking force and causes a lateral force.
     straight, aside = (tire(TireInputs(0.2, alpha, 4e3, request.speed)) for alpha in (0.0, 0.3))
@@ -188,7 +163,9 @@ def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
         UsageError: a name that neither of them has.
     """
     if values:
-        check_names("--plant quantity", list(values), (*Hydraulics._fields, *Sensors._fields))
+        check_names(
+            "--plant quantity", list(values), (*brake_vehicle.Hydraulics._fields, *Sensors._fields)
+        )
     records: tuple[Any, ...] = request.hydraulics, request.sensors
     hydraulics, sensors = (
         record._replace(**{k: v for k, v in values.items() if k in record._fields})
@@ -205,7 +182,7 @@ def tire_curve(
     plant = plant_of(request)
     kappa = jnp.linspace(0.0, min(most, 0.99), points)
     speed, fz = 0.5 * jnp.full(points, float(request.speed)), jnp.full(points, plant.vehicle.fz[0])
-    slips = wheel_slips(speed, jnp.zeros(points), speed * (1 - kappa))
+    slips = brake_vehicle.wheel_slips(speed, jnp.zeros(points), speed * (1 - kappa))
     curves = {}
     for mu in np.unique(np.r_[plant.road.before, plant.road.after]):
         fx, _ = plant.tire.forces(jnp.full(points, mu), slips, fz)

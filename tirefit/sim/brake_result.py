@@ -34,7 +34,7 @@ Each = Float[Array | np.ndarray, "*k"]
 class Summary(NamedTuple):
     """Numbers of one stop, or (k,) of many; NaN where there is none.
 
-    Their units are in :data:`UNITS`, their meanings in :data:`MEANINGS`.
+    Their units and meanings are in :data:`UNITS`.
     """
 
     stopping_distance: Each
@@ -66,27 +66,18 @@ class Summary(NamedTuple):
         )
 
 
-_NUMBERS = {
-    "stopping_distance": ("m", f"distance until the car is slower than {STANDS:g} m/s"),
-    "stopping_time": ("s", f"time until the car is slower than {STANDS:g} m/s"),
-    "mean_friction_used": ("-", "mean over time of sum F_x / sum mu_peak F_z of the wheels"),
-    "locked_time": ("s", f"time with a wheel at kappa >= {LOCKED_SLIP:g}, above {_SLOW:g} m/s"),
-    "pressure_rms_fluctuation": (
-        "Pa",
-        f"rms of the wheels' pressures about their running means over {_WINDOW:g} s,"
-        f" from {_BUILT_UP:g} s on, above {_SLOW:g} m/s",
-    ),
-    "slip_speed_rms_fluctuation": ("m/s", "the same of v - R omega"),
-    "recovery_time": (
-        "s",
-        "from all wheels on the new road until the friction used is"
-        f" {RECOVERED:g} over {_HELD:g} s",
-    ),
-    "heading": ("rad", "angle by which the car has turned since the braking began"),
+UNITS = {
+    "stopping_distance": "m",  # until the car is slower than STANDS
+    "stopping_time": "s",  # the same
+    "mean_friction_used": "-",  # mean over time of sum F_x / sum mu_peak F_z of the wheels
+    "locked_time": "s",  # with a wheel at kappa >= LOCKED_SLIP, above 2 m/s
+    # rms of the wheels' pressures about their running means over 1 s, from 0.5 s on, above 2 m/s
+    "pressure_rms_fluctuation": "Pa",
+    "slip_speed_rms_fluctuation": "m/s",  # the same of v - R omega
+    "recovery_time": "s",  # from all wheels on the new road until RECOVERED is used over 0.1 s
+    "heading": "rad",  # angle by which the car has turned since the braking began
 }
-UNITS = {name: unit for name, (unit, _) in _NUMBERS.items()}
 """Name of a reported number -> its unit, in the order of the report."""
-MEANINGS = {name: meaning for name, (_, meaning) in _NUMBERS.items()}
 
 
 def _fluctuation(values: Array, counted: Array, samples: int) -> Array:
@@ -153,8 +144,6 @@ def interval(values: np.ndarray) -> dict[str, float]:
     return {"mean": mean, "low": mean - half, "high": mean + half, "std": std, "k": k}
 
 
-# --- the result ---------------------------------------------------------------------
-
 SCHEMA = "tirefit.brake/1"
 
 
@@ -192,16 +181,11 @@ class Stop:
                 table[key + wheel] = values[:, k]
         return {key: np.asarray(value) for key, value in table.items()}
 
-    @property
-    def reason(self) -> str:
-        """Why the stop ended, as text."""
-        return self.summary.reason
-
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the stop, by the names in :data:`UNITS`."""
         numbers = {name: float(getattr(self.summary, name)) for name in UNITS}
         stopped = bool(float(self.summary.stopped) > 0)
-        return {**numbers, "stopped": stopped, "reason": self.reason}
+        return {**numbers, "stopped": stopped, "reason": self.summary.reason}
 
 
 @dataclass(frozen=True, repr=False)
@@ -225,7 +209,8 @@ class Braking(Record):
     @property
     def limits(self) -> dict[Outcome, str]:
         """The stops that did not end standing, and why."""
-        off = [f"{k}: {stop.reason}" for k, stop in self.stops.items() if not stop.summary.stopped]
+        ends = {name: stop.summary for name, stop in self.stops.items()}
+        off = [f"{name}: {end.reason}" for name, end in ends.items() if not end.stopped]
         counts = {k: each.stopped for k, each in self.many.items() if not np.all(each.stopped)}
         off += [f"{k}: {int(x.sum())} of {len(x)} stops ended" for k, x in counts.items()]
         return {Outcome.INCOMPLETE: "; ".join(off)}
@@ -254,7 +239,7 @@ class Braking(Record):
         head = {
             "schema": SCHEMA, "version": self.version, "seed": self.seed,
             "convention": "braking, SI", "controller": first.name, **first.to_dict(),
-            "units": UNITS, "meanings": MEANINGS, "manoeuvre": self.request.about(),
+            "units": UNITS, "manoeuvre": self.request.about(),
             "controllers": each,
         }  # fmt: skip
         return json_safe(head | ({"seeds": self.table()} if self.many else {}))

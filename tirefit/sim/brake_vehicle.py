@@ -104,16 +104,14 @@ class Hydraulics(NamedTuple):
 
     .. math:: \dot p = u^+ \min\{(p_m - p)/T, R_+\} - u^- \min\{p/T, R_-\}
 
-    ``demand`` [Pa] of the driver, reached at ``ramp`` [Pa/s]; ``rise``, ``fall``
-    [Pa/s]: fastest change through an open valve; ``lag`` T [s] of an orifice; ``delay``
-    [s] of a command, rounded to whole samples of the controller."""
+    """
 
-    demand: float = 12e6
-    ramp: float = 60e6
-    rise: float = 40e6
-    fall: float = 80e6
-    lag: float = 0.02
-    delay: float = 0.01
+    demand: float = 12e6  # [Pa] of the driver
+    ramp: float = 60e6  # [Pa/s] at which it is reached
+    rise: float = 40e6  # [Pa/s] fastest change through an open inlet
+    fall: float = 80e6  # [Pa/s] through an open outlet
+    lag: float = 0.02  # T [s] of an orifice
+    delay: float = 0.01  # [s] of a command, rounded to whole samples of the controller
 
     def master(self, t: Scalar) -> Array:
         """Pressure [Pa] of the master cylinder ``t`` [s] after the braking begins."""
@@ -159,8 +157,7 @@ class Road(NamedTuple):
     @property
     def split(self) -> bool:
         """Whether left and right differ."""
-        sides = (self.before, self.after)
-        return any(float(side[0]) != float(side[1]) for side in sides)
+        return bool(np.ptp(self.before) or np.ptp(self.after))
 
     @property
     def jumps(self) -> bool:
@@ -193,8 +190,6 @@ def road_of(text: str) -> Road:
             raise UsageError(reason, f"give {_LEAST:g} (ice) to {_MOST:g}")
     return road
 
-
-# --- tires -----------------------------------------------------------------------
 
 LOW_SPEED = 0.3
 """Speed [m/s] below which the slip velocity is divided by this speed, as the slip would

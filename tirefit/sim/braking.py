@@ -6,11 +6,9 @@ slip, and the slip a force of the road:
 .. math:: J \dot\Omega = R F_x(\sigma, F_z) - T, \quad
     \sigma = (v - \Omega R)/(\Omega R)
 
-which diffrax integrates. In each tooth the torque rises linearly to ``amplitude`` times
-the torque at the friction peak, then falls at once. The tire is the Magic Formula of the
-source, in steady state at the slip, or a transient LuGre tire with bristles
-(:mod:`tirefit.sim.lugre`). Noise is added to slip and force afterwards, so the true values
-are known.
+which diffrax integrates. In each tooth the torque rises linearly to ``amplitude`` times the torque
+at the friction peak, then falls at once. The tire is the Magic Formula of the source, in steady
+state, or a transient LuGre tire (:mod:`tirefit.sim.lugre`). Noise is added to slip and force.
 """
 
 from collections.abc import Mapping

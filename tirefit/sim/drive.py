@@ -136,7 +136,7 @@ def _tires(numbers: _Numbers, t: Numbers, s: _State) -> tuple[Any, ...]:
     sigma = clipped(s.omega, s.v_x - car.track / 2 * s.yaw_rate * left, car.radius, SLOWEST)
     stiffness = jnp.repeat(jnp.stack([car.stiffness_f, car.stiffness_r]), 2)
     mu = jnp.where(t < numbers.change, *numbers.mu)
-    share = brush_share(sigma, jnp.repeat(angles, 2), stiffness, mu)
+    shares = brush_share(sigma, jnp.repeat(angles, 2), stiffness, mu)
     base = car.l_f + car.l_r
     weight = car.mass * GRAVITY / base
     forward = car.mass * car.height * s.lag / base
@@ -145,7 +145,7 @@ def _tires(numbers: _Numbers, t: Numbers, s: _State) -> tuple[Any, ...]:
     moment = car.roll_stiffness * s.roll + car.roll_damping * s.roll_rate
     loads = jnp.stack([front, front, rear, rear]) / 2 - moment / car.track * 0.5 * left
     loads = jnp.maximum(loads, 1.0)
-    along, across = loads * share.x, loads * share.y
+    along, across = (loads * share for share in shares)
     x = jnp.stack([car.l_f, car.l_f, -car.l_r, -car.l_r])
     turn = jnp.array([1.0, 1.0, 0.0, 0.0]) * steering
     on_car = pushed(turn, x, car.track / 2 * left, along, across)

@@ -6,12 +6,10 @@ Every bristle follows S(17a) while the tread carries it from the leading edge
 .. math:: \frac{\partial z}{\partial t} + |\Omega R_e| \frac{\partial z}{\partial \zeta}
     = v_s - \frac{\sigma_0 |v_s|}{g(|v_s|)} z, \qquad z(t, 0) = 0
 
-The patch is cut into elements. In each, z is the polynomial that satisfies the equation
-at the points of a Radau quadrature; the last point is the outlet, whose value enters the
-next element. This upwind scheme conserves the balance of the patch exactly. With four
-points, its mean deflection converges with the seventh power of the element length if the
-motion is smooth. The lumped form is one bristle without transport. Both are ordinary
-differential equations for vectors along x and y, linear in z, which diffrax integrates.
+The patch is cut into elements. In each, z is the polynomial that satisfies the equation at the
+points of a Radau quadrature; the last point is the outlet, whose value enters the next element.
+This upwind scheme conserves the balance of the patch exactly. The lumped form is one bristle
+without transport. Both are ordinary differential equations, linear in z, which diffrax integrates.
 """
 
 from functools import cache

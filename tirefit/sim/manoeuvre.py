@@ -20,16 +20,8 @@ from tirefit.online.braking.controller import AbstractController
 from tirefit.online.braking.controllers import CONTROLLERS, controller_of
 from tirefit.params import by_owner, check_names
 from tirefit.precision import require_x64
+from tirefit.sim import brake_request
 from tirefit.sim.brake import Plant, Sensors, simulate_stop
-from tirefit.sim.brake_request import (
-    Request,
-    arrays,
-    check,
-    doubts,
-    known_to_controllers,
-    plant_of,
-    with_numbers,
-)
 from tirefit.sim.brake_result import Braking, Stop, Summary, summarise
 
 _DEFAULT, _VALUES = "brush-m", {"cpa2": 4e4, "m": 0.5}
@@ -81,7 +73,7 @@ def brake(
 
     Example:
         >>> stop = brake(controller="none", speed=3.0, vehicle="quarter")
-        >>> stop.stops["none"].reason
+        >>> stop.stops["none"].summary.reason
         'stopped: slower than 0.1 m/s'
     """
     require_x64("a simulated stop")
@@ -93,13 +85,15 @@ def brake(
     given = given_tire(source, dict(values or {}), signs)
     named = os.fspath(source) if isinstance(source, str | os.PathLike) else given.name
     notes = [f"{named}: {text}" for text in remarks(given.tir, given.tire)] if given.tir else []
-    made = Request(given.tire, named, road, speed, vehicle, steer, time_limit=time_limit)
-    request = with_numbers(made, plant or {})
-    check(request)
-    car = known_to_controllers(request)
+    made = brake_request.Request(
+        given.tire, named, road, speed, vehicle, steer, time_limit=time_limit
+    )
+    request = brake_request.with_numbers(made, plant or {})
+    brake_request.check(request)
+    car = brake_request.known_to_controllers(request)
     controllers = {n: controller_of(n, car, settings) for n, settings in chosen.items()}
     done = braked(request, controllers, seed=seed, stops=stops, progress=progress)
-    return replace(done, notes=(*notes, *doubts(request)))
+    return replace(done, notes=(*notes, *brake_request.doubts(request)))
 
 
 @eqx.filter_jit
@@ -107,14 +101,8 @@ def many_stops(
     plants: Plant, controller: AbstractController, sensors: Sensors, speed: Array, keys: Array,
     samples: int, queue: int,
 ) -> Summary:  # fmt: skip
-    """Summaries (k,) of stops in one vmapped run.
-
-    Args:
-        plants: leaves (k, ...): tires and roads.
-        controller: the same for all stops.
-        keys: random keys (k,) of the noise; other arguments as in
-            :func:`tirefit.sim.brake.simulate_stop`.
-    """
+    """Summaries (k,) of stops in one vmapped run, of plants with leaves (k, ...) and random keys
+    (k,); other arguments as in :func:`tirefit.sim.brake.simulate_stop`."""
 
     def summary_of(given: tuple[Plant, Array]) -> Summary:
         plant, key = given
@@ -126,24 +114,18 @@ def many_stops(
 
 
 def braked(
-    request: Request, controllers: Mapping[str, Any], *, seed: int = 0, stops: int = 1,
-    progress: Callable[[float, str], None] | None = None,
+    request: brake_request.Request, controllers: Mapping[str, Any], *, seed: int = 0,
+    stops: int = 1, progress: Callable[[float, str], None] | None = None,
 ) -> Braking:  # fmt: skip
-    """Brake with each of the controllers, under the same noise.
-
-    Args:
-        request: tire, road, speed, vehicle.
-        controllers: name -> record with ``rate``, ``init``, ``step``.
-        seed: of the noise; stop k has ``seed + k``.
-        stops: number of seeds.
-        progress: called with the share done and the next step.
+    """Brake with each of the controllers (name -> record), under the same noise, that of stop k
+    from ``seed + k``; other arguments as in :func:`brake`.
 
     Raises:
         UsageError: a problem of the request; 32-bit floats.
     """
     require_x64("a simulated stop")
-    check(request)
-    plant, sensors = plant_of(request), arrays(request.sensors)
+    brake_request.check(request)
+    plant, sensors = brake_request.plant_of(request), brake_request.arrays(request.sensors)
     speed, wheels = jnp.asarray(request.speed, float), plant.vehicle.wheels
     done, many = {}, {}
     for number, (name, controller) in enumerate(controllers.items()):
