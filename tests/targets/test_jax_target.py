@@ -1,10 +1,8 @@
 """The exported JAX program, loaded in a process without tirefit."""
 
-import base64
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -25,13 +23,14 @@ import jax
 import numpy as np
 import tire
 kappa, alpha, fz, *more = map(np.array, json.loads(sys.argv[1]))
-try:
-    tire.tire(0.1, 0.0, fz, *more)
-except RuntimeError as error:
-    assert "jax_enable_x64" in str(error)
 jax.config.update("jax_enable_x64", True)
 found = jax.jit(tire.tire)(kappa[:, None], alpha, fz, *more)
-slope = jax.grad(lambda a: tire.tire(0.05, a, fz, *more)[1])(0.02)
+
+def fy(angle):
+    return tire.tire(0.05, angle, fz, *more)[1]
+
+slope = jax.grad(fy)(0.02)
+assert np.isfinite(jax.grad(jax.grad(fy))(0.02)) and np.isfinite(jax.grad(fy)(0.0))
 assert "tirefit" not in sys.modules
 print(json.dumps([[x.tolist() for x in found], float(slope)]))
 """
@@ -66,13 +65,3 @@ def test_a_process_without_tirefit_reproduces_forces_and_slopes(source, tmp_path
         return -tire(TireInputs(slip, angle, LOAD, 12.0, 0.03, 2.1e5)).fy
 
     assert slope == pytest.approx(float(jax.grad(fy)(0.02)), rel=1e-10)
-
-
-def test_the_file_contains_no_local_path(tmp_path):
-    tirefit.export("brush", "jax", tmp_path / "tire.py")
-    text = (tmp_path / "tire.py").read_text()
-    program = text.split('"""')[1]
-    content = base64.b64decode("".join(program.split()))
-    assert len(content) > 1000
-    for folder in (Path.cwd(), Path(tirefit.__file__).parent, sys.prefix):
-        assert str(folder).encode() not in content

@@ -239,11 +239,10 @@ def test_slipx_falls_with_load_as_the_tire_does(tmp_path):
     held({"fy": worst}, done.notes)
 
 
-def test_slipx_refuses_a_full_size_car_and_other_names(tmp_path):
+def test_slipx_refuses_other_names(tmp_path):
     done = ran("brush", "--to", "slipx", "--out", tmp_path / "tire.yaml")
     assert done.exit_code == 2 and not list(tmp_path.iterdir())
-    for part in ("sponge_SURFACE.yaml", "up to 200", "1:10"):
-        assert part in done.stderr
+    assert "sponge_SURFACE.yaml" in done.stderr
 
 
 # --- Gazebo -------------------------------------------------------------------------

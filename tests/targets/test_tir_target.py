@@ -1,7 +1,6 @@
 """Tire property files and Chrono's JSON, read like their programs read them."""
 
 import json
-import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -303,19 +302,6 @@ def test_chrono_reads_both_files_and_reproduces_the_forces(tmp_path):
         assert np.max(np.abs(found - wanted[0])) < 1e-4 * fz
 
 
-def test_data_of_the_wheel_are_converted_from_the_units_of_the_file(tmp_path):
-    """Of a file in milliseconds: its damping of 500 N ms/m is 0.5 N s/m."""
-    text = (TIR / "MagicFormula52_Parameters.tir").read_text().replace("'second'", "'ms'")
-    text = re.sub(r"(?m)^((?:LONGVL|VXLOW) *= *)([\d.]+)", r"\g<1>\g<2>e-3", text)
-    (tmp_path / "ms.tir").write_text(text)
-    given = {name: WHEEL[name] for name in ("mass", "ixx", "iyy")}
-    path = tmp_path / "wheel.json"
-    tirefit.export(tmp_path / "ms.tir", "chrono", path, wheel=given, force=True)
-    values = chrono_values(path.with_suffix(".tir"))
-    assert float(values["VERTICAL", "VERTICAL_DAMPING"]) == pytest.approx(0.5)
-    assert float(values["VERTICAL", "VERTICAL_STIFFNESS"]) == 463000
-
-
 def test_limits_of_chrono_are_reported(tmp_path):
     source, path = TIR / "MagicFormula52_Parameters.tir", tmp_path / "wheel.json"
     with pytest.raises(UsageError, match="limit is 5%"):
@@ -323,15 +309,14 @@ def test_limits_of_chrono_are_reported(tmp_path):
     done = tirefit.export(source, "chrono", path, wheel=WHEEL, force=True)
     told = "\n".join(done.notes)
     assert "does not read PDX3, REX1, REX2, REY1, REY2, RHY2" in told
+    assert "limits B times the slip to 1.56" in told
+    # At a large load the force stays the same beyond the limit, and that of the file does not.
     values = chrono_values(path.with_suffix(".tir"))
-    shown = float(told.split("differs by up to ")[1].split("%")[0]) / 100
     tire = own_tire(read_tir(path.with_suffix(".tir")))
-    loads = np.array([0.5, 0.75, 1, 1.25, 1.5]) * tire.nominal.FNOMIN
-    kappa, fz = (one.ravel() for one in np.meshgrid(np.linspace(-0.23, 0.428, 80), loads))
+    kappa, fz = np.array([0.25, 0.3]), np.full(2, 1.5 * tire.nominal.FNOMIN)
     of_file = [of_chrono(values, *row)[0] for row in zip(kappa, 0 * kappa, fz, strict=True)]
-    worst = np.max(np.abs(of_file - given_by(tire, kappa, 0 * kappa, fz)[:, 0]) / fz)
-    # The shifts of the curve, which the sentence leaves out, are small.
-    assert shown == pytest.approx(worst, abs=0.02)
+    assert of_file[0] == of_file[1]
+    assert np.ptp(given_by(tire, kappa, 0 * kappa, fz)[:, 0]) > 0.001 * fz[0]
 
 
 def test_chrono_files_are_written_both_or_not_at_all(tmp_path):

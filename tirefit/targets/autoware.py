@@ -90,8 +90,7 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any, list[
     """Where the numbers come from, the quantities with their errors, the car, and notes."""
     if not isinstance(source, str | os.PathLike | TrajectoryFit | Diagnosis):
         reason = "--to autoware describes a car's steering, not a tire"
-        remedy = f"give {_SOURCES}"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(InputProblem(reason, f"give {_SOURCES}"))
     if isinstance(source, Record):
         is_trajectory = isinstance(source, TrajectoryFit)
     else:
@@ -125,21 +124,6 @@ def _found(source: Any, vehicle: Any) -> tuple[str, dict[str, _Size], Any, list[
     return f"named by the diagnosis of {document.data.name}", sizes, car, []
 
 
-def _judged(name: str, key: _Key, size: _Size) -> tuple[float | None, str]:
-    """The value in Autoware, None if it is not written, and the reason or the estimate."""
-    value = key.sign * size.value
-    said = f"{value:.4g} +- {size.std:.2g} {size.unit.removeprefix('-')}".strip()
-    if not size.identified:
-        return None, f"{said}: the logs do not determine it"
-    if not size.std <= key.most:
-        return None, f"{said}: its standard error is above {key.most:g} ({key.why})"
-    if key.at_least_zero and value < 0:
-        if value < -_SURE * size.std:
-            return None, f"{said}: less than zero, which Autoware does not have; check the clock"
-        return 0.0, f"{said}; zero, as Autoware has no negative one"
-    return value, said
-
-
 def _real(value: float) -> str:
     """A number that ROS reads as a double: with a decimal point."""
     text = number(value)
@@ -149,15 +133,24 @@ def _real(value: float) -> str:
 def _lines(sizes: Mapping[str, _Size], notes: list[str]) -> Iterator[str]:
     """Lines of the parameters; what is not written is added to the notes."""
     for name, key in _KEYS.items():
+        names = f"{', '.join(key.names)}: not written"
         if name not in sizes:
-            notes.append(f"{', '.join(key.names)}: not written, as no {name} was estimated")
+            notes.append(f"{names}, as no {name} was estimated")
             continue
-        value, said = _judged(name, key, sizes[name])
-        if value is None:
-            notes.append(f"{', '.join(key.names)}: not written: {said}")
-            continue
-        for written in key.names:
-            yield f"    {written}: {_real(value)}  # {said}"
+        size = sizes[name]
+        value = key.sign * size.value
+        stated = f"{value:.4g} +- {size.std:.2g} {size.unit.removeprefix('-')}".strip()
+        if not size.identified:
+            notes.append(f"{names}: {stated}: the logs do not determine it")
+        elif not size.std <= key.most:
+            limit = f"its standard error is above {key.most:g} ({key.why})"
+            notes.append(f"{names}: {stated}: {limit}")
+        elif key.at_least_zero and value < -_SURE * size.std:
+            notes.append(f"{names}: {stated}: less than zero, which Autoware does not have")
+        else:
+            if key.at_least_zero and value < 0:
+                value, stated = 0.0, f"{stated}; zero, as Autoware has no negative one"
+            yield from (f"    {written}: {_real(value)}  # {stated}" for written in key.names)
 
 
 def _autoware(source: Any, vehicle: Any, first: str) -> tuple[str, tuple[str, ...]]:

@@ -1,22 +1,16 @@
-"""Source code of a tire's forces: C, NumPy, CasADi, and modules for JAX and MuJoCo."""
+"""Source code of a tire's forces: C, NumPy, JAX, CasADi, and a module for MuJoCo."""
 
-import base64
 import math
-import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import export
-from jaxtyping import Array
 
 from tirefit.params import parameter_values
 from tirefit.slip import CONVENTIONS
 from tirefit.targets.program import Program, Term
-from tirefit.targets.tire import ALWAYS, INPUTS, QUANTITIES, Tire, sign_of
+from tirefit.targets.tire import ALWAYS, QUANTITIES, Tire
 
 
 class Language(NamedTuple):
@@ -122,8 +116,6 @@ def _expression(program: Program, language: Language, op: str, args: Sequence[Te
 
 PARAMETERS = "parameters (+- standard error):"
 """Line above the parameters in the head of a file."""
-_VECTORS = ((0.02, 0.01, 1.0), (-0.1, 0.05, 0.5), (0.0, -0.2, 1.5), (-0.9, 0.3, 2.0))
-"""Slip, slip angle and share of the middle load of the test vectors."""
 
 
 def header(tire: Tire, program: Program, convention: str) -> list[str]:
@@ -149,6 +141,8 @@ class Draft(NamedTuple):
     convention: str
     above: Sequence[str]  # lines that stand first in the file
     name: str  # of the function, or of the file without its ending
+    curves: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    """Force -> its slip and the pure force [N] at the load of the tire."""
     wheel: Mapping[str, float] = MappingProxyType({})  # what was given of the wheel, in SI units
 
 
@@ -211,23 +205,6 @@ def casadi_source(draft: Draft) -> str:
     )  # fmt: skip
 
 
-def vectors(draft: Draft) -> list[str]:
-    """Test vectors of a file: inputs and forces, one per line."""
-    program, force = draft.forces, compiled(draft.forces)
-    load = sign_of(draft.convention, "fz") * draft.tire.load
-    lines, names = [], tuple(program.outputs)
-    for kappa, alpha, share in _VECTORS:
-        at = {"kappa": kappa, "alpha": alpha, "fz": share * load}
-        at |= {"v": 10.0, "gamma": 0.02, "pressure": 0.0}
-        given = [float(f"{at[name]:.6g}") for name in program.inputs]
-        sides: Any = (program.inputs, given), (names, force(*given))
-        texts = (
-            [f"{name}={float(x):.17g}" for name, x in zip(*side, strict=True)] for side in sides
-        )
-        lines.append(" -> ".join(", ".join(text) for text in texts))
-    return lines
-
-
 _C_HEAD = """\
 #ifndef {guard}
 #define {guard}
@@ -260,10 +237,8 @@ typedef double tirefit_real;
 def c_source(draft: Draft) -> str:
     """A C header: forces, and forces with their Jacobian by kappa, alpha and fz."""
     name, count = draft.name, len(draft.forces.outputs)
-    above = [*draft.above, "test vectors:", *(f"  {line}" for line in vectors(draft))]
-    above += [
-        f"call: tirefit_real force[{count}]; {name}({', '.join(draft.forces.inputs)}, force);"
-    ]
+    call = f"{name}({', '.join(draft.forces.inputs)}, force);"
+    above = [*draft.above, f"call: tirefit_real force[{count}]; {call}"]
     above += [f"force[{k}] is {output}" for k, output in enumerate(draft.forces.outputs)]
     # The text must not contain the beginning or end of a comment.
     messages = [line.replace("/*", "/ *").replace("*/", "* /") for line in above]
@@ -292,66 +267,10 @@ def _c_function(program: Program, name: str, given: Iterable[str], count: int) -
     return [head, "{", *lines, "}"]
 
 
-_PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
-
-_LOADER = '''\
-import base64
-
-import jax
-import jax.numpy as jnp
-import jax.export
-
-_PROGRAM = """
-{program}
-"""
-_PROGRAM = jax.export.deserialize(bytearray(base64.b64decode(_PROGRAM)))
-
-
-def {name}({inputs}):
-    """Forces ({outputs}) of arrays or numbers; within jax.jit, and differentiable once
-    backwards (jax.grad, jax.vjp). Arrays take the place of jax.vmap."""
-    if not jax.config.jax_enable_x64:
-        raise RuntimeError("first: jax.config.update('jax_enable_x64', True)")
-    given = [jnp.asarray(one, float) for one in ({inputs},)]
-    given = jnp.broadcast_arrays(*given)
-    found = _PROGRAM.call(*(one.ravel() for one in given))
-    return tuple(one.reshape(given[0].shape) for one in found)
-'''
-
-
-_PATHS = "jax_hlo_source_file_canonicalization_regex"
-"""Option of JAX: the part of the names of local files that a program does not state."""
-
-
 def jax_source(draft: Draft) -> str:
     """A Python module with a function of arrays; it needs only JAX."""
-    names, forces = draft.forces.inputs, draft.tire.function(draft.convention)
+    return numpy_source(draft).replace("import numpy as np", "import jax.numpy as np", 1)
 
-    def forces_at(*given: Array) -> tuple[Array, ...]:
-        known = dict(zip(names, given, strict=True))
-        values = forces(*(known.get(name, 0.0) for name in INPUTS))
-        return tuple(jnp.asarray(force, float) for force in values)
-
-    shape = export.symbolic_shape("n")
-    arrays = [jax.ShapeDtypeStruct(shape, jnp.float64)] * len(names)
-    before = getattr(jax.config, _PATHS)
-    jax.config.update(_PATHS, ".*")
-    try:
-        program = export.export(jax.jit(jax.vmap(forces_at)), platforms=_PLATFORMS)(*arrays)
-        text = base64.b64encode(program.serialize(vjp_order=1)).decode()
-    finally:
-        jax.config.update(_PATHS, before)
-    above = [*draft.above, f"StableHLO of jax {jax.__version__}, for {_PLATFORMS}"]
-    loader = _LOADER.format(
-        program="\n".join(textwrap.wrap(text, 88)), name=draft.name,
-        inputs=", ".join(names), outputs=", ".join(draft.forces.outputs),
-    )  # fmt: skip
-    return f"{comments(above)}\n\n{loader}"
-
-
-_WIDE, _MANY = 0.2, 3.0
-"""Half width of the bounds of the friction for ``mujoco.sysid``: a share of it if no
-standard error is known, else a number of standard errors."""
 
 _SNIPPET = '''
 
@@ -380,18 +299,13 @@ def sysid_parameters(geoms):
 
 
 def mujoco_source(draft: Draft) -> str:
-    """A Python module: the forces by NumPy, and the parameter of ``mujoco.sysid``."""
-    tire, names = draft.tire, list(draft.forces.outputs)
-    at = {"fz": sign_of(draft.convention, "fz") * tire.load, "v": tire.speed}
-    slip, peak = np.linspace(0.0, 0.95, 191), 0.0
-    for force, its_slip in (("fx", "kappa"), ("fy", "alpha")):
-        if force in names:
-            given = [slip if k == its_slip else at.get(k, 0.0) for k in draft.forces.inputs]
-            along = compiled(draft.forces)(*given)[names.index(force)]
-            peak = max(peak, float(np.max(np.abs(along))) / tire.load)
-    share = _WIDE
+    """A Python module: the forces by NumPy, and the parameter of ``mujoco.sysid`` with bounds
+    20 % below and above the peak, or three standard errors of the friction."""
+    tire = draft.tire
+    highest = [float(np.max(np.abs(force))) for _, force in draft.curves.values()]
+    peak = max(highest, default=0.0) / tire.load
+    share = 0.2
     if "mu" in tire.spread:
-        share = _MANY * tire.spread["mu"] / parameter_values(tire.model)["mu"]
-    low, high = (float(f"{(1 + k * share) * peak:.6g}") for k in (-1, 1))
-    peak = float(f"{peak:.6g}")
-    return numpy_source(draft) + _SNIPPET.format(peak=peak, low=low, high=high)
+        share = 3.0 * tire.spread["mu"] / parameter_values(tire.model)["mu"]
+    low, middle, high = (float(f"{(1 + k * share) * peak:.6g}") for k in (-1, 0, 1))
+    return numpy_source(draft) + _SNIPPET.format(peak=middle, low=low, high=high)

@@ -132,7 +132,9 @@ def explore(
         table = as_data(data, **how, forces=False, otherwise=(convention, "the tire"))
         warned += table.source.warnings
         columns = _columns(table)
-        ranges = {k: _ends(v) for k, v in columns.items() if k in INPUTS}
+        ranges = {
+            k: (float(np.nanmin(v)), float(np.nanmax(v))) for k, v in columns.items() if k in INPUTS
+        }
         tires = [tire if tire.measured else replace(tire, measured=ranges) for tire in tires]
         rows, rows_from = _shown_rows(columns, convention), f"{table.file}, {table.n} rows"
         rows_from += f", of which the page holds {_ROWS}" * (table.n > _ROWS)
@@ -174,7 +176,7 @@ def _shown(label: str, given: GivenTire, tire: Tire, convention: str) -> tuple[P
     steps = np.zeros((0, 0))
     if given.fit is not None:
         values, steps = _directions(given, tire)
-        noise, dof = given.content["noise"], _number(given, "fit", "dof")
+        noise, dof = given.content["noise"], given.content["fit"].get("dof")
         if dof is not None:
             sources = {noise[force].get("source") for force in given.content["forces"]}
             half_width = half_width_95("estimated" in sources, dof)
@@ -220,17 +222,6 @@ def _directions(given: GivenTire, tire: Tire) -> tuple[dict[str, float], np.ndar
     return values, _STEP * (np.array(rows).reshape(-1, len(z)) @ along * std).T[std > 0]
 
 
-def _number(given: GivenTire, part: str, name: str) -> float | None:
-    """A finite number of a part of ``fit.json`` that is not checked when it is read."""
-    stated = given.content.get(part)
-    value = stated.get(name) if isinstance(stated, Mapping) else None
-    return value if isinstance(value, float) and np.isfinite(value) else None
-
-
-def _ends(values: np.ndarray) -> tuple[float, float]:
-    return float(np.nanmin(values)), float(np.nanmax(values))
-
-
 def _columns(data: TireData) -> dict[str, np.ndarray]:
     """Measured columns of the used rows, canonical."""
     names = ("sigma_x", *INPUTS[1:], *_FORCES)
@@ -266,8 +257,7 @@ def _slider(
         models = [tire.model for tire in tires if isinstance(tire.model, MFTire)]
         first = models[0].nominal.INFLPRES if models else 0.0
         usual = (0.75 * first, 1.25 * first)
-    reference = _number(given[0], "reference", name)
-    first = first if reference is None else reference
+    first = given[0].content.get("reference", {}).get(name, first)
     low, high = min(e[0] for e in ends or [usual]), max(e[1] for e in ends or [usual])
     if name in _POSSIBLE:  # zero is always there
         low, high = min(low, 0.0), max(high, 0.0)

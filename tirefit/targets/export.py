@@ -18,16 +18,8 @@ from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.tir import TIR_SIGNS
 from tirefit.results import DataError, InputProblem, Outcome, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS
+from tirefit.targets import code
 from tirefit.targets.autoware import AUTOWARE, CarFile
-from tirefit.targets.code import (
-    Draft,
-    c_source,
-    casadi_source,
-    header,
-    jax_source,
-    mujoco_source,
-    numpy_source,
-)
 from tirefit.targets.parameters import PARAMETER_FILES, ParameterFile, one_line, parameter_text
 from tirefit.targets.refit import check_loss, over_problems
 from tirefit.targets.shape import Shape, shape_of
@@ -61,7 +53,7 @@ class Target(NamedTuple):
     ending: str  # of the file
     what: str  # description of the file, with the data it needs
     holds: str  # the models that it holds, and how exactly
-    write: Callable[[Draft], str | dict[str, str]]
+    write: Callable[[code.Draft], str | dict[str, str]]
     """The text of the file, or of several by their endings."""
     prepare: Callable[..., Tire] | None = None
     """(tire, version of the Magic Formula, values of the wheel) -> the tire in the file; None if
@@ -72,20 +64,19 @@ class Target(NamedTuple):
 TARGETS: dict[str, Target | ParameterFile | CarFile] = {
     "casadi": Target(
         ".py", "Python module with a casadi.Function and its Jacobian; needs casadi",
-        "every model, exactly", casadi_source,
+        "every model, exactly", code.casadi_source,
     ),
     "c": Target(
         ".h", "C header: forces, and forces with their Jacobian; needs math.h",
-        "every model, exactly; single precision with TIREFIT_SINGLE", c_source,
+        "every model, exactly; single precision with TIREFIT_SINGLE", code.c_source,
     ),
     "numpy": Target(
         ".py", "Python module with one function of arrays; needs numpy",
-        "every model, exactly", numpy_source,
+        "every model, exactly", code.numpy_source,
     ),
     "jax": Target(
-        ".py", "Python module with a compiled program (StableHLO) of arrays, for jit"
-        " and grad; needs jax",
-        "every model, exactly", jax_source,
+        ".py", "Python module with one function of arrays, for jit and grad; needs jax",
+        "every model, exactly", code.jax_source,
     ),
     "tir": Target(
         ".tir", "tire property file, Magic Formula 5.2, 6.1 or 6.2 (--model)",
@@ -94,14 +85,13 @@ TARGETS: dict[str, Target | ParameterFile | CarFile] = {
     ),
     "chrono": Target(
         ".json", "tire of Project Chrono (Pac02Tire), with its .tir beside it; needs"
-        " --wheel mass= ixx= iyy= vertical_stiffness= vertical_damping= width=, one"
-        " each, as far as no .tir states them",
+        " --wheel mass= ixx= iyy= vertical_stiffness= vertical_damping= width=, one each",
         "what a .tir of Magic Formula 5.2 holds", chrono_source, held_by_chrono,
         (".tir",),
     ),
     "mujoco": Target(
         ".py", "Python module as for numpy, and its friction for mujoco.sysid",
-        "every model, exactly; peak friction for sysid", mujoco_source,
+        "every model, exactly; peak friction for sysid", code.mujoco_source,
     ),
     **PARAMETER_FILES,
     "autoware": AUTOWARE,
@@ -298,10 +288,11 @@ def _drafted(
     try:
         program = tire.program(convention)
         shape = shape_of(tire, program, convention)
-        above = [first, *header(tire, program, convention), *shape.sentences]
+        above = [first, *code.header(tire, program, convention), *shape.sentences]
         chosen = TARGETS[target]
         assert isinstance(chosen, Target)
-        return chosen.write(Draft(tire, program, convention, one_line(above), name, wheel)), shape
+        draft = code.Draft(tire, program, convention, one_line(above), name, shape.curves, wheel)
+        return chosen.write(draft), shape
     except NotImplementedError as error:
         reason = f"{tire.name} cannot be written for {target}: {error}"
         remedy = "export another model, fitted to its curve by `tirefit convert`"

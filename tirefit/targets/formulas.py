@@ -97,17 +97,14 @@ def magic_formula_of(
     return along, _floats(slope, shape, side.mu, y.PEY1 * scale.LEY), weights
 
 
-def _floats(b: Scalar, c: Scalar, d: Scalar, e: Scalar) -> tuple[float, ...]:
-    # Limit E as `bent` does; simulators do not.
-    return float(b), float(c), float(d), min(float(e), 1.0)
+def _floats(*coefficients: Scalar) -> tuple[float, ...]:
+    b, c, d, e = map(float, coefficients)
+    return b, c, d, min(e, 1.0)  # limit E as `bent` does; simulators do not
 
 
 _SHAPE, _CURVATURE, _WEIGHT = (0.3, 3.0), (-20.0, 1.0), (-200.0, 200.0)
 _FRICTION, _SLOPE = (0.01, 5.0), (0.01, 1000.0)
 """Bounds of C, E, weights of combined slip, friction and slope over load."""
-
-
-# --- CommonRoad ---------------------------------------------------------------------
 
 
 def _commonroad_forces(
@@ -187,8 +184,6 @@ COMMONROAD = Formula(
 """CommonRoad's reduced PAC2002, also that of Gym-Khana's STD and MB."""
 
 
-# --- four coefficients --------------------------------------------------------------
-
 PACEJKA = Formula(
     outputs=("fy",),
     signs=CONVENTIONS["braking"]._replace(
@@ -200,9 +195,6 @@ PACEJKA = Formula(
     loss=("it has no F_x, which is the command; F_y is proportional to F_z",),
 )
 """F_y = F_z D sin(C arctan(B alpha - E (B alpha - arctan B alpha)))."""
-
-
-# --- SlipX --------------------------------------------------------------------------
 
 
 def _slipx_forces(
@@ -252,9 +244,6 @@ SLIPX = Formula(
     ),
 )
 """MF-lite of SlipX: F_y of pure slip, friction that falls with load, an ellipse."""
-
-
-# --- Gazebo -------------------------------------------------------------------------
 
 
 def _gazebo_forces(p: Values, kappa: Numbers, alpha: Numbers, fz: Numbers) -> tuple[Numbers, ...]:

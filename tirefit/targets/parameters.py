@@ -146,13 +146,11 @@ class ParameterFile(NamedTuple):
     holds: str  # the models that it holds, and how exactly
     formula: Formula  # the formula
     write: Callable[[Sheet], str | Mapping[str, Any]]
-    """The text of the file, or the content of a YAML file."""
+    """The text of the file, or the content of a YAML file; UsageError for what it cannot hold."""
     tires: int = 1  # 2 where front and rear have parameters of their own
     needs: tuple[str, ...] = ()
     """Keys of ``vehicle.toml`` that the car needs in addition to mass, yaw inertia and the
     axles."""
-    check: Callable[[Sheet], None] = lambda sheet: None
-    """Raises UsageError for what the file cannot hold."""
     ending: str = ".yaml"  # of the file
 
 
@@ -163,13 +161,10 @@ def parameter_text(
     """The text of a parameter file, checks of the tire, and losses of the file.
 
     Args:
-        target: a key of :data:`PARAMETER_FILES`.
         tires: ``front`` and ``rear``, one of them, or ``""`` for all wheels.
-        path: the file, for what its name says.
-        first: the first line.
-        vehicle: ``vehicle.toml``; its car is written if the target has one.
-        over: kappa, alpha and fz of the refit, in the signs of :data:`SIGNS`.
-        force: write a file with an error above :data:`~tirefit.targets.refit.MOST`.
+        path: the file, for what its name says; first: its first line.
+
+    Others as in :func:`tirefit.export`.
 
     Raises:
         UsageError: a tire that the target cannot represent, or a larger error; missing
@@ -194,7 +189,7 @@ def parameter_text(
             notes.append(f"warning: {reason}")
         fit = refit(tire, kind.formula, ranges)
         shape = shape_of(tire, kind.formula.program(fit.values, SIGNS), SIGNS)
-        answers = [fit.sentence(SIGNS), *fit.other_loads(), *axle.notes]
+        answers = [fit.sentence(SIGNS), *axle.notes]
         notes += axle.named(answers + _lost(tire, kind.formula))
         sentences += axle.named(shape.sentences)
         named = axle.named([*shape.curves])
@@ -215,7 +210,6 @@ def parameter_text(
         ]
     above += [f"checks of the written formula, in the signs of {SIGNS}:", *sentences]
     sheet = Sheet(one_line(above), tuple(axles), tuple(fits), car, path)
-    kind.check(sheet)
     if (worst := max(fit.largest for fit in fits)) > MOST:
         missed = f"{target} differs from this tire by up to {percent(worst)} % of F_z"
         if not force:
@@ -242,9 +236,6 @@ def _lost(tire: Tire, formula: Formula) -> list[str]:
     return lost + [f"the tire has no {name}: that of the other axis" for name in absent]
 
 
-# --- texts --------------------------------------------------------------------------
-
-
 def number(value: float) -> str:
     """A number in YAML 1.1, which would read 1e-05 as a text."""
     text = f"{float(value):.12g}" if abs(value) > 1e-12 else "0.0"
@@ -269,6 +260,10 @@ _CAR = "m=mass lf=l_f lr=l_r I_z=yaw_inertia h_s=h_cg"
 def _slipx(sheet: Sheet) -> dict[str, Any]:
     (axle,), values = sheet.axles, sheet.values
     compound, _, surface = sheet.path.stem.partition("_")
+    if compound not in ("sponge", "rubber") or not surface:
+        reason = "SlipX reads compound and surface from the name of the file"
+        remedy = "name it sponge_SURFACE.yaml or rubber_SURFACE.yaml"
+        raise UsageError(InputProblem(reason, remedy, str(sheet.path)))
     version, length = {"schema_version": "0.2.0"}, axle.tire.relaxation
     return {
         **version,
@@ -288,26 +283,6 @@ def _slipx(sheet: Sheet) -> dict[str, Any]:
             "date": date.today().isoformat(),
         },
     }
-
-
-_SLIPX_MOST = {"nominal_load": 200.0, "c_alpha": 2000.0, "c_kappa": 5000.0, "mu_x0": 3.0}
-"""Largest values allowed by the schema of slipx 0.2.0, per tire."""
-
-
-def _slipx_check(sheet: Sheet) -> None:
-    compound, _, surface = sheet.path.stem.partition("_")
-    problems = []
-    if compound not in ("sponge", "rubber") or not surface:
-        reason = "SlipX reads compound and surface from the name of the file"
-        remedy = "name it sponge_SURFACE.yaml or rubber_SURFACE.yaml"
-        problems.append(InputProblem(reason, remedy, str(sheet.path)))
-    for name, most in _SLIPX_MOST.items():
-        wheels = 1 if name == "mu_x0" else sheet.axles[0].wheels
-        if (value := sheet.values[name] / wheels) > most:
-            reason = f"{name} is {value:.4g}, and SlipX allows up to {most:g}"
-            remedy = "SlipX is for 1:10 cars: export to another target, see --list"
-            problems.append(InputProblem(reason, remedy))
-    UsageError.raise_for(problems)
 
 
 _GAZEBO = """\
@@ -385,7 +360,6 @@ PARAMETER_FILES: dict[str, ParameterFile] = {
     "slipx": ParameterFile(
         "tyre file of SlipX, named COMPOUND_SURFACE.yaml",
         "F_y of pure slip refitted; slope and peak of F_x", SLIPX, _slipx,
-        check=_slipx_check,
     ),
     "gazebo": ParameterFile(
         "slip compliances of Gazebo's WheelSlip system and friction of ODE",

@@ -257,10 +257,6 @@ def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
             return apply("mul", 1 / y, x) if usual else None
         case ("div", _, ("mul", (a, b))) if known(a):
             return apply("mul", 1 / a, apply("div", x, b))
-        case ("div", _, ("where", (condition, a, b))) if known(a, b) and a and b:
-            return apply("mul", x, apply("where", condition, 1 / a, 1 / b))
-        case ("pow", _, 0.0):
-            return 1.0
         case ("pow", _, 0.5):
             return apply("sqrt", x)
         case ("pow", _, 2.0):

@@ -74,7 +74,7 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
 EXACT = 1e-9
 """Error over load below which a formula represents a tire exactly."""
 OTHER_LOADS = 0.75, 1.25
-"""Shares of a load at which the error is stated as well: with a track of 1.5 m and a
+"""Shares of the measured loads to which a file may extend: with a track of 1.5 m and a
 centre of gravity at 0.55 m, a quarter of the load of a wheel shifts at 0.34 g."""
 _USUAL_SLIP = 0.2  # largest |kappa| and |alpha| [rad] of the refit if no range was measured
 _NARROW = 0.01  # smallest width of a measured range of slip [-] or angle [rad] that is used
@@ -113,9 +113,6 @@ class Refit(NamedTuple):
     miss: dict[str, float]
     """Largest error of a force over load, ``fx`` and ``fy`` in pure slip and ``both`` in combined
     slip, as far as tire and formula have them."""
-    loads: float | None
-    """The largest error in pure slip at :data:`OTHER_LOADS` times the load, if the fit is at one
-    load; else None."""
     refitted: tuple[str, ...]
     """Keys of ``miss`` whose parameters are a least-squares fit; the others were converted by
     formula."""
@@ -137,16 +134,6 @@ class Refit(NamedTuple):
         ranges = {name: ends for name, ends in self.ranges.items() if name in used}
         where = range_text(turned_range(ranges, convention))
         return f"{'; '.join(sentences)}; over {where} ({convention})"
-
-    def other_loads(self) -> list[str]:
-        """A sentence on the error at other loads, if the formula was fitted at one."""
-        if self.loads is None or self.loads < EXACT:
-            return []
-        less, more = OTHER_LOADS
-        return [
-            f"at {less:g} and {more:g} times this load, the error in pure slip is up to"
-            f" {percent(self.loads)} % of F_z; --over fz=LOW:HIGH refits over loads"
-        ]
 
 
 def percent(share: float) -> str:
@@ -231,16 +218,6 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     Raises:
         UsageError: the tire has none of the forces of the formula, or one that is not
             finite within the ranges.
-
-    Example:
-        >>> import jax
-        >>> from tirefit.targets.formulas import PACEJKA
-        >>> from tirefit.targets.tire import tire_of
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> tire = tire_of("brush")
-        >>> found = refit(tire, PACEJKA, ranges_of(tire, {}))
-        >>> found.largest < 0.02
-        True
     """
     stages = formula.stages
     has = [name for name in formula.outputs if name in tire.modelled]
@@ -249,13 +226,9 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
         raise UsageError(InputProblem(reason, "export a tire that has it"))
     kinds = [*has, *(["both"] if len(has) == 2 else [])]
     kinds = [kind for kind in kinds if kind in stages or not stages]
-    pure = [kind for kind in has if kind in stages]
-    low, high = ranges["fz"]
-    wide = {**ranges, "fz": (OTHER_LOADS[0] * low, OTHER_LOADS[1] * high)}
-    every = [*kinds, *kinds, *pure]
+    every = [*kinds, *kinds]
     grids = [grid_of(ranges, *_KINDS[kind].rough, 5) for kind in kinds]
     grids += [grid_of(ranges, *_KINDS[kind].fine, 7) for kind in kinds]
-    grids += [grid_of(wide, *_KINDS[kind].fine, 2) for kind in pure]
     wanted = _forces(tire, every, grids)
     if not all(np.isfinite(part).all() for part in wanted):
         reason = f"a force of {tire.name} is not finite within the range of the refit"
@@ -264,16 +237,14 @@ def refit(tire: Tire, formula: Formula, ranges: Ranges) -> Refit:
     starts = [formula.start(curves) for curves in _curves(tire)]
     values, fitted = dict(starts[0]), []
     rough = {kind: case for kind, *case in cases[: len(kinds)]}
-    lost = formula.of_load if low == high else ()
+    lost = formula.of_load if len({*ranges["fz"]}) == 1 else ()
     for kind in [kind for kind in stages if kind in kinds]:
         if _miss(formula, values, kind, *rough[kind]) > EXACT:
             names = tuple(name for name in stages[kind] if name not in lost)
             values |= _solved(formula, values, starts, kind, names, *rough[kind])
             fitted.append(kind)
-    misses = [_miss(formula, values, *case) for case in cases[len(kinds) :]]
-    miss = dict(zip(kinds, misses, strict=False))
-    loads = max(misses[len(kinds) :], default=None) if low == high else None
-    return Refit(values, ranges, miss, loads, tuple(fitted))
+    miss = {kind: _miss(formula, values, kind, *case) for kind, *case in cases[len(kinds) :]}
+    return Refit(values, ranges, miss, tuple(fitted))
 
 
 def _forces(tire: Tire, kinds: Sequence[str], grids: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -14,15 +14,14 @@ from textwrap import wrap
 import equinox as eqx
 import jax
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tirefit.data.tir.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir.tir_file import TirFile
 from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.files import json_text
 from tirefit.fitting.tir import TIR_SIGNS, USUAL_SHARES, USUAL_SLIP, own_tire, remarks
-from tirefit.models import AbstractTire, TireInputs, forces
-from tirefit.models.mf import MAGIC_FORMULAS, WEIGHTS, MFTire, frictions
+from tirefit.models import AbstractTire
+from tirefit.models.mf import MAGIC_FORMULAS, WEIGHTS, MFTire
 from tirefit.params import parameter_values, specs
 from tirefit.results import InputProblem, UsageError, unknown_names
 from tirefit.targets.code import PARAMETERS, Draft
@@ -66,9 +65,7 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
         loads = [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
         fit = converted(tir, model, USUAL_SLIP, loads)
         notes.append(f"refitted from Magic Formula {tir.version} to {fit.tire.version}")
-        spread = {
-            k: coefficient.std for k, coefficient in fit.coefficients.items() if coefficient.std
-        }
+        spread = {k: c.std for k, c in fit.coefficients.items() if c.std}
         tir = _new_file(replace(tire, model=fit.tire, spread=spread))
     held = own_tire(tir)
     if isinstance(bare, MFTire):
@@ -142,11 +139,8 @@ def tir_source(draft: Draft) -> str:
 
 _UNREAD = "PDX3 REX1 REX2 REY1 REY2 RHY2 QBZ10".split()
 """Coefficients of MF 5.2 that Chrono does not read."""
-_LIMIT = np.pi / 2 - 0.01  # limit of B times the slip in Chrono, in pure slip
-_SMALL, _SEEN = 1e-4, 1e-3
-"""Step of the slip for the slope at zero; smallest share of the load that is mentioned."""
 _WHEEL = {k: k.upper() for k in "mass ixx iyy vertical_stiffness vertical_damping width".split()}
-"""Quantity that Chrono needs in addition to the forces -> its key in a ``.tir``."""
+"""Quantity that Chrono needs in addition to the forces -> its key in a ``.tir``, in SI."""
 FRICTION = 0.8
 """Friction coefficient of the road of the tests; Chrono scales the force by that of the
 terrain over this one."""
@@ -157,8 +151,8 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
 
     Args:
         model: None or ``mf52``.
-        wheel: SI values by :data:`_WHEEL` that the file of the tire does not state, ``radius`` for
-            a model without one, and ``friction`` of the road, 0.8 if not given.
+        wheel: SI values by :data:`_WHEEL`, ``radius`` for a model without one, and ``friction``
+            of the road, 0.8 if not given.
 
     Raises:
         UsageError: another version, a value of the wheel that is missing, or a tire
@@ -168,7 +162,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     if model not in (None, "mf52"):
         reason = f"--model {model} with --to chrono, which reads only mf52"
         problems.append(InputProblem(reason, "leave it out"))
-    whole = {"friction": FRICTION, **_stated(tire.tir), **wheel}
+    whole = {"friction": FRICTION, **wheel}
     if missing := [name for name in _WHEEL if name not in whole]:
         asked = " ".join(f"--wheel {name}=..." for name in missing)
         reason = f"Chrono needs {', '.join(missing)} of the wheel, in SI units"
@@ -188,6 +182,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
         "Chrono looks for the .tir in its folder of vehicle data: put both files there,"
         " or call chrono::vehicle::SetDataPath with their folder",
         f"its forces are those of the file on a road of friction {whole['friction']:g}",
+        "Chrono 8 limits B times the slip to 1.56 in pure slip: beyond it the force stays the same",
     ]
     if unread:
         notes.append(f"Chrono 8 does not read {', '.join(unread)}: zero there")
@@ -196,57 +191,7 @@ def held_by_chrono(tire: Tire, model: str | None, wheel: Mapping[str, float]) ->
     if tir.numbers.get("LKY", 1.0) != tir.numbers.get("LMUY", 1.0):
         notes.append("Chrono scales the cornering stiffness by LMUY, not by LKY")
     read = own_tire(tir.with_values(dict.fromkeys(unread, 0.0))) if unread else held.model
-    notes += _limited(read, held.load)
     return replace(held, model=read, tir=tir, notes=held.notes + tuple(notes))
-
-
-def _stated(tir: TirFile | None) -> dict[str, float]:
-    """Data of the wheel that a file states, in SI units."""
-    if tir is None:
-        return {}
-    length, force, mass = (tir.unit(key) for key in ("LENGTH", "FORCE", "MASS"))
-    inertia, stiffness = mass * length**2, force / length
-    # WIDTH is in SI; other data of the wheel are in the units of the file.
-    sizes = mass, inertia, inertia, stiffness, stiffness * tir.unit("TIME"), 1.0
-    return {
-        name: tir.numbers[key] * size
-        for (name, key), size in zip(_WHEEL.items(), sizes, strict=True)
-        if tir.numbers.get(key, 0.0) > 0
-    }
-
-
-def _limited(model: MFTire, load: float) -> list[str]:
-    """A note on the error by the limit of B times the slip, in pure slip of usual size."""
-    loads = np.array(USUAL_SHARES) * load
-    alone = TireInputs(*np.zeros((len(TireInputs._fields), len(loads))))
-    peaks = frictions(model, alone._replace(fz=loads))
-    x, y, scale = model.longitudinal, model.lateral, model.scaling
-    shapes = {"fx": x.PCX1 * scale.LCX, "fy": y.PCY1 * scale.LCY}
-    slips = np.linspace(-USUAL_SLIP, USUAL_SLIP, 121)[:, None]
-    missed = [(0.0, "", 0.0)]
-    for name, slip in (("fx", "sigma_x"), ("fy", "alpha")):
-        if name in model.lacks:
-            continue
-
-        def share(at: ArrayLike, name: str = name, slip: str = slip) -> np.ndarray:
-            """Force over load (n, loads) at slips that broadcast to it."""
-            at, fz = np.broadcast_arrays(at, loads)
-            given = TireInputs(fz=fz.ravel())._replace(**{slip: at.ravel()})
-            force = np.asarray(getattr(forces(model, given), name))
-            return force.reshape(at.shape) / fz
-
-        less, more = share([[-_SMALL], [_SMALL]])
-        most = _LIMIT * float(shapes[name]) * peaks[name] * 2 * _SMALL / np.abs(more - less)
-        most = np.abs(most)
-        lost = np.max(np.abs(share(slips) - share(np.clip(slips, -most, most))), 0)
-        missed.append((float(lost.max()), name, float(most[lost.argmax()])))
-    size, name, most = max(missed)
-    if size < _SEEN:
-        return []
-    return [
-        f"Chrono limits the slip: its {name} stays the same beyond {most:.3g}, where"
-        f" that of the file differs by up to {size:.1%} of F_z (to {USUAL_SLIP:g})"
-    ]
 
 
 def chrono_source(draft: Draft) -> dict[str, str]:

@@ -265,12 +265,8 @@ def _with_effects(tire: Tire, diagnosis: "Diagnosis | str | os.PathLike[str]") -
     except UsageError as error:
         file = os.fspath(diagnosis) if isinstance(diagnosis, str | os.PathLike) else ""
         raise UsageError([replace(problem, file=file) for problem in error.problems]) from None
-    estimated, before = document.extended_parameters, parameter_values(tire.model)
+    estimated = document.extended_parameters
     notes = _exportable(tire).notes + report.sentences
-    doubled = [k for k, x in estimated.items() if abs(x - before[k]) > abs(before[k])]
-    if doubled:
-        changes = ", ".join(f"{k} {before[k]:.4g} to {estimated[k]:.4g}" for k in doubled)
-        notes = (f"warning: the diagnosis changes {changes}: is it for this tire?", *notes)
     if tire.spread:
         changed = ", ".join(estimated)
         notes += (f"{changed}: estimates beside the effects, without standard error",)
