@@ -50,7 +50,7 @@ def brake(
     Args:
         tire: a fit, a ``fit.json``, a ``.tir`` file, a tire, or the name of a model;
             brush-m with a peak by default.
-        controller: names of the controllers: xbs-servo, abs, slip, none.
+        controller: names of the controllers: xbs-servo, abs, none.
         road: ``mu=0.4``; ``mu=0.3:0.8@20`` changes after 20 m; ``left=0.3,right=0.8``.
         speed: at which braking begins [m/s].
         steer: angle of the front wheels, to the left [rad].

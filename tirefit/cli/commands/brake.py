@@ -30,7 +30,7 @@ _PLANT = "parameter of hydraulics, sensors, road: demand [Pa], delay [s], ..."
 def brake(
     out: Folder,
     controller: Annotated[
-        str, option("NAME[,NAME...]", "controllers: xbs-servo, abs, slip, none")
+        str, option("NAME[,NAME...]", "controllers: xbs-servo, abs, none")
     ] = "xbs-servo,abs",
     road: Annotated[str, option("ROAD", _ROAD)] = "mu=0.3",
     speed: Annotated[float, option("", "initial speed [m/s]")] = 15.0,
