@@ -55,7 +55,7 @@ def test_a_convention_of_a_model_overrides_the_default_and_is_reported(tmp_path)
     data = read(path, otherwise=MODEL)
     same(data, longitudinal())
     (text,) = data.source.warnings
-    assert "read as iso-w, that of tire.tir, so positive 'sigma_x'" in text
+    assert "read as iso-w, that of tire.tir, so negative 'sigma_x'" in text
     assert "pass --convention braking; if it means driving, --convention iso-w" in text
     assert any("'iso-w' assumed, that of tire.tir" in n for n in data.source.notes)
     same(read(path, convention="iso-w"), longitudinal())
@@ -98,11 +98,11 @@ def test_user_and_file_override_the_convention_of_a_layout(tmp_path):
     data = read(written(tmp_path / "b.csv", frame, "# convention sae"), otherwise=MODEL)
     assert data.source.convention == "sae"
     assert data.source.convention_from == "stated in line 1, not as 'iso-w' of tire.tir"
-    positive = frame | {"FZ": -frame["FZ"], "SA": -frame["SA"]}
+    positive = frame | {name: -frame[name] for name in ("FZ", "SA", "FY", "MZ")}
     path = written(tmp_path / "c.csv", positive)
     layout = read(path).source.convention
-    assert layout == "adapted-sae"
-    data = read(path, convention="braking")
+    assert layout == "iso-w"
+    data = read(path, convention="adapted-sae", units={"fy": "-N", "mz": "-Nm"})
     assert data.source.convention_from == f"as declared, not {layout!r} (by the layout of the file)"
 
 

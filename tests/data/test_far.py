@@ -1,14 +1,10 @@
 """Absurd values are reported; settings and noise are not."""
 
-import json
-
 import numpy as np
 import pytest
 
 from tirefit.data.far import far_values
-from tirefit.data.inspect import inspect
-from tirefit.data.read import read, read_frame
-from tirefit.data.table import join
+from tirefit.data.read import read_frame
 
 ROWS = 80
 
@@ -98,28 +94,3 @@ def test_settings_and_a_locked_wheel_are_no_outliers():
     # Where one row in ten is there, it belongs to what was measured.
     assert not named(sweep(fz=dict.fromkeys(range(8), 2e5)))
     assert not named({key: values[:8] for key, values in sweep(fx={2: 4e5}).items()})
-
-
-def write(path, columns):
-    rows = zip(*columns.values(), strict=True)
-    lines = [",".join(columns), *(",".join(map(repr, map(float, r))) for r in rows)]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def test_inspect_reports_file_lines_with_a_remedy(tmp_path):
-    write(tmp_path / "rig.csv", sweep(fx={17: 4e5}))
-    report = inspect(read(tmp_path / "rig.csv"))
-    (said,) = report.far_rows
-    assert said.startswith("row 19, column 'fx': 400000 N is far from all other rows")
-    assert said.endswith("remedy: correct or delete the row")
-    assert "outliers (a fit" in report.summary()
-    assert json.loads(json.dumps(report.to_dict()))["far_rows"] == [said]
-    assert "far from" not in inspect(read_frame(sweep())).summary()
-
-
-def test_rows_of_joined_files_keep_their_file_and_line(tmp_path):
-    for name, changes in (("a", {}), ("b", {"fz": {4: 9e9}})):
-        write(tmp_path / f"{name}.csv", sweep(seed=len(changes), **changes))
-    both = join([read(tmp_path / "a.csv"), read(tmp_path / "b.csv")])
-    (said,) = inspect(both).far_rows
-    assert said.startswith(f"{tmp_path / 'b.csv'}, row 6, column 'fz'")

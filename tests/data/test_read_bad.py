@@ -125,7 +125,7 @@ CASES = {
     ),
     "below -1": (
         lines("-2,-1,4000").replace("kappa", "sigma_x"), {},
-        ["row 6", "travel backwards", "--convention iso-w"],
+        ["row 6", "-1 <= sigma_x <= 5", "--convention iso-w"],
     ),
     "s": (
         lines("-1.5,-1,4000").replace("kappa", "s"), {},
@@ -157,11 +157,11 @@ CASES = {
     ),
     "z down": (
         table("kappa,fx,fz", SLIP, UP, [-4000] * 6), {},
-        ["column 'fz'", "looks like SAE", "--convention sae"],
+        ["column 'fz'", "6 of 6 rows (-4000", "(z down): --convention sae"],
     ),
     "z up in sae": (
         table("kappa,fx,fz", SLIP, UP, LOAD), {"convention": "sae"},
-        ["looks like z up", "--convention braking or iso-w or adapted-sae"],
+        ["column 'fz'", "6 of 6 rows (4000", "positive: --convention braking or iso-w"],
     ),
     # columns
     "no slip": ("fx,fz\n1,2\n", {}, ["no slip", "--column kappa=HEADER", "'fx', 'fz'"]),
@@ -261,8 +261,8 @@ CASES = {
     "no header": (GOOD, {}, ["row 1", "numbers, not column names", "header"]),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", {}, ["not a text file"]),
     "zeros": (b"kappa,fx,fz\n0.1,\x001,2\n", {}, ["row 2: not a text file"]),
-    "no byte order mark": (WELL.encode("utf-16-le"), {}, ["like UTF-16", "as UTF-8"]),
-    "utf-32": (WELL.encode("utf-32"), {}, ["UTF-32", "save it as UTF-8"]),
+    "no byte order mark": (WELL.encode("utf-16-le"), {}, ["UTF-16 without"]),
+    "utf-32": (WELL.encode("utf-32"), {}, ["not a text file"]),
     "gzip and more": (gzip.compress(WELL.encode()) + b"x", {}, ["gzip file is dam"]),
     "only units": (HEADER + "-,N,N\n", {}, ["no data rows", "give at least"]),
     "no force to predict": (
@@ -343,9 +343,7 @@ def test_a_missing_file_suggests_a_similar_name(tmp_path):
     write(tmp_path, WELL)
     with pytest.raises(DataError, match="did you mean 'test file.csv'"):
         read(tmp_path / "test_file.csv")
-    (tmp_path / "dead.csv").symlink_to("gone.csv")
     for path, reason, remedy in (
-        (tmp_path / "dead.csv", "link to gone.csv, which does not", "correct the link"),
         (tmp_path / "nowhere", "does not exist", "check the path"),
         (tmp_path / "no" / "where", "does not exist", "check the path"),
         (tmp_path, "cannot be read: Is a directory", "check the path and its perm"),

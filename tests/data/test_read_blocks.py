@@ -1,11 +1,10 @@
-"""NumPy reads a block of a text with the result of the slow path, by the csv module."""
+"""A text is read in blocks of rows with the result of a single block."""
 
 import numpy as np
 import pytest
 
 from tirefit.data.read import read
 from tirefit.data.readers import text
-from tirefit.data.readers.cells import Lines
 from tirefit.results import DataError
 
 ROWS = 60
@@ -46,23 +45,6 @@ def told(path, **options):
         data.source.notes,
         said,
     )
-
-
-@pytest.fixture
-def one_by_one(monkeypatch):
-    """Makes the ``csv`` module read blocks of 20 lines that NumPy reads otherwise."""
-    monkeypatch.setattr(text, "_BLOCK", 20)
-    used = []
-    numbers = Lines.numbers
-
-    def counted(lines, commas):
-        used.append(numbers(lines, commas) is not None)
-
-    def start():
-        monkeypatch.setattr(Lines, "numbers", counted)
-        return used
-
-    return start
 
 
 def changed(edit, **how):
@@ -122,16 +104,24 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_numpy_and_csv_read_the_same(name, tmp_path, one_by_one):
+def test_blocks_are_read_like_the_whole(name, tmp_path, monkeypatch):
     path = tmp_path / "log.csv"
     path.write_text(TEXTS[name], newline="")
-    by_numpy = told(path, mask_bad_rows=True)
-    used = one_by_one()
-    assert told(path, mask_bad_rows=True) == by_numpy
-    if name in ("plain", "decimal comma", "names of runs", "white space"):
-        assert used == [True] * 3 + [True] * (len(used) > 3)
-    if name in ("text", "a short row"):
-        assert used.count(False) == 1
+    whole = told(path, mask_bad_rows=True)
+    monkeypatch.setattr(text, "_BLOCK", 20)
+    assert told(path, mask_bad_rows=True) == whole
+
+
+@pytest.mark.parametrize("name", ["plain", "blank lines", "tabs", "line ends of DOS", "spaces"])
+def test_a_text_has_the_numbers_and_lines_of_its_rows(name, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(TEXTS[name], newline="")
+    data, table = read(path, convention="braking"), rows()
+    np.testing.assert_array_equal(data["time"], [float(row[0]) for row in table])
+    np.testing.assert_array_equal(data["fx"], [float(row[2]) for row in table])
+    assert data.runs == ("1", "2", "3", "4")
+    blank = (name == "blank lines") * (np.arange(ROWS) >= 40)
+    np.testing.assert_array_equal(data.source.line, 2 + np.arange(ROWS) + blank)
 
 
 def test_names_of_runs_with_points_leave_the_decimal_comma(tmp_path):

@@ -108,7 +108,7 @@ def test_matlab_files_of_the_consortium_need_no_declaration(tmp_path, version, i
     same(data, truth())
     assert data.source.convention == "sae"
     assert said(data, f"MATLAB file of version {version}")
-    assert said(data, "tireid = 'no such tire'")
+    assert said(data, "'tireid' ('no such tire')")
     assert said(data, "(stated in the file)")
     assert not data.source.warnings
 
@@ -213,7 +213,7 @@ def test_a_table_object_of_version_5_is_refused_with_a_remedy(tmp_path):
     content = element(matrix, flags + b"".join(names) + element(matrix, inner))
     path.write_bytes(path.read_bytes() + content)
     message = refusal(path)
-    assert "'T' is a table, which only MATLAB can read" in message
+    assert "'T' (MATLAB table)" in message
     assert "table2struct(T, 'ToScalar', true)" in message
 
 
@@ -224,7 +224,7 @@ def test_a_table_object_of_version_7_3_is_refused_with_a_remedy(tmp_path):
         file["T"].attrs["MATLAB_class"] = np.bytes_("timetable")
         file["T"].attrs["MATLAB_object_decode"] = np.int32(3)
     message = refusal(path)
-    assert "'T' is a timetable, which only MATLAB can read" in message
+    assert "'T' (MATLAB timetable)" in message
     assert "table2struct(T, 'ToScalar', true)" in message
 
 
@@ -286,7 +286,6 @@ def test_parquet_and_arrow_have_typed_columns(tmp_path, save, name):
     assert said(data, "column 'kappa' read as kappa in % (metadata of the column)")
     assert said(data, "columns not read: 'list' (list<")
     assert said(data, "columns not read: 'on', 'day'")
-    assert said(data, "column 'day' in seconds from its first, 2020-01-01")
 
 
 def save_excel(path, sheets):
@@ -307,7 +306,7 @@ JSON = {
     "columns": ('{"kappa": [0.1, 0.2], "fx": [1, 2]}', "read_frame takes a dict"),
     "rows": ('[\n {"kappa": 0.1, "fx": 1},\n {"kappa": 0.2, "fx": 2}\n]', "read_frame"),
     "lines": ('\ufeff{"kappa": 0.1}\n{"kappa": 0.2}\n', "write its columns as CSV"),
-    "a fit": ('{"schema": "tirefit.fit/1"}', "this file as the tire: --model"),
+    "a fit": ('{"schema": "tirefit.fit/1"}', "give a fit as the tire (--model)"),
 }
 
 
@@ -410,20 +409,19 @@ def of_numpy(save, *arrays, **named):
 
 
 PYTHON = {
-    "npz": (of_numpy(np.savez, **PLAIN), "numpy.load"),
-    "npy": (of_numpy(np.save, PLAIN["fx"]), "numpy.load"),
-    "pkl": (pickled(4), "pandas.read_pickle"),
-    "pkl of old": (pickled(0), "pandas.read_pickle"),
+    "npz": of_numpy(np.savez, **PLAIN),
+    "npy": of_numpy(np.save, PLAIN["fx"]),
+    "pkl": pickled(4),
+    "pkl of old": pickled(0),
 }
 
 
-@pytest.mark.parametrize(("save", "load"), PYTHON.values(), ids=PYTHON)
-def test_python_files_are_refused_with_a_remedy(tmp_path, save, load):
+@pytest.mark.parametrize("save", PYTHON.values(), ids=PYTHON)
+def test_python_files_are_refused_with_a_remedy(tmp_path, save):
     path = tmp_path / "run.dat"
     save(path)
     message = refusal(path)
-    assert "is not read" in message and f"{load}('run.dat')" in message
-    assert "tirefit.read_frame(columns)" in message
+    assert "is not read" in message and "tirefit.read_frame" in message
 
 
 def test_the_remedy_for_npz_works(tmp_path):

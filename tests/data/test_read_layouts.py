@@ -50,17 +50,20 @@ def test_a_tire_test_consortium_file_is_recognised_by_its_layout(
 
 def test_a_declaration_overrides_the_layout():
     frame = ttc(truth())
-    with pytest.raises(DataError, match="looks like SAE"):
+    with pytest.raises(DataError, match="z down.*convention='sae'"):
         read_frame(frame, convention="iso-w")
 
 
 @pytest.mark.parametrize(("fy", "convention"), [(1, "adapted-sae"), (-1, "iso-w")])
-def test_signs_show_a_converted_consortium_file(fy, convention):
+def test_a_converted_consortium_file_has_the_signs_of_iso_or_is_declared(fy, convention):
     columns = truth()
     frame = ttc(columns)
     turned = {"SA": -frame["SA"], "FZ": -frame["FZ"], "FY": fy * frame["FY"]}
     turned["MZ"] = fy * frame["MZ"]
-    data = read_frame(frame | turned)
+    if fy > 0:
+        with pytest.raises(DataError, match="these signs fit convention='braking' or adapted-sae"):
+            read_frame(frame | turned)
+    data = read_frame(frame | turned, **({"convention": convention} if fy > 0 else {}))
     assert data.source.convention == convention
     same(data, columns)
 
@@ -202,7 +205,7 @@ def test_an_aim_export_is_read(tmp_path, how):
     assert one.n == other.n == len(rows)
     for name in ("time", "sigma_x", "fx", "fz"):
         np.testing.assert_array_equal(one[name], other[name])
-    assert said(one, "export of AiM RaceStudio")
+    assert said(one, "export of AiM")
 
 
 def test_a_large_aim_export_is_read_exactly(tmp_path):

@@ -72,5 +72,5 @@ def test_bins_are_named_by_the_words_that_differ():
         for v in (11,)
     ]
     short, pattern = run_names(bins)
-    assert short[0] == "222 -2 82.6" and short[-1] == "1112 0 96.6"
-    assert len(set(short)) == len(bins) and pattern == "* N * deg * kPa 11 m/s"
+    assert short[0] == "222 N -2 deg 82" and short[-1] == "1112 N 0 deg 96"
+    assert len(set(short)) == len(bins) and pattern == "*.6 kPa 11 m/s"

@@ -44,7 +44,7 @@ def test_the_table_has_a_row_per_number_and_file(tmp_path):
     rows = pyarrow.parquet.read_table(tmp_path / "results.parquet").to_pylist()
     assert len(rows) == 29 * 3 + 1
     assert [row["number"] for row in rows[:4]] == [1, 1, 1, 2]
-    mu = given[4].of_kind("parameter")["mu"]
+    mu = next(row for row in given[4].rows if row.name == "mu")
     there = next(row for row in rows if row["number"] == 5 and row["name"] == "mu")
     assert there["value"] == mu.value and there["std"] == mu.std
     assert there["low"] is None and there["identified"] and there["seed"] == 3

@@ -13,15 +13,12 @@ import numpy as np
 
 from tirefit.data.columns import is_number
 from tirefit.data.readers.cells import Column, parsed
-from tirefit.data.signs import evidence_of, fitting_conventions
-from tirefit.data.units import base_column
 from tirefit.data.vehicle.vehicle_log import vehicle_log
 from tirefit.results import InputProblem
-from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
+from tirefit.slip import LOCKED, SLIP_DEFINITIONS
 
 SHOWN = 5  # rows of one fault that are listed; the others are counted
 
-_LOWEST_SIGMA = -1.05
 _LARGEST = 1e100  # no measurement; its square still fits in a float
 OR_MASK = ", or mask bad rows with --mask-bad-rows"
 _CORRECT = f"correct the row{OR_MASK}"
@@ -74,9 +71,10 @@ class Rule(NamedTuple):
 _RULES = (
     Rule(
         "sigma_x",
-        lambda sigma: (sigma < _LOWEST_SIGMA) | ((sigma > 5) & (sigma < LOCKED)),
+        lambda sigma: (sigma < -1.05) | ((sigma > 5) & (sigma < LOCKED)),
         "is out of the physical range: -1 <= sigma_x <= 5",
-        "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x: --slip kappa; ",
+        "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x: --slip kappa; if driving"
+        " slip is positive: --convention iso-w, sae or adapted-sae; ",
     ),
     *(
         Rule(
@@ -99,29 +97,20 @@ _RULES = (
         for name in ("alpha", "gamma")
     ),
     # Below 1e-6 N no tire is loaded and no quotient is a number.
-    Rule("fz", lambda load: load < 1e-6, "is not a load: fz > 0 is needed"),
+    Rule(
+        "fz",
+        lambda load: load < 1e-6,
+        "is not a load: fz > 0 is needed",
+        "if loads are negative in the file (z down): --convention sae; if they are positive:"
+        " --convention braking or iso-w or adapted-sae; ",
+    ),
     Rule("v", lambda speed: speed < 0, "is a negative speed"),
     Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed"),
 )
 
 
-def drop_absent_noise(columns: dict[str, np.ndarray], headers: dict[str, str]) -> list[str]:
-    """Remove the noise of a slip that is zero in all rows, and return a sentence on each."""
-    slips = ("alpha", *SLIP_DEFINITIONS)
-    stds = [name for name in columns if name.endswith("_std") and base_column(name) in slips]
-    zero = [name for name in stds if not columns[name].any()]
-    for name in zero:
-        del columns[name]
-    return [
-        f"column {headers.pop(name, name)!r} is zero in all rows: no slip noise" for name in zero
-    ]
-
-
 def range_faults(
-    columns: Mapping[str, np.ndarray],
-    shown: Mapping[str, np.ndarray],
-    headers: Mapping[str, str],
-    convention: str,
+    columns: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray], headers: Mapping[str, str]
 ) -> list[BadRows]:
     """Rows outside the physical range, by column.
 
@@ -130,7 +119,6 @@ def range_faults(
             its definition. NaN is never out of range.
         shown: the same columns in the units and signs of the file, for messages.
         headers: the header of each column in the file.
-        convention: the one in which the file is read.
     """
     faults = []
     stds = (
@@ -143,26 +131,10 @@ def range_faults(
         rows = np.flatnonzero(rule.is_bad(values))
         if not len(rows):
             continue
-        text, remedy = rule.rule, rule.remedy + _CORRECT
-        if rule.column == "fz" and np.nanmedian(values) < 0:
-            up = CONVENTIONS[convention].fz < 0
-            look = "z up (loads positive)" if up else "SAE (z down: loads are negative)"
-            finite = np.all([np.isfinite(values) for values in columns.values()], axis=0)
-            sides = {n: columns[n][finite] for n in ("alpha", "fy", "mz") if n in columns}
-            fitting = fitting_conventions(evidence_of(sides), convention, load=-1)
-            fitting = fitting or [n for n, other in CONVENTIONS.items() if (other.fz > 0) == up]
-            text += f"; the file looks like {look}, but is read as {convention!r}"
-            remedy = f"declare the convention: --convention {' or '.join(fitting)}"
-        if rule.column == "sigma_x":
-            low, high = np.nanmin(values), np.nanmax(np.where(values < LOCKED, values, np.nan))
-            # In range by the signs of some convention: mirrored, and no percentages.
-            if not (low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)):
-                text = "is below -1, where the wheel would have to travel backwards"
-                remedy = "if driving slip is positive in the file: --convention iso-w, sae or"
-                remedy += f" adapted-sae; {_CORRECT}"
         raw = [f"{value:.6g}" for value in shown[rule.column][rows]]
         header = headers.get(rule.column, f"--constant {rule.column}")
-        faults.append(BadRows(header, rows, raw, text, remedy, is_systematic=True))
+        remedy = rule.remedy + _CORRECT
+        faults.append(BadRows(header, rows, raw, rule.rule, remedy, is_systematic=True))
     return faults
 
 
@@ -267,20 +239,13 @@ def doubt_time(time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
     more = f" (and {back.sum() - 1} times more)" if back.sum() > 1 else ""
     return [
         f"row {lines[row]}, column {header!r}: the time goes back, from"
-        f" {time[before]:.6g} s to {time[row]:.6g} s within a run{more}: fits and"
-        " diagnoses sort the rows of a run by time, which would mix two recordings, or"
-        " the rows before and after a clock was set; give each its own run"
-        " (--column run=HEADER), or correct the time; rows that are only out of order"
-        " are no problem"
+        f" {time[before]:.6g} s to {time[row]:.6g} s within a run{more}: give each recording its"
+        " own run (--column run=HEADER), or correct the time"
     ]
 
 
 def read_numbers(
-    cells: Sequence[str] | np.ndarray,
-    header: str,
-    ragged: np.ndarray,
-    commas: bool = False,
-    gaps: bool = False,
+    cells: Sequence[str] | np.ndarray, header: str, ragged: np.ndarray, gaps: bool = False
 ) -> tuple[np.ndarray, list[BadRows]]:
     """Numbers of a column of cells, and the faulty ones.
 
@@ -288,7 +253,6 @@ def read_numbers(
         cells: n strings, also as a column of a large text, or an (n,) array.
         header: named in the faults.
         ragged: (n,) bool, rows already known to be bad.
-        commas: whether a comma is the decimal point.
         gaps: whether cells without a value (empty, NaN, NA) are allowed.
 
     Returns:
@@ -297,7 +261,7 @@ def read_numbers(
     if isinstance(cells, np.ndarray):
         values = cells.astype(float)
     else:
-        values = cells.numbers(commas) if isinstance(cells, Column) else parsed(cells, commas)
+        values = cells.values if isinstance(cells, Column) else parsed(cells)
     is_sane = abs(values) < _LARGEST
     kinds: dict[str, list[tuple[int, str]]] = {}
     for row in np.flatnonzero(~is_sane & ~ragged):
@@ -333,3 +297,44 @@ def _fault_of(cell: str) -> tuple[str, str]:
     if _CLOCK.match(text):
         return repr(shown), _IS_CLOCK
     return repr(shown), _IS_TEXT
+
+
+# --- rows that lack a value -----------------------------------------------------------
+
+MOST = 0.1
+"""Largest share of rows that are excluded without an option: without a tenth of the rows a standard
+error is 5 % larger (1 / sqrt(0.9))."""
+
+INPUTS = {"run", "time", "alpha", "fz", "v", "gamma", "omega", *SLIP_DEFINITIONS}
+"""Columns without which a row cannot be predicted."""
+
+
+def excluded(
+    faults: Sequence[BadRows], lines: np.ndarray, file: str, limited: bool
+) -> tuple[str | None, list[InputProblem]]:
+    """A warning that names the rows without a value; problems instead if they are too many.
+
+    Args:
+        faults: missing values only.
+        lines: (n,) line of the file of each row.
+        limited: whether more than :data:`MOST` of the rows are an error.
+    """
+    rows = np.unique(np.array([row for fault in faults for row in fault.rows], int))
+    if not len(rows):
+        return None, []
+    places: dict[str | None, set[int]] = {}
+    for fault in faults:
+        places.setdefault(fault.column, set()).update(map(int, fault.rows))
+    where = {}
+    for column, each in places.items():  # the first rows by their lines, and the number of others
+        first = ", ".join(str(lines[row]) for row in sorted(each)[:SHOWN])
+        more = f" and {len(each) - SHOWN} more" if len(each) > SHOWN else ""
+        where[column] = f"row{'s' if len(each) > 1 else ''} {first}{more}"
+    if limited and len(rows) > MOST * len(lines):
+        remedy = f"fill the cells, or exclude more than {MOST:.0%} of the rows with --mask-bad-rows"
+        shares = {c: f"{len(each)} of {len(lines)} rows ({len(each) / len(lines):.1%})"
+                  for c, each in places.items()}  # fmt: skip
+        reasons = {c: f"{share} lack a value ({where[c]})" for c, share in shares.items()}
+        return None, [InputProblem(reasons[c], remedy, file, column=c) for c in places]
+    named = "; ".join(f"{column!r} in {where[column]}" for column in places)
+    return f"excluded {len(rows)} of {len(lines)} rows, which lack a value: {named}", []

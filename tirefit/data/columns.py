@@ -1,7 +1,7 @@
 """Identify the columns of a file: declared by the user, or inferred and reported."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -57,7 +57,8 @@ _NAMES = {
 }
 _ALIASES = {alias: name for name, names in _NAMES.items() for alias in names.split()}
 
-_NO_LAYOUT = Layout()
+IsKnown = Callable[[str], bool]
+"""Whether a name is that of a known column."""
 
 _STD_WORDS = {"std", "sd", "stdev", "stddev"}
 _SIM_WORDS = {"sim", "simulated"}
@@ -92,6 +93,7 @@ class Column:
     unit_text: str = ""
     unit: Unit | None = None  # None for ``run`` and if the stated one was refused
     beside: bool = False  # whether the unit is stated elsewhere than in the header
+    note: str = ""  # sentence on how it is read
 
 
 @dataclass
@@ -102,7 +104,6 @@ class Plan:
     columns: dict[str, Column] = field(default_factory=dict)
     assumptions: list[str] = field(default_factory=list)
     problems: list[InputProblem] = field(default_factory=list)
-    in_units_row: set[InputProblem] = field(default_factory=set)
     units_to_write: dict[str, str] = field(default_factory=dict)
     """Declared units of forces that the file lacks because they will be predicted."""
 
@@ -114,11 +115,6 @@ class Plan:
     def slip(self) -> str | None:
         """Definition of the slip column, or None without one."""
         return next((name for name in self.columns if name in SLIP_DEFINITIONS), None)
-
-    @property
-    def units(self) -> dict[str, str]:
-        """The unit of each column as text."""
-        return {name: column.unit_text for name, column in self.columns.items()}
 
 
 def guess(header: str) -> Guess | None:
@@ -179,7 +175,7 @@ def plan_columns(
     units_row: Sequence[str] | None,
     options: Options,
     file: str,
-    layout: Layout = _NO_LAYOUT,
+    layout: Layout,
 ) -> Plan:
     """Decide which columns to read, with which name and unit.
 
@@ -217,15 +213,13 @@ def plan_columns(
         named = options.slip if options.slip and _group(name) == "slip" else name
         unit_text, how = _unit_of(name, headers, stated, options, chosen)
         beside = stated.get(index) == (unit_text, how)
-        column = Column(named, headers[index], index, unit_text, beside=beside)
-        plan.columns[named] = _with_unit(column, plan)
-        if beside and not plan.columns[named].unit:
-            plan.in_units_row.add(plan.problems[-1])
         unit = f" in {unit_text}{how}" if named != "run" else ""
-        if named in SLIP_DEFINITIONS and column.header.casefold() != named:
+        if named in SLIP_DEFINITIONS and headers[index].casefold() != named:
             unit = f" = {MEANING_OF_SLIP[named]}{unit}"
         ending = ", as declared" if name in declared or named != name else ""
-        plan.assumptions.append(f"column {column.header!r} read as {named}{unit}{ending}")
+        note = f"column {headers[index]!r} read as {named}{unit}{ending}"
+        column = Column(named, headers[index], index, unit_text, beside=beside, note=note)
+        plan.columns[named] = _with_unit(column, plan)
     _check_all_used(options, plan)
     ignored = [h for i, h in enumerate(headers) if h and i not in chosen.values()]
     listed = ", ".join(map(repr, ignored))
@@ -244,18 +238,16 @@ def _declared(headers: Sequence[str], options: Options, plan: Plan) -> dict[str,
         places = places or [i for i, h in enumerate(folded) if h == wanted.casefold()]
         if len(places) == 1:
             place_of[name] = places[0]
-            continue
-        if not places and _is_predicted(name, options):
+        elif places:
+            reason = f"the header occurs {len(places)} times ({_places(places)})"
+            plan.problem(reason, "rename one of them in the file", header)
+        elif _is_predicted(name, options):
             plan.assumptions.append(f"column {header!r} ({name}) is not there")
-            continue
-        reason = f"the header occurs {len(places)} times ({_places(places)})"
-        remedy = "rename one of them in the file"
-        if not places:
-            meant = did_you_mean(wanted, headers)
+        else:
             how = f"declared as {name} by {_DECLARED_BY['columns']}"
-            reason = f"the file has no such column ({how})"
-            remedy = f"{meant}columns found: {', '.join(map(repr, headers))}"
-        plan.problem(reason, remedy, header)
+            there = f"columns found: {', '.join(map(repr, headers))}"
+            remedy = did_you_mean(wanted, headers) + there
+            plan.problem(f"the file has no such column ({how})", remedy, header)
     for number, (name, place) in enumerate(place_of.items()):
         for other in list(place_of)[:number]:
             if place_of[other] == place or _group(other) == _group(name):

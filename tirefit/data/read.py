@@ -5,6 +5,7 @@ in ``Source.assumptions``.
 """
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
@@ -12,11 +13,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tirefit.data import check, missing, signs
+from tirefit.data import check, signs
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options, Signs, declared
-from tirefit.data.doubtful_units import doubt_units
 from tirefit.data.readers.cells import words_of
 from tirefit.data.readers.kinds import read_table
 from tirefit.data.readers.quaternion import with_headings
@@ -197,24 +197,20 @@ def _checked(table: Table, options: Options) -> TireData:
     read_as = options.signs(table.layout, plan.columns, table.file)
     reading = _Reading(table, options, plan, read_as)
     lines = table.header_line, table.units_line or table.header_line
-    reading.problems = [
-        replace(problem, row=lines[problem in plan.in_units_row]) for problem in plan.problems
-    ]
+    beside = {column.header for column in plan.columns.values() if column.beside}
+    reading.problems = [replace(p, row=lines[p.column in beside]) for p in plan.problems]
     reading.problems += read_as.problems
     reading.faults += table.faults
     reading.doubts += table.doubts
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)
-    reading.assumptions += check.drop_absent_noise(reading.columns, reading.headers)
-    reading.faults += check.range_faults(
-        reading.columns, reading.shown, reading.headers, read_as.convention
-    )
+    reading.faults += check.range_faults(reading.columns, reading.shown, reading.headers)
     definition = plan.slip or "sigma_x"
     if plan.slip is not None and plan.slip in reading.columns:  # not a constant
         _slip_to_sigma(reading, plan.slip)
     if options.rolling_radius is not None:
-        _use_rolling_radius(reading, definition, options.rolling_radius)
+        _use_rolling_radius(reading, options.rolling_radius)
     if options.forces and options.curve and not reading.bad().all():
         for name in FORCES:  # those that are zero in all rows were not measured
             if name in reading.columns and not np.any(reading.columns[name][~reading.bad()]):
@@ -226,7 +222,8 @@ def _checked(table: Table, options: Options) -> TireData:
     masked = _raise_or_mask(reading)
     assumptions = (
         *table.notes,
-        *missing.of_read(plan.assumptions, reading.unread),
+        *plan.assumptions,
+        *(column.note for column in plan.columns.values()),
         str(read_as),
         *reading.assumptions,
         *findings(table.constants),
@@ -277,17 +274,22 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
 def _numbers_to_si(reading: _Reading) -> None:
     """Fill ``columns`` with values in canonical units and signs; the slip as defined."""
     table, plan, note = reading.table, reading.plan, reading.assumptions.append
-    if table.commas:
-        note("numbers read with a decimal comma (1,5 is 1.5)")
     for column in [column for name, column in plan.columns.items() if name != "run"]:
-        gaps = missing.may_miss(column.name, reading.options.forces)
+        base = base_column(column.name)
+        # Rows without pressure are at nominal pressure; a prediction needs only what models read.
+        is_needed = base in check.INPUTS or (reading.options.forces and base != "pressure")
         values, faults = check.read_numbers(
-            table.cells[column.index], column.header, table.ragged, table.commas, gaps
+            table.cells[column.index], column.header, table.ragged, gaps=not is_needed
         )
         count = sum(len(fault.rows) for fault in faults if fault.is_missing)
         declared = column.name in reading.options.columns or reading.options.mask_bad_rows
-        if not declared and missing.is_spare(column.name, count, len(values)):
-            reading.unread.append(missing.unread(column.name, column.header, count, len(values)))
+        # What lacks for a fit if all cells of these columns are empty is an error of the columns.
+        is_rare = base not in {*check.INPUTS, "fx", "fy", "mz"}
+        if not declared and count > (check.MOST * len(values) if is_rare else len(values) - 1):
+            text = f"column {column.header!r} is not read: {count} of its {len(values)} cells"
+            option = shlex.quote(f"{column.name}={column.header}")
+            reads = f"; --column {option} reads it" if count < len(values) else ""
+            reading.unread.append(f"{text} have no value{reads}")
             del plan.columns[column.name]
             continue
         reading.faults += faults
@@ -334,29 +336,25 @@ def _slip_to_sigma(reading: _Reading, definition: str) -> None:
     headers["sigma_x"] = header
     if definition != "sigma_x":
         reading.assumptions.append(f"{definition} converted to sigma_x")
-    _say_limits(reading, header)
+    _note_limits(reading, header)
     for name in [n for n in columns if _canonical(n) == "sigma_x_std"]:
         slope = sigma_derivative(columns["sigma_x"], definition, alpha)
         columns["sigma_x_std"] = columns.pop(name) * slope
         headers["sigma_x_std"] = headers.pop(name)
 
 
-def _say_limits(reading: _Reading, what: str) -> None:
-    sigma = reading.columns["sigma_x"]
-    for count, sentence in (
-        (np.sum(sigma == LOCKED), f"are a locked wheel: sigma_x = {LOCKED:g}"),
-        (np.sum(sigma == SPINNING), f"at or below sigma_x = -1 set to {SPINNING}"),
-    ):
-        reading.assumptions += [f"{count} rows of {what!r} {sentence}"] if count else []
+def _note_limits(reading: _Reading, header: str) -> None:
+    for limit, meaning in ((LOCKED, "are a locked wheel"), (SPINNING, "spin on the spot")):
+        if count := np.sum(reading.columns["sigma_x"] == limit):
+            note = f"{count} rows of {header!r} {meaning}: sigma_x = {limit:g}"
+            reading.assumptions.append(note)
 
 
-def _use_rolling_radius(reading: _Reading, definition: str, radius: float) -> None:
+def _use_rolling_radius(reading: _Reading, radius: float) -> None:
     """Compute sigma_x = (v - omega R) / (omega R), or compare the slip column with it."""
     columns = reading.columns
     if without := " and ".join(name for name in ("omega", "v") if name not in columns):
-        if "sigma_x" not in columns and "alpha" in columns:
-            reading.assumptions.append(f"rolling radius not used: there is no {without}")
-        elif "sigma_x" not in columns:
+        if not {"sigma_x", "alpha"} & columns.keys():
             reason = f"--rolling-radius needs {without} to give a slip"
             reading.problem(reason, "name them, as in --column omega=HEADER")
         return
@@ -364,10 +362,8 @@ def _use_rolling_radius(reading: _Reading, definition: str, radius: float) -> No
     if "sigma_x" in columns:
         good = ~reading.bad() & np.isfinite(sigma + columns["sigma_x"])
         if good.any():
-            given = columns["sigma_x"][good]
             header = reading.headers.get("sigma_x", "sigma_x")  # a constant has no header
-            alpha = columns["alpha"][good] if "alpha" in columns else None
-            compared = signs.check_slip(given, sigma[good], definition, alpha, radius)
+            compared = signs.check_slip(columns["sigma_x"][good], sigma[good], radius)
             reading.slip_check = compared
             reading.doubts += [f"column {header!r}: {compared.text}"] if compared.text else []
         return
@@ -379,7 +375,7 @@ def _use_rolling_radius(reading: _Reading, definition: str, radius: float) -> No
         reading.fault("omega", rows, rule, header)
     columns["sigma_x"] = np.where(reading.bad(), np.nan, sigma)
     reading.assumptions.append(f"sigma_x = (v - omega R) / (omega R) with R = {radius:g} m")
-    _say_limits(reading, header)
+    _note_limits(reading, header)
 
 
 def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
@@ -390,7 +386,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     too_many: list[InputProblem] = []
     if not mask:
         absent = [fault for fault in faults if fault.is_missing]
-        warning, too_many = missing.excluded(absent, table.lines, table.file, forces)
+        warning, too_many = check.excluded(absent, table.lines, table.file, forces)
         reading.doubts += [warning] if warning else []
         faults = [fault for fault in faults if not fault.is_missing]
     of_rows, of_columns = check.list_problems(faults, table.lines, table.file)
@@ -409,7 +405,8 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
         used = {name: values[good] for name, values in reading.columns.items()}
         if good.any():
             whole += check.check_variation(used, table.file) if forces and curve else []
-            slip, units = reading.plan.slip or "sigma_x", reading.plan.units
+            slip = reading.plan.slip or "sigma_x"
+            units = {name: column.unit_text for name, column in reading.plan.columns.items()}
             is_derived = "wheelbase" in table.constants
             problems, reading.sign_doubts = signs.judge_signs(
                 used, reading.headers, reading.signs, table.file, slip, units, is_derived
@@ -436,7 +433,7 @@ def _warnings(reading: _Reading, run: np.ndarray) -> tuple[str, ...]:
     used = {name: values[good] for name, values in reading.columns.items()}
     lines = reading.table.lines[good]
     doubts = reading.sign_doubts + reading.unread + reading.doubts
-    doubts += doubt_units(used, reading.headers, reading.plan)
+    doubts += signs.doubt_units(used, reading.headers, reading.plan)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")
         doubts += check.doubt_time(used["time"], run[good], lines, header)

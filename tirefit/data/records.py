@@ -67,9 +67,6 @@ class FileRecord:
     version: str = ""
     sha256: str = ""
 
-    def of_kind(self, kind: str) -> dict[str, Row]:
-        return {row.name: row for row in self.rows if row.kind == kind}
-
 
 _TEXTS = ("file", "result", "model", "status", "kind", "name", "unit", "problem",
           "convention", "version", "sha256")  # fmt: skip

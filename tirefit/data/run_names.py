@@ -5,7 +5,6 @@ Files of one session share most of their names: ``drum_2026-03-12_cold_run01_bra
 ``drum_2026-03-12_cold_*_brake``.
 """
 
-import itertools
 import re
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,15 +14,12 @@ from typing import NamedTuple
 LONGEST = 18
 """Largest number of characters of a short name; names up to this length are kept."""
 
-_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?")
-
 
 class RunNames(NamedTuple):
     """Short names of runs, all different, in order, and the pattern with ``*`` for them.
 
-    The pattern has one ``*`` for each number in which names of bins differ. It is empty
-    if the names are kept, and if their differing parts are too long: the runs are then
-    numbered.
+    It is empty if the names are kept, and if their differing parts are too long: the runs
+    are then numbered.
     """
 
     short: tuple[str, ...]
@@ -58,26 +54,10 @@ def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
     return "".join(pieces[0][:first]), differing, "".join(tails[0][len(tails[0]) - last :])
 
 
-def _of_bins(names: tuple[str, ...]) -> RunNames | None:
-    """Numbers in which the names differ (222 N 0 deg 83 kPa); None if words differ."""
-    words = [name.split(" ") for name in names]
-    if len(set(map(len, words))) > 1:
-        return None
-    differs = [len(set(column)) > 1 for column in zip(*words, strict=True)]
-    short = [" ".join(itertools.compress(parts, differs)) for parts in words]
-    numbers = all(_NUMBER.fullmatch(word) for name in short for word in name.split(" "))
-    if not numbers or len(set(short)) < len(names) or max(map(len, short)) > LONGEST:
-        return None
-    shown = zip(words[0], differs, strict=True)
-    return RunNames(tuple(short), " ".join("*" if differs else word for word, differs in shown))
-
-
 @lru_cache(maxsize=64)
 def _of_names(names: tuple[str, ...]) -> RunNames:
     if len(names) < 2 or max(map(len, names)) <= LONGEST:
         return RunNames(names, "")
-    if (bins := _of_bins(names)) is not None:
-        return bins
     head, short, tail = _parts(names)
     if max(map(len, short)) <= LONGEST and len(set(short)) == len(names):
         return RunNames(tuple(short), f"{head}*{tail}" if head or tail else "")

@@ -224,14 +224,12 @@ def join(tables: Sequence[TireData]) -> TireData:
         raise DataError("no data given", "give at least one file or table")
     names: dict[str, str] = {}
     for table in tables:
-        twin = names.setdefault(table.source.sha256, table.file)
-        if table.source.sha256 and twin != table.file:
-            reason = f"the same content as {twin}: its rows would count twice"
-            raise DataError(reason, "give each file once", table.source.path)
-    paths = [table.source.path for table in tables if table.source.path]
-    if twice := {path for path in paths if paths.count(path) > 1}:
-        remedy = "give each file once, and each frame a name=... of its own"
-        raise DataError(f"{', '.join(map(str, sorted(twice)))} is given twice", remedy)
+        for key in filter(None, (table.source.sha256, table.source.path)):
+            if key in names:
+                reason = f"the same name or content as {names[key]}: its rows would count twice"
+                remedy = "give each file once, and each frame a name=... of its own"
+                raise DataError(reason, remedy, table.file)
+            names[key] = table.file
     shared = [c for c in tables[0].columns if all(c in table for table in tables)]
     runs: list[str] = []
     codes = []

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,22 +24,17 @@ def output_problems(path: str | os.PathLike[str], ending: str = "") -> list[Inpu
         ending: that of the kind of file, such as ``.csv``.
     """
     path = Path(path)
-    folder = path.parent
-    remedy = "choose another name with --out"
-    if path.is_dir():
-        reason = "is a folder, where a file is to be written"
-    elif not folder.exists():
-        reason, remedy = f"the folder {folder} does not exist", "make it first"
-    elif not folder.is_dir():
-        reason = f"{folder} is a file, not a folder"
-    elif not os.access(folder, os.W_OK | os.X_OK):
-        reason = f"no permission to write into the folder {folder.resolve()}"
-    elif ending and path.suffix.lower() != ending:
-        reason = f"the output is a {ending.removeprefix('.').upper()}"
-        remedy = f"end it in {ending}"
-    else:
-        return []
-    return [InputProblem(reason, remedy, str(path))]
+    folder, other = path.parent, "choose another name with --out"
+    checks = (
+        (path.is_dir(), "is a folder, where a file is to be written", other),
+        (not folder.is_dir(), f"the folder {folder} does not exist", "make it first"),
+        (not os.access(folder, os.W_OK | os.X_OK),
+         f"no permission to write into the folder {folder.resolve()}", other),
+        (ending and path.suffix.lower() != ending,
+         f"the output is a {ending.removeprefix('.').upper()}", f"end it in {ending}"),
+    )  # fmt: skip
+    problems = (InputProblem(reason, do, str(path)) for is_wrong, reason, do in checks if is_wrong)
+    return list(itertools.islice(problems, 1))
 
 
 def csv_text(columns: Mapping[str, object], delimiter: str = ",") -> str:
@@ -114,8 +110,7 @@ def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict[s
         as the data have them, then the forces.
     """
     named = [name for name in _PLOTTED if name in data]
-    table = _own_columns(data, named) | to_convention(data, forces)
-    return _with_units(data, table)
+    return _table(data, named, to_convention(data, forces))
 
 
 def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -126,29 +121,27 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict[st
         data: the rows that were predicted; forces of an earlier simulator are left out.
         forces: (n,) canonical forces; ``<force>_std`` is left out.
     """
-    table = _own_columns(data, [name for name in data.columns if name not in SIMULATED])
+    made: dict[str, np.ndarray] = {}
     for name, force in forces.items():
         if f"{name}_sim" in SIMULATED:
-            (table[f"{name}_sim"],) = to_convention(data, {name: force}).values()
-    return _with_units(data, table)
+            (made[f"{name}_sim"],) = to_convention(data, {name: force}).values()
+    return _table(data, [name for name in data.columns if name not in SIMULATED], made)
 
 
-def _with_units(data: TireData, table: dict[str, Any]) -> dict[str, Any]:
-    """The same columns, with units added to headers if the file states them elsewhere, so
-    that the written file is read back with the same units."""
-    source, with_unit = data.source, {}
+def _table(
+    data: TireData, names: Sequence[str], beside: Mapping[str, np.ndarray]
+) -> dict[str, Any]:
+    """Columns of the data in the terms of the file, with the runs if there are several, and those
+    ``beside``. Units that the file states elsewhere are added to the headers, so that the written
+    file is read back with the same units."""
+    source, inputs = data.source, to_convention(data, {name: data[name] for name in names})
+    # 12 digits: 0.1 converted to sigma_x and back is 0.1 again, as in the file.
+    table = {k: [float(f"{v:.12g}") for v in values] for k, values in inputs.items()} | {**beside}
+    if len(data.runs) > 1:
+        table = {"run": [data.runs[code] for code in data.run]} | table
     for name in source.units_beside:
         unit, header = source.units.get(name), source.columns[name]
         if unit and unit != CANONICAL[base_column(name)][0]:
-            with_unit[header] = f"{header} [{unit}]"
-    return {with_unit.get(header, header): values for header, values in table.items()}
-
-
-def _own_columns(data: TireData, names: Sequence[str]) -> dict[str, Any]:
-    """Columns in the terms of the file, with the runs if there are several."""
-    inputs = to_convention(data, {name: data[name] for name in names})
-    # 12 digits: 0.1 converted to sigma_x and back is 0.1 again, as in the file.
-    table = {k: [float(f"{v:.12g}") for v in values] for k, values in inputs.items()}
-    if len(data.runs) > 1:
-        table = {"run": [data.runs[code] for code in data.run]} | table
+            named = {header: f"{header} [{unit}]"}
+            table = {named.get(key, key): values for key, values in table.items()}
     return table

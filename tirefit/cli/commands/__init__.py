@@ -23,8 +23,7 @@ COMMANDS = {
     " rows to fit.",
     "models": "List the models: parameters, units, bounds, meaning, source equation.",
     "methods": "List the online methods: inputs, estimates, valid range of used friction, source.",
-    "inspect": "Show how a file was read, which fits it supports, and how well it determines the"
-    " parameters of models.",
+    "inspect": "Show how a file was read, and how well it determines the parameters of models.",
     "derive": "Compute slip angle and lateral force of an axle from vehicle logs.",
     "predict": "Compute the forces of a fit or a model for each row of a data file.",
     "simulate": "Simulate logs and rig sweeps whose true tire is known.",

@@ -84,8 +84,7 @@ def inspect(
     ] = True,
     json: Annotated[bool, option("", "print JSON", "--json")] = False,
 ) -> None:
-    """Show how a file was read, which fits it supports, and how well it determines the
-    parameters of models."""
+    """Show how a file was read, and how well it determines the parameters of models."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
 

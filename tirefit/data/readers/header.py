@@ -3,9 +3,9 @@
 import csv
 import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from tirefit.data.columns import guess, is_number
+from tirefit.data.columns import IsKnown, guess, is_number
 from tirefit.data.readers.cells import SPACES
 from tirefit.data.units import known_unit
 
@@ -18,21 +18,12 @@ _LONGEST = 10  # largest number of lines of a header with quoted line ends
 _TOKEN = re.compile(r'"[^"]*"|\S+')
 _WIDE_GAP = re.compile(r"\s{2,}|\t")
 
-Header = tuple[int, list[str]]
-"""Index of a header's line, and its cells."""
-
 
 def _header_above_numbers(
-    lines: Sequence[str], searched: Sequence[int], is_known: Callable[[str], bool]
-) -> Header | None:
-    """The header: a line with as many words as the row of numbers below it has numbers.
-
-    Args:
-        lines: of the file; a blank line is only a line end.
-        searched: indices of the lines with content to search, in order.
-        is_known: whether a word is the name of a known column. A title may have as many
-            words as a row has numbers, so the line with the most known ones is taken.
-    """
+    lines: Sequence[str], searched: Sequence[int], is_known: IsKnown
+) -> tuple[int, list[str]] | None:
+    """Index and cells of the header: a line with as many words as the row of numbers below it. A
+    title may have as many, so of the lines ``searched`` that with the most known ones is taken."""
     headers = []
     for index in searched:
         content = (line.split() for line in lines[index + 1 :] if line.strip())
@@ -57,29 +48,18 @@ def _is_cell(word: str) -> bool:
 def commented_header(lines: Sequence[str]) -> tuple[int, str] | None:
     """The header of a file whose header is a comment, as NumPy and MATLAB write it.
 
-    Args:
-        lines: of the file.
-
     Returns:
         Index and text without the mark of the last comment above the first line of
         numbers with as many cells, of which two are known; None without one.
     """
     texts = enumerate(line.lstrip() for line in lines)
     first = next((i for i, text in texts if text and text[0] not in "#%"), 0)
-    splits: list[Callable[[str], list[str]]] = [
-        *(re.compile(mark).split for mark in ",;\t"),
-        _words,
-    ]
-    for split in splits:
-        width = len(split(lines[first].strip())) if lines else 0
-        if width < 2 or not all(_is_cell(c.strip()) for c in split(lines[first])):
-            continue
-        for index in range(first - 1, -1, -1):
-            text = lines[index].strip().lstrip("#%").strip()
-            cells = [cell.strip() for cell in split(text)]
-            if len(cells) != width or any(map(is_number, cells)):
-                continue
-            if sum(guess(cell) is not None for cell in cells) >= 2:
+    for split in (*(re.compile(mark).split for mark in ",;\t"), _words) if lines else ():
+        width = len(row := split(lines[first].strip()))
+        for index in range(first - 1, -1, -1) if all(_is_cell(c.strip()) for c in row) else ():
+            text = lines[index].strip().lstrip("#% \t")
+            cells = split(text)
+            if len(cells) == width > 1 and sum(guess(cell) is not None for cell in cells) >= 2:
                 return index, text + "\n"
     return None
 
@@ -99,34 +79,26 @@ def spaced_head(lines: Sequence[str], header: list[str]) -> list[str]:
     return head
 
 
-def names_of_export(lines: Sequence[str], searched: Sequence[int]) -> int:
+def names_of_export(lines: Sequence[str], searched: Sequence[int], delimiter: str) -> int:
     """Index of the line of names in the export of a logger: the last one above the numbers
     that is as wide as they are and no row of units; else the line below the first blank one."""
-    for delimiter in _DELIMITERS:
-        try:
-            split = [next(csv.reader([lines[i]], delimiter=delimiter)) for i in searched]
-        except csv.Error:
+    names: dict[int, int] = {}  # number of cells -> index of the last line of names with it
+    for i in searched:
+        row = [cell.strip(' "') for cell in next(csv.reader([lines[i]], delimiter=delimiter))]
+        filled = [cell.replace(",", ".", 1) for cell in row if cell]
+        if counts_up(row):
             continue
-        cells = [[cell.strip(' "') for cell in row] for row in split]
-        rows = dict(zip(searched, cells, strict=True))
-        numeric = []  # rows of several cells, all numbers or empty
-        for i, row in rows.items():
-            filled = [cell.replace(",", ".", 1) for cell in row if cell]
-            if len(filled) > 1 and all(map(is_number, filled)) and not counts_up(row):
-                numeric.append(i)
-        names = [
-            i
-            for i, row in rows.items()
-            if numeric and i < numeric[0] and len(row) == len(rows[numeric[0]])
-            if row[0] and not counts_up(row) and known_unit(row[0]) is None
-        ]
-        if names:
-            return names[-1]
+        if len(filled) > 1 and all(map(is_number, filled)):
+            if len(row) in names:
+                return names[len(row)]
+            break
+        if row[0] and known_unit(row[0]) is None:
+            names[len(row)] = i
     return lines.index("\n") + 1 if "\n" in lines else 1
 
 
 def find_header(
-    lines: Sequence[str], searched: Sequence[int], is_known: Callable[[str], bool]
+    lines: Sequence[str], searched: Sequence[int], is_known: IsKnown
 ) -> tuple[int, str, list[str]]:
     """Index of the header line, the delimiter, and its words if white space separates.
 

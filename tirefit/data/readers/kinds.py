@@ -2,12 +2,12 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 
-from tirefit.data.columns import guess
+from tirefit.data.columns import IsKnown, guess
 from tirefit.data.readers import logs, tables, tydex
 from tirefit.data.readers.loggers import VBO, is_vbo
 from tirefit.data.readers.mat import MAT, Channels, channels_of_mat
@@ -24,31 +24,20 @@ from tirefit.data.readers.text import (
 )
 from tirefit.data.table import Layout
 from tirefit.data.tir.tire_file import describes_tir, other_tire
-from tirefit.door import COLUMNS, JSON_GAP
-from tirefit.results import DataError, InputProblem
+from tirefit.door import COLUMNS
+from tirefit.results import DataError
 
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
-_IN_PYTHON = (
-    "in Python: columns = {}; data = tirefit.read_frame(columns); tirefit.fit(data)."
-    " For a command: pandas.DataFrame(columns).to_csv('run.csv', index=False)"
-)
-_NPZ = _IN_PYTHON.format("dict(numpy.load('{file}'))")
-_NPY = "dict(zip(['kappa', 'fx', 'fz'], numpy.load('{file}').T))"
-_PICKLE = _IN_PYTHON.format("pandas.read_pickle('{file}')")
+_IN_PYTHON = "load it in Python and give its columns to tirefit.read_frame, or write them as CSV"
 _UNREADABLE = {
     rb"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
-    rb"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
     rb"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),
-    rb"(?s)PK\x03\x04.{26}[^\0]{1,200}\.npy": ("a file of NumPy arrays (.npz)", _NPZ),
-    rb"\x93NUMPY": ("a NumPy array (.npy)", _IN_PYTHON.format(_NPY)),
-    rb"\x80[\x02-\x05]|\((dp|lp)\d+\n": ("a pickle, which could run code", _PICKLE),
+    rb"(?s)PK\x03\x04.{26}[^\0]{1,200}\.npy": ("a file of NumPy arrays (.npz)", _IN_PYTHON),
+    rb"\x93NUMPY": ("a NumPy array (.npy)", _IN_PYTHON),
+    rb"\x80[\x02-\x05]|\((dp|lp)\d+\n": ("a pickle, which could run code", _IN_PYTHON),
 }
 """Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
 _OF_TIRE = 2**17  # characters in which a file of a tire shows its kind
-_JSON = re.compile(
-    rb"%b(\{%b[\"}]|\[%b([{\]]|\[%b[\[{\]\"\d-]))" % ((JSON_GAP,) * 4)
-)  # [[name]] begins a table of TOML
-_OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
 
 def read_table(path: Place, declared: Collection[str]) -> Table:
@@ -70,7 +59,7 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     return table
 
 
-def _read(path: Place, is_known: Callable[[str], bool]) -> Table:
+def _read(path: Place, is_known: IsKnown) -> Table:
     # The folder of a ROS 2 bag, whose files may be too large to be held together.
     if isinstance(path, Path) and (path / "metadata.yaml").is_file():
         every = hashlib.sha256()
@@ -82,15 +71,12 @@ def _read(path: Place, is_known: Callable[[str], bool]) -> Table:
     content, file = gunzipped(raw, path), str(path)
     for start, (kind, remedy) in _UNREADABLE.items():
         if re.match(start, content):
-            reason = f"this is {kind}, which is not read"
-            raise DataError(reason, remedy.replace("{file}", Path(file).name), file)
-    if _JSON.match(content):
-        if _OUR_FIT.search(content):
-            raise DataError(_of_tire("the JSON of a fit", file))
-        DataError.raise_for(other_tire(content.decode("latin-1"), file))
-        reason = "this is JSON, which is not read as a table of measurements"
-        remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns"
-        raise DataError(reason, f"{remedy} or a frame (pandas.read_json)", file)
+            raise DataError(f"this is {kind}, which is not read", remedy, file)
+    is_json = re.match(rb"(\xef\xbb\xbf)?\s*(\{|\[\s*\{)", content) is not None
+    if is_json or file.lower().endswith((".json", ".toml")):
+        reason = "this is JSON or a file of settings, and no table of measurements"
+        remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns; give a"
+        raise DataError(reason, f"{remedy} fit as the tire (--model), settings as --config", file)
     digest = hashlib.sha256(raw).hexdigest()
     if content.startswith(MAT):
         return _of_channels(channels_of_mat(content, file, is_known), path, digest)
@@ -110,21 +96,12 @@ def _read(path: Place, is_known: Callable[[str], bool]) -> Table:
     above = text[:_OF_TIRE]
     DataError.raise_for(other_tire(above, file))
     if describes_tir(above):
-        raise DataError(_of_tire("a file of Magic Formula coefficients", file))
-    if file.lower().endswith(".toml"):
-        reason = "this is a file of settings, and no table of measurements"
-        raise DataError(reason, "give the measurements here, and this file as --config", file)
+        reason = "this is a file of Magic Formula coefficients, which describes a tire"
+        remedy = "give the measurements here, and this file as the tire: --model"
+        raise DataError(reason, f"{remedy} {file} of diagnose, or `tirefit predict`", file)
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
     return table_of_text(text, path, digest, is_known, notes)
-
-
-def _of_tire(what: str, file: str) -> InputProblem:
-    """The error for a tire in the place of measurements."""
-    reason = f"this is {what}, which describes a tire and is no table of measurements"
-    remedy = "give the measurements here, and this file as the tire: --model"
-    remedy += f" {file} of diagnose, or `tirefit predict {file} DATA.csv`"
-    return InputProblem(reason, remedy, file)
 
 
 def _of_channels(

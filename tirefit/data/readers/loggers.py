@@ -13,8 +13,7 @@ import numpy as np
 
 from tirefit.results import DataError
 
-_EXPORT = re.compile(r'"?Format"?\s*[,;\t]\s*"?(AiM|MoTeC) CSV File', re.IGNORECASE)
-_NAMES = {"aim": "AiM RaceStudio", "motec": "MoTeC i2"}
+_EXPORT = re.compile(r'"?Format"?\s*([,;\t])\s*"?(AiM|MoTeC) CSV File', re.IGNORECASE)
 
 VBO = re.compile(rb"\[\0?d\0?a\0?t\0?a\0?\]", re.IGNORECASE)
 """In the bytes of every .vbo file, in UTF-16 as well."""
@@ -36,9 +35,6 @@ _MORE = {
 NO_UNIT = "not stated"
 """Unit of a column whose line in [channel units] is not known: no reader accepts it."""
 
-_KNOTS = "velocity knots"  # title in [header] of a velocity in knots, else it is in km/h
-_DAY = 86_400.0  # s
-
 
 class VboTable(NamedTuple):
     """Line in the file (from 1) and cells of the header and the rows, units, notes, warnings."""
@@ -49,10 +45,10 @@ class VboTable(NamedTuple):
     doubts: tuple[str, ...]
 
 
-def exported_by(line: str) -> str:
-    """The program whose CSV export begins with this line; empty for another file."""
+def exported_by(line: str) -> tuple[str, str]:
+    """The program whose CSV export begins with this line, and its delimiter; else empty."""
     export = _EXPORT.match(line)
-    return _NAMES[export[1].casefold()] if export else ""
+    return (export[2], export[1]) if export else ("", "")
 
 
 def is_vbo(text: str) -> bool:
@@ -105,33 +101,30 @@ def _units(
 ) -> tuple[list[str], tuple[str, ...]]:
     """The unit of each column, and warnings.
 
-    [channel units] has a line, which may be blank, for each column beyond those of the GPS,
-    or for each that is not standard at all; a blank line ends the section. If its lines fit
-    neither, or both with different results, they are not used.
+    [channel units] has a line for each column beyond those of the GPS, or for each that is not
+    standard at all. If its lines fit neither, they are not used.
     """
     titles = [line.casefold() for _, line in sections.get("header", [])]
-    gps = dict(_GPS, velocity="knot") if _KNOTS in titles else _GPS
-    standard = [(gps | _MORE).get(_plain(name)) for name in header]
+    gps = dict(_GPS, velocity="knot") if "velocity knots" in titles else _GPS
+    units = [(gps | _MORE).get(_plain(name), "") for name in header]
     lines = [line for _, line in sections.get("channel units", [])]
-    lines = lines[:-1] if lines and not lines[-1] else lines
-    fitting: list[dict[int, str]] = []
-    owners = []
-    for known in (gps, gps | _MORE):
-        owners = [k for k, name in enumerate(header) if _plain(name) not in known]
-        for stated in ([line for line in lines if line], lines):
-            if owners and len(stated) == len(owners) and any(stated):
-                units = {k: unit for k, unit in zip(owners, stated, strict=True) if unit}
-                fitting += [units] if units not in fitting else []
-    if len(fitting) == 1:
-        return [fitting[0].get(k) or standard[k] or "" for k in range(len(header))], ()
-    if any(lines):
-        owners = [k for k, name in enumerate(header) if _plain(name) not in gps]
-    if not owners:
-        return [unit or "" for unit in standard], ()
-    listed = ", ".join(repr(header[k]) for k in owners)
-    warning = f"[channel units] has {sum(map(bool, lines))} lines for {len(owners)} columns:"
+    lines = lines[:-1] if lines and not lines[-1] else lines  # a blank line ends the section
+    beyond_gps, others = (
+        [k for k, name in enumerate(header) if _plain(name) not in known]
+        for known in (gps, gps | _MORE)
+    )
+    for owners in (beyond_gps, others):
+        if owners and len(lines) == len(owners) and any(lines):
+            for k, line in zip(owners, lines, strict=True):
+                units[k] = line or units[k]
+            return units, ()
+    unknown = beyond_gps if any(lines) else others
+    for k in unknown:
+        units[k] = NO_UNIT
+    listed = ", ".join(repr(header[k]) for k in unknown)
+    warning = f"[channel units] has {sum(map(bool, lines))} lines for {len(unknown)} columns:"
     warning += f" not used; the units of {listed} are not known"
-    return [NO_UNIT if k in owners else unit or "" for k, unit in enumerate(standard)], (warning,)
+    return units, (warning,) if unknown else ()
 
 
 def _plain(name: str) -> str:
@@ -152,6 +145,6 @@ def _to_seconds(rows: Sequence[list[str]], column: int) -> None:
             known.append((cells, 3600 * hour + 60 * minute + second))
         else:
             cells[column] += " (no time of day)"
-    seconds = np.unwrap([second for _, second in known], period=_DAY)
+    seconds = np.unwrap([second for _, second in known], period=86_400.0)
     for (cells, _), second in zip(known, seconds, strict=True):
         cells[column] = f"{second:.10g}"

@@ -6,15 +6,15 @@ ends. A column ``time`` [s] counts from the first sample.
 """
 
 import logging
-import re
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from tirefit.data.columns import IsKnown
 from tirefit.data.readers.extras import extra, readable
 from tirefit.data.readers.mat import Channels
 from tirefit.data.readers.remote import Place
@@ -43,13 +43,8 @@ def bag_suffix(content: bytes) -> str:
     return next(fits, "")
 
 
-def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
+def channels_of_mdf(path: Place, content: bytes, is_known: IsKnown) -> Channels:
     """The numeric channels of an MDF file on one clock, conversions applied.
-
-    Args:
-        path: of the file.
-        content: its bytes.
-        is_known: whether a name is that of a known column.
 
     Raises:
         DataError: asammdf is missing, or the file is damaged or empty.
@@ -79,13 +74,9 @@ def channels_of_mdf(path: Place, content: bytes, is_known: Callable[[str], bool]
     return channels._replace(notes=("read as a log of MDF", *channels.notes, *unread))
 
 
-def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]) -> Channels:
-    """The numeric fields of the messages of a bag on one clock, as ``/topic.field``.
-
-    Args:
-        path: of the file, or of the folder of a ROS 2 bag.
-        content: its bytes; empty for a folder.
-        is_known: whether a name is that of a known column.
+def channels_of_bag(path: Place, content: bytes, is_known: IsKnown) -> Channels:
+    """The numeric fields of the messages of a bag on one clock, as ``/topic.field``; ``content``
+    is empty for the folder of a ROS 2 bag.
 
     The clock of a topic is that of the stamps in its headers if it has them, else that
     of the recording. Messages are decoded by the definitions in the bag; a topic that
@@ -94,8 +85,8 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
     Raises:
         DataError: rosbags is missing, or the bag is damaged or empty.
     """
-    extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
-    from rosbags import rosbag1, rosbag2
+    highlevel = extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
+    from rosbags.typesys import Stores, get_typestore
 
     signals: dict[str, Signal] = {}
     left: list[str] = []  # topics that are not read, with the reason
@@ -105,12 +96,12 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
             if content:
                 place = Path(folder) / f"log{bag_suffix(content)}"
                 place.write_bytes(content)
-            is_ros1 = place.suffix == ".bag"
-            with (rosbag1 if is_ros1 else rosbag2).Reader(place) as reader:
+            types = get_typestore(Stores.LATEST)  # of a bag without definitions
+            with highlevel.AnyReader([place], default_typestore=types) as reader:
                 for topic in sorted({connection.topic for connection in reader.connections}):
                     connections = [c for c in reader.connections if c.topic == topic]
                     try:
-                        read = _topic(reader.messages(connections), topic, is_ros1)
+                        read = _topic(reader, connections, topic)
                     except Exception as error:  # rosbags raises many kinds
                         kinds = " or ".join({c.msgtype for c in connections})
                         why = f"{type(error).__name__}: {error}"
@@ -125,22 +116,15 @@ def channels_of_bag(path: Place, content: bytes, is_known: Callable[[str], bool]
     return channels._replace(notes=("read as a bag of ROS messages", *channels.notes, *unread))
 
 
-def _topic(
-    messages: Iterable[tuple[Any, int, bytes]], topic: str, is_ros1: bool
-) -> dict[str, Signal] | str:
+def _topic(reader: Any, connections: list[Any], topic: str) -> dict[str, Signal] | str:
     """Fields of the messages of a topic, or the reason why it has none to read."""
-    stores: dict[int, Any] = {}
     recorded: list[float] = []
     stamped: list[float] = []
     rows: list[dict[str, float]] = []
-    for connection, nanoseconds, raw in messages:
+    for connection, nanoseconds, raw in reader.messages(connections):
         if len(raw) > _LARGEST_MESSAGE:
             return f"messages of {len(raw)} bytes"
-        if connection.id not in stores:
-            stores[connection.id] = _types_of(connection)
-        store = stores[connection.id]
-        decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-        message = decode(raw, connection.msgtype)
+        message = reader.deserialize(raw, connection.msgtype)
         recorded.append(nanoseconds / 1e9)
         stamped.append(_stamp(message))
         rows.append(dict(_fields(message)))
@@ -149,23 +133,6 @@ def _topic(
     columns = {n: np.array([row.get(n, np.nan) for row in rows]) for n in names}
     named = {f"{topic}.{name}": Signal(time, x) for name, x in columns.items()}
     return named or ("no numbers" if rows else "no messages")
-
-
-def _types_of(connection: Any) -> Any:
-    """The types of messages by their definition in the bag, or those of ROS 2 if it has none."""
-    from rosbags import typesys
-
-    text = connection.msgdef.data
-    if not text:
-        return typesys.get_typestore(typesys.Stores.LATEST)
-    store = typesys.get_typestore(typesys.Stores.EMPTY)
-    if connection.msgdef.format.name == "IDL":
-        parts = re.split(r"=+\nIDL: .*\n", text)
-        types = {k: v for part in parts for k, v in typesys.get_types_from_idl(part).items()}
-    else:
-        types = typesys.get_types_from_msg(text, connection.msgtype)
-    store.register(types)
-    return store
 
 
 def _stamp(message: Any) -> float:
@@ -191,15 +158,8 @@ def _fields(message: Any, place: str = "") -> Iterator[tuple[str, float]]:
             yield from _fields(value, path)
 
 
-def on_one_clock(
-    signals: dict[str, Signal], is_known: Callable[[str], bool], file: str
-) -> Channels:
-    """Signals as columns, on the clock that most of the known ones have.
-
-    Args:
-        signals: by name.
-        is_known: whether a name is that of a known column.
-        file: named in the problems.
+def on_one_clock(signals: dict[str, Signal], is_known: IsKnown, file: str) -> Channels:
+    """Signals by name as columns, on the clock that most of the known ones have.
 
     Raises:
         DataError: there are no signals.

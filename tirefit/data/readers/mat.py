@@ -8,17 +8,18 @@ from a struct ``units`` with a text for each column.
 """
 
 import io
-import math
 import struct as packing
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from tirefit.data.columns import IsKnown
 from tirefit.data.readers.extras import readable
+from tirefit.door import DATA
 from tirefit.results import DataError
 
 MAT = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"  # first bytes of a file
@@ -44,13 +45,8 @@ class _Opaque(NamedTuple):
     kind: str
 
 
-def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) -> Channels:
-    """The columns of a MATLAB file.
-
-    Args:
-        content: bytes of the file.
-        file: named in the problems.
-        is_known: whether a name is that of a known column; the struct with most of them is read.
+def channels_of_mat(content: bytes, file: str, is_known: IsKnown) -> Channels:
+    """The columns of the struct of a MATLAB file with the most known ones.
 
     Raises:
         DataError: the file is damaged, has no vectors, or has several structs with as
@@ -90,7 +86,7 @@ def channels_of_mat(content: bytes, file: str, is_known: Callable[[str], bool]) 
 def _of_v5(content: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
-    _check_sound(content)
+    _check_sizes(content[128:], {b"IM": "<", b"MI": ">"}.get(content[126:128], ""))
     with warnings.catch_warnings():  # of objects, which are refused by name below
         warnings.simplefilter("ignore")
         raw = loadmat(io.BytesIO(content), chars_as_strings=True)
@@ -145,9 +141,7 @@ def _of_item(item: Any, file: Any) -> Any:
 # --- find the columns -----------------------------------------------------------------
 
 
-def _best(
-    contents: Mapping[str, Any], file: str, is_known: Callable[[str], bool]
-) -> tuple[str, Channels]:
+def _best(contents: Mapping[str, Any], file: str, is_known: IsKnown) -> tuple[str, Channels]:
     """The struct ("" for the variables) with the most known columns, and its columns."""
     read = {
         place: channels
@@ -159,10 +153,6 @@ def _best(
     if not best:
         listed = ", ".join(f"{name!r} ({_described(value)})" for name, value in contents.items())
         reason = f"no columns in this MATLAB file: {listed or 'it is empty'}"
-        objects = [(n, value.kind) for n, value in contents.items() if isinstance(value, _Opaque)]
-        if objects:
-            kinds = ", ".join(f"{name!r} is a {kind}" for name, kind in objects)
-            reason = f"{kinds}, which only MATLAB can read"
         raise DataError(reason, _HOW_TO_SAVE, file)
     if len(best) > 1 and scores[best[0]] and best[0]:
         listed = ", ".join(map(repr, best))
@@ -171,9 +161,8 @@ def _best(
         raise DataError(reason, remedy, file)
     others = [*best[1:], *(place for place in read if place not in best)]
     listed = ", ".join(repr(place) for place in others if place not in ("", "channel"))
-    notes = [f"structs not read: {listed}"] if listed else []
-    channels = read[best[0]]
-    return best[0], channels._replace(notes=(*channels.notes, *notes))
+    notes = (f"structs not read: {listed}",) if listed else ()
+    return best[0], read[best[0]]._replace(notes=(*read[best[0]].notes, *notes))
 
 
 def _structs(
@@ -185,7 +174,7 @@ def _structs(
             yield from _structs(value, f"{place}.{name}" if place else name)
 
 
-def _channels(struct: Mapping[str, Any], is_known: Callable[[str], bool]) -> Channels:
+def _channels(struct: Mapping[str, Any], is_known: IsKnown) -> Channels:
     """Columns of one struct, of the length that most of the known columns have."""
     logged = _logged(struct)
     if logged is not None:
@@ -206,7 +195,10 @@ def _channels(struct: Mapping[str, Any], is_known: Callable[[str], bool]) -> Cha
         weights[len(columns[name])] += 1 + 1000 * is_known(name)
     length = max(weights, key=weights.__getitem__, default=0)
     kept = {name: values for name, values in columns.items() if len(values) == length}
-    return Channels(kept if numbers else {}, {}, tuple(_left_out(struct, kept)))
+    others = {n: x for n, x in struct.items() if n not in kept and not isinstance(x, dict)}
+    listed = ", ".join(f"{name!r} ({_described(value)})" for name, value in others.items())
+    notes = (f"variables not read: {listed}",) if listed else ()
+    return Channels(kept if numbers else {}, {}, notes)
 
 
 def _are_texts(values: list[object]) -> bool:
@@ -250,146 +242,45 @@ def _logged(struct: Mapping[str, Any]) -> Channels | None:
     return Channels(columns, {"Time": "s"} | texts, tuple(notes))
 
 
-def _left_out(struct: Mapping[str, Any], kept: Collection[str]) -> list[str]:
-    """Notes on the other content of a struct; texts in full."""
-    others = {n: value for n, value in struct.items() if n not in kept}
-    texts = [f"{n} = {value!r}" for n, value in others.items() if isinstance(value, str)]
-    left = (f"{n!r} ({_described(x)})" for n, x in others.items() if not isinstance(x, dict | str))
-    listed = ", ".join(left)
-    return [*texts, *([f"variables not read: {listed}"] if listed else [])]
-
-
 def _described(value: Any) -> str:
     if isinstance(value, _Opaque):
         return f"MATLAB {value.kind}"
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "shape"):
         return " x ".join(map(str, value.shape))
-    if hasattr(value, "nnz"):
-        return "sparse matrix"
-    return "text" if isinstance(value, str) else f"{type(value).__name__} of {len(value)}"
+    return repr(value) if isinstance(value, str) else f"{type(value).__name__} of {len(value)}"
 
 
 # --- the sizes in a file of version 5 ------------------------------------------------
 
 _MATRIX, _COMPRESSED = 14, 15
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
-"""Type of the numbers of an element -> bytes of a number."""
-
-_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 1, 2, 3, 4, 5, 16, 17
-_NUMBERS = range(6, 16)
-_DEEPEST, _LARGEST = 32, 2**30
+_OF_NUMBERS = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18)  # other types of elements
+_DEEPEST = 32  # structs in structs
 
 
-class _Element(NamedTuple):
-    kind: int
-    content: bytes
+def _check_sizes(content: bytes, order: str, deepest: int = _DEEPEST) -> None:
+    """Raises ValueError if an element of a file of version 5 leaves the part that holds it: SciPy
+    trusts the sizes, and a damaged file can crash the process. The layout is that of MathWorks,
+    *MAT-File Format*, chapter 1.
 
-
-def _refuse(is_damaged: object, reason: str) -> None:
-    if is_damaged:
-        raise ValueError(reason)
-
-
-def _check_sound(content: bytes) -> None:
-    """Raises ValueError if a size of a file of version 5 leaves the file, or does not fit its
-    dimensions: SciPy trusts them, and a damaged file can crash the process. The layout is that of
-    MathWorks, *MAT-File Format*, chapter 1."""
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
-    _refuse(not order, "its header is damaged")
-    for kind, inside in _elements(content[128:], order):
+    Args:
+        order: of the bytes, ``<`` or ``>``.
+    """
+    at, is_sound = 0, bool(order and deepest)
+    while is_sound and at + 8 <= len(content):
+        kind, size = packing.unpack_from(f"{order}II", content, at)
+        start, length = at + 8, size if kind == _COMPRESSED else -(-size // 8) * 8
+        if kind >> 16:  # a small element: size and kind in four bytes
+            kind, size, start, length = kind & 0xFFFF, kind >> 16, at + 4, 0
+        at += 8 + length
+        is_sound = start + size <= min(at, len(content))
+        inside = content[start : start + size]
         if kind == _COMPRESSED:
             unpack = zlib.decompressobj()
-            inside = unpack.decompress(inside, _LARGEST)
-            _refuse(not unpack.eof, "a compressed variable is cut short")
-            (kind, inside), *_ = _elements(inside, order)
-        _refuse(kind != _MATRIX, f"an element of kind {kind} where a variable is expected")
-        _check_matrix(inside, order, _DEEPEST)
-
-
-def _elements(content: bytes, order: str) -> list[_Element]:
-    """The consecutive elements in a part of the file."""
-    elements = []
-    at = 0
-    while at < len(content):
-        _refuse(at + 8 > len(content), "it is cut short")
-        kind, size = packing.unpack_from(f"{order}II", content, at)
-        start = at + 8
-        if kind >> 16:  # a small element: size and kind in four bytes
-            kind, size, start = kind & 0xFFFF, kind >> 16, at + 4
-            at += 8
-            _refuse(size > 4, "a small element is too large")
+            inside = unpack.decompress(inside, DATA)
+            is_sound &= unpack.eof
+        if kind in (_MATRIX, _COMPRESSED):
+            _check_sizes(inside, order, deepest - 1)
         else:
-            at = start + (size if kind == _COMPRESSED else -(-size // 8) * 8)
-        _refuse(start + size > len(content), "a size leaves the file")
-        elements.append(_Element(kind, content[start : start + size]))
-    return elements
-
-
-def _check_matrix(content: bytes, order: str, deepest: int) -> None:
-    if not content:
-        return
-    _refuse(not deepest, "structs are nested too deeply")
-    flags, *parts = _elements(content, order)
-    _refuse(len(flags.content) < 4 or flags.kind != 6, "a variable has no class")
-    word = packing.unpack_from(f"{order}I", flags.content)[0]
-    kind, is_complex = word & 0xFF, bool(word & 0x800)
-    if kind in (_OPAQUE, _FUNCTION):
-        for part in parts:
-            if part.kind == _MATRIX:
-                _check_matrix(part.content, order, deepest - 1)
-        return
-    named = len(parts) > 1 and parts[0].kind == 5 and parts[1].kind in (1, 2)
-    _refuse(not named, "a variable has no dimensions or no name")
-    dimensions = _numbers(parts[0], order)
-    is_wrong = len(dimensions) < 2 or min(dimensions) < 0
-    _refuse(is_wrong, f"a variable has the dimensions {dimensions}")
-    count, parts = math.prod(dimensions), parts[2:]
-    if kind in _NUMBERS or kind == _CHAR:
-        _check_numbers(parts, count, is_complex, kind == _CHAR)
-    elif kind in (_CELL, _STRUCT, _OBJECT):
-        if kind != _CELL:
-            count, parts = _fields(parts, count, kind == _OBJECT, order)
-        is_wrong = len(parts) != count or any(part.kind != _MATRIX for part in parts)
-        _refuse(is_wrong, f"{len(parts)} values where there should be {count}")
-        for part in parts:
-            _check_matrix(part.content, order, deepest - 1)
-    elif kind == _SPARSE:
-        _check_sparse(parts, dimensions, order)
-    else:
-        raise ValueError(f"a variable has the unknown class {kind}")
-
-
-def _numbers(part: _Element, order: str) -> tuple[int, ...]:
-    _refuse(len(part.content) % 4, "a list of whole numbers is cut short")
-    return packing.unpack(f"{order}{len(part.content) // 4}i", part.content)
-
-
-def _check_numbers(parts: Sequence[_Element], count: int, is_complex: bool, is_text: bool) -> None:
-    """Check that the number of values fits the dimensions; UTF-8 may have more bytes."""
-    _refuse(len(parts) != 1 + is_complex, "a variable has no values")
-    for part in parts:
-        _refuse(part.kind not in _SIZES, f"values of the unknown kind {part.kind}")
-        there, rest = divmod(len(part.content), _SIZES[part.kind])
-        is_wrong = rest or there < count or (there > count and not is_text)
-        _refuse(is_wrong, f"{there} values where there should be {count}")
-
-
-def _check_sparse(parts: Sequence[_Element], dimensions: tuple[int, ...], order: str) -> None:
-    """Check the row indices of a sparse matrix, and the beginning of each column."""
-    _refuse(len(parts) < 3, "a sparse matrix has no values")
-    rows, starts = (_numbers(part, order) for part in parts[:2])
-    inside = all(0 <= row < dimensions[0] for row in rows)
-    in_order = len(starts) == dimensions[1] + 1 and list(starts) == sorted(starts)
-    inside = inside and in_order and 0 <= starts[0] and starts[-1] <= len(rows)
-    _refuse(not inside, "a sparse matrix has places outside of it")
-
-
-def _fields(
-    parts: list[_Element], count: int, is_object: bool, order: str
-) -> tuple[int, list[_Element]]:
-    """The number of values that the fields of a struct must have, and its values."""
-    parts = parts[1:] if is_object else parts
-    _refuse(len(parts) < 2, "a struct has no fields")
-    (length,), names = _numbers(parts[0], order)[:1] or (0,), parts[1].content
-    _refuse(length <= 0 or len(names) % length, "a struct has damaged names of fields")
-    return count * (len(names) // length), parts[2:]
+            is_sound &= kind in _OF_NUMBERS
+    if not is_sound or at < len(content):
+        raise ValueError("it is cut short or damaged")

@@ -17,11 +17,6 @@ _PART = re.compile(
 """``qx``, ``field.pose.pose.orientation.x``, ``/tf/rotation/w``, ``quat_z [-]``."""
 
 
-def heading(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Heading [rad] of a quaternion of any norm."""
-    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
 def with_headings(table: Table) -> tuple[Table, dict[str, str]]:
     """The table with a column ``...yaw`` [rad] for each quaternion, and a map from the
     headers that name a quaternion (its components, their common beginning) to it.
@@ -42,10 +37,11 @@ def with_headings(table: Table) -> tuple[Table, dict[str, str]]:
         if name in table.headers:
             continue
         numbers = {
-            part: read_numbers(table.cells[place], part, table.ragged, table.commas, True)[0]
+            part: read_numbers(table.cells[place], part, table.ragged, True)[0]
             for part, place in parts.items()
         }
-        norm = np.sqrt(np.sum([values**2 for values in numbers.values()], axis=0))
+        x, y, z, w = (numbers[part] for part in "xyzw")
+        norm = np.sqrt(x * x + y * y + z * z + w * w)
         missing = np.isnan(norm) & ~table.ragged
         # Components may be rounded to one decimal place.
         odd = np.abs(norm - 1) > 0.1
@@ -53,8 +49,8 @@ def with_headings(table: Table) -> tuple[Table, dict[str, str]]:
         note += f"; {missing.sum()} rows lack it" if missing.any() else ""
         if odd.any():
             note += f"; {odd.sum()} rows masked, whose norm is not 1"
-            note += f" ({np.sum(norm == 0)} of them 0)"
-        values, layout = np.where(odd, np.nan, heading(**numbers)), table.layout
+        yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+        values, layout = np.where(odd, np.nan, yaw), table.layout
         if len(whole) == 1 and not known:
             layout = layout._replace(names={**layout.names, name: "heading"})
         table = replace(

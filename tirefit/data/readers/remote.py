@@ -3,11 +3,9 @@
 import glob
 import os
 import re
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from tirefit.data.readers.extras import extra
@@ -15,6 +13,7 @@ from tirefit.results import DataError
 
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+(::[a-z][a-z0-9+.-]+)*://", re.IGNORECASE)
 _PATTERN = re.compile(r"[*?\[]")
+_FSSPEC = ("fsspec", "files behind an address")
 
 
 @dataclass(frozen=True)
@@ -46,15 +45,15 @@ class RemoteFile:
 
         Raises:
             OSError: it cannot be read; its text has the reason.
-            DataError: fsspec, or a library that it needs for this address, is missing.
+            DataError: fsspec is missing.
         """
-        with _library(self.address) as fsspec:
-            try:
-                return fsspec.open(self.address, mode).open()
-            except (ImportError, OSError, DataError):
-                raise
-            except Exception as error:  # each server has errors of its own
-                raise OSError(f"{type(error).__name__}: {error}") from error
+        fsspec = extra(*_FSSPEC, self.address, "cluster")
+        try:
+            return fsspec.open(self.address, mode).open()
+        except OSError:
+            raise
+        except Exception as error:  # each server has errors of its own; a library may be missing
+            raise OSError(f"{type(error).__name__}: {error}") from error
 
 
 Place = Path | RemoteFile
@@ -94,23 +93,10 @@ def expanded(files: Iterable[Place]) -> list[Any]:
 
 
 def _listed(address: str) -> list[Place]:
-    with _library(address) as fsspec:
-        try:
-            system, path = fsspec.core.url_to_fs(address)
-            return [file_at(system.unstrip_protocol(name)) for name in sorted(system.glob(path))]
-        except ImportError:
-            raise
-        except Exception as error:  # each server has errors of its own
-            reason = f"the addresses cannot be listed: {type(error).__name__}: {error}"
-            raise DataError(reason, "name the files", address) from error
-
-
-@contextmanager
-def _library(address: str) -> Iterator[ModuleType]:
-    """fsspec; within, a library that it lacks for this address is a DataError."""
-    fsspec = extra("fsspec", "files behind an address", address, "cluster")
+    fsspec = extra(*_FSSPEC, address, "cluster")
     try:
-        yield fsspec
-    except ImportError as error:
-        reason = f"files at {address.split('://')[0]}:// need a library that is not installed"
-        raise DataError(f"{reason}: {error}", "install it beside fsspec", address) from error
+        system, path = fsspec.core.url_to_fs(address)
+        return [file_at(system.unstrip_protocol(name)) for name in sorted(system.glob(path))]
+    except Exception as error:  # each server has errors of its own
+        reason = f"the addresses cannot be listed: {type(error).__name__}: {error}"
+        raise DataError(reason, "name the files", address) from error

@@ -3,13 +3,13 @@
 import datetime
 import io
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
-
+from tirefit.data.columns import IsKnown
 from tirefit.data.readers.extras import extra, readable
 from tirefit.data.readers.mat import Channels
+from tirefit.data.readers.text import in_seconds
 from tirefit.door import DATA, MIB, too_large
 from tirefit.results import DataError
 
@@ -42,21 +42,21 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
         else:
             table = extra("pyarrow.ipc", "", file).open_file(content).read_all()
         table.validate(full=True)
-        columns, left, notes = _columns(table, pyarrow.types)
+        columns, left = _columns(table, pyarrow.types)
         units = {
             field.name: field.metadata[key].decode()
             for field in table.schema
             for key in _UNIT_KEYS
             if key in (field.metadata or {})
         }
-    notes += [f"columns not read: {', '.join(left)}"] if left else []
-    return Channels(columns, units, (f"read as a file of {kind}", *notes))
+    unread = [f"columns not read: {', '.join(left)}"] if left else []
+    return Channels(columns, units, (f"read as a file of {kind}", *unread))
 
 
-def _columns(table: Any, types: Any) -> tuple[dict[str, Any], list[str], list[str]]:
-    """Columns by name, the columns that are not read, and notes."""
+def _columns(table: Any, types: Any) -> tuple[dict[str, Any], list[str]]:
+    """Columns by name, and the columns that are not read."""
     columns: dict[str, Any] = {}
-    left, notes = [], []
+    left = []
     numbers = types.is_boolean, types.is_integer, types.is_floating, types.is_decimal
     texts = types.is_string, types.is_large_string, types.is_string_view
     for name, column in zip(table.column_names, table.columns, strict=True):
@@ -68,19 +68,13 @@ def _columns(table: Any, types: Any) -> tuple[dict[str, Any], list[str], list[st
             left.append(f"{name!r} (again)")
         elif any(is_kind(kind) for is_kind in numbers):
             columns[name] = column.cast("double").to_numpy().astype(float)
-        elif types.is_duration(kind):
-            ticks = column.to_numpy().astype("timedelta64[ns]")
-            columns[name] = ticks / np.timedelta64(1, "s")
-        elif types.is_timestamp(kind):
-            stamps = column.to_numpy().astype("datetime64[ns]")
-            first = min(stamps[~np.isnat(stamps)], default=np.datetime64("1970", "ns"))
-            columns[name] = (stamps - first) / np.timedelta64(1, "s")
-            notes.append(f"column {name!r} in seconds from its first, {first}")
+        elif types.is_duration(kind) or types.is_timestamp(kind):
+            columns[name] = in_seconds(column.to_numpy())
         elif any(is_kind(kind) for is_kind in texts):
             columns[name] = ["" if text is None else text for text in column.to_pylist()]
         else:
             left.append(f"{name!r} ({kind})")
-    return columns, left, notes
+    return columns, left
 
 
 # --- Excel --------------------------------------------------------------------------
@@ -102,15 +96,10 @@ def is_excel(content: bytes) -> bool:
 
 
 def sheet_of_excel(
-    content: bytes, file: str, is_known: Callable[[str], bool]
+    content: bytes, file: str, is_known: IsKnown
 ) -> tuple[list[tuple[int, list[str]]], list[str]]:
     """The only sheet with a header of at least two known columns: number and cells of each row
     from its header, and notes.
-
-    Args:
-        content: bytes of the file.
-        file: named in the problems.
-        is_known: whether a cell is a column's name.
 
     Raises:
         DataError: openpyxl, or xlrd for a file from before 2007, is missing, the file is

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tirefit.data.check import BadRows
-from tirefit.data.columns import Guess, guess, is_number
+from tirefit.data.columns import Guess, IsKnown, guess, is_number
 from tirefit.data.declared import stated_convention
-from tirefit.data.readers.cells import Block, Column, Lines, has_decimal_comma, split
+from tirefit.data.readers.cells import Column, has_decimal_comma, parsed, split
 from tirefit.data.readers.header import (
     commented_header,
     counts_up,
@@ -55,7 +55,6 @@ class Table:
     lines: np.ndarray  # (n,) lines of the rows
     ragged: np.ndarray  # (n,) bool, rows without the header's number of fields
     header_line: int | None = None
-    delimiter: str = ""
     units_row: list[str] | None = None
     units_line: int | None = None
     sha256: str = ""
@@ -64,7 +63,6 @@ class Table:
     layout: Layout = field(default_factory=Layout)
     doubts: tuple[str, ...] = ()  # warnings on content that may have another meaning
     constants: Mapping[str, float] = field(default_factory=dict)  # see ``Source``
-    commas: bool = False  # whether a comma is the decimal mark
     epoch: float = 0.0  # the file's time [s] where its column ``time`` is 0
 
 
@@ -74,9 +72,6 @@ def read_bytes(path: Place) -> bytes:
         with path.open("rb") as file:
             raw = file.read(DATA + 1)
     except FileNotFoundError:
-        if isinstance(path, Path) and path.is_symlink():
-            reason = f"it is a link to {path.readlink()}, which does not exist"
-            raise DataError(reason, "correct the link", str(path)) from None
         beside = list[str]()
         with suppress(OSError):  # no such folder, or no permission to list it
             beside = [x.name for x in path.parent.iterdir()] if isinstance(path, Path) else beside
@@ -129,18 +124,15 @@ def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
     binary = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text) if holds_others else None
     if binary:
         row = len(re.findall(r"\r\n?|\n", text[: binary.start()])) + 1
-        reason = "not a text file: it holds binary data"
-        if text.count("\0") > len(text) / 3:
-            reason = "it looks like UTF-16 or UTF-32 without a byte order mark"
-            export = "save it as UTF-8"
+        reason = "not a text file: it holds binary data (or UTF-16 without a byte order mark)"
         raise DataError(reason, export, str(path), row)
     return text, notes
 
 
 def table_of_text(
-    text: str, path: Place, digest: str, is_known: Callable[[str], bool], notes: list[str]
+    text: str, path: Place, digest: str, is_known: IsKnown, notes: list[str]
 ) -> Table:
-    """Cells of a text; ``is_known`` tells whether a name is that of a known column."""
+    """Cells of a text."""
     # A StringIO would take four bytes for each character.
     raw = list(io.TextIOWrapper(io.BytesIO(text.encode()), "utf-8", newline=""))
     # Lines without content, such as comments, are reduced to line ends.
@@ -153,10 +145,11 @@ def table_of_text(
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:
         raise DataError("the file is empty", "give a header line and data rows", str(path))
-    if logger := exported_by(raw[0]):
-        start = names_of_export(lines, searched)
-        searched = [index for index in searched if index >= start] or searched
-    start, delimiter, words = find_header(lines, searched, is_known)
+    logger, delimiter = exported_by(raw[0])
+    if logger:
+        start, words = names_of_export(lines, searched, delimiter), list[str]()
+    else:
+        start, delimiter, words = find_header(lines, searched, is_known)
     if words:
         notes.append("columns separated by white space")
         head = spaced_head(lines[start : start + _LEAD], words)
@@ -168,7 +161,13 @@ def table_of_text(
     rows = _split_rows(lines[start:], delimiter, start, path)
     lead = list(itertools.islice(rows, _LEAD))
     table, count = _head(lead, path, digest, notes, bool(logger))
-    table = _filled(replace(table, delimiter=delimiter), lead[count:], rows, lines, path, is_known)
+    first = [*lead[count:], *itertools.islice(rows, _BLOCK)]
+    commas = delimiter != "," and _has_commas(first, table.headers, is_known)
+
+    def row_of(line: int) -> list[str]:  # a cell in quotation marks may go on in the next lines
+        return next(split((lines[k] for k in range(line - 1, len(lines))), delimiter))
+
+    table = _with_rows(table, itertools.chain(first, rows), row_of, commas)
     layout, doubts = stated_convention(raw[:start], str(path))
     above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
     stated = re.findall(r".*, constants (.*)", above)
@@ -188,7 +187,7 @@ def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table
 def table_of_rows(rows: list[Row], path: Place, digest: str, notes: list[str]) -> Table:
     """A table of rows of cells, the header first."""
     table, count = _head(rows[:2], path, digest, notes, False)
-    return _with_rows(table, [_of_rows(rows[count:])])
+    return _with_rows(table, iter(rows[count:]), dict(rows).__getitem__)
 
 
 def _head(
@@ -220,72 +219,50 @@ def _head(
 
 _LEAD = 4  # rows of header, units and channel numbers, and one of data
 
-_BLOCK = 2**14  # lines that are converted at once
+_BLOCK = 2**14  # rows that are converted at once
 
 
-def _filled(
-    table: Table,
-    data: list[Row],
-    rows: Iterator[Row],
-    lines: list[str],
-    path: Place,
-    is_known: Callable[[str], bool],
+def _with_rows(
+    table: Table, rows: Iterator[Row], row_of: Callable[[int], list[str]], commas: bool = False
 ) -> Table:
-    """The table with the rows of a text: the first ones, the following ones, and all lines. The
-    first rows of the known columns decide whether a comma is the decimal mark."""
-    some, delimiter = list[Row](), table.delimiter
-    first = data[0][0] - 1 if data else len(lines)
-    text = "".join(lines[first:])
-    is_quoted, commas = '"' in text, delimiter != "," and "," in text
-    if is_quoted or commas:
-        some = [*data, *itertools.islice(rows, None if is_quoted else _BLOCK)]
-    if commas:
-        # Names of runs, as "dry, lap 1" or "2024.1", say nothing of the numbers.
-        run = Guess("run", None)
-        known = [k for k, x in enumerate(table.headers) if is_known(x) and guess(x) != run]
-        cells = (row[k] for _, row in some for k in known or range(len(row)) if k < len(row))
-        commas = has_decimal_comma(cells)
-    blocks = [_of_rows(some)] if is_quoted else []
-    for k in () if is_quoted else range(first, len(lines), _BLOCK):
-        block = lines[k : k + _BLOCK]
-        grid = Lines(block, delimiter)
-        values = grid.numbers(commas)
-        if values is None or len(values) != len(table.headers):
-            blocks.append(_of_rows(list(_split_rows(block, delimiter, k, path))))
-        else:
-            places = np.flatnonzero([line != "\n" for line in block])
-            blocks.append(Block(k + 1 + places, grid, values))
-    return _with_rows(replace(table, commas=commas), blocks)
-
-
-def _of_rows(rows: Sequence[Row]) -> Block:
-    """A block of rows whose numbers are not known."""
-    return Block(np.array([line for line, _ in rows], int), [row for _, row in rows], ())
-
-
-def _with_rows(table: Table, blocks: Sequence[Block]) -> Table:
-    """The table with blocks of rows. Rows of another length than the header become NaN; delimiters
-    at the end of a line do not count."""
-    if not any(len(block.rows) for block in blocks):
+    """The table with rows; ``row_of`` gives the cells of a line. Rows of another length than the
+    header become NaN; delimiters at the end of a line do not count."""
+    width, lines, wrong = len(table.headers), list[int](), dict[int, str]()
+    columns: list[list[np.ndarray]] = [[] for _ in range(width)]
+    while block := list(itertools.islice(rows, _BLOCK)):
+        for k, (line, row) in enumerate(block):
+            if len(row) < width or any(cell.strip() for cell in row[width:]):
+                inside = sum(cell.count("\n") for cell in row)
+                until = f" in rows {line} to {line + inside}" if inside else ""
+                wrong[len(lines) + k] = f"{len(row)} fields{until}"
+                block[k] = line, ["nan"] * width
+        for k, values in enumerate(columns):
+            values.append(parsed([row[k] for _, row in block], commas))
+        lines += [line for line, _ in block]
+    if not lines:
         reason = "there are no data rows below the header"
         raise DataError(reason, "give at least as many rows as parameters", table.file)
-    width, lines = len(table.headers), np.concatenate([block.lines for block in blocks])
-    wrong, count = dict[int, str](), 0
-    for block in blocks:
-        rows = block.rows if isinstance(block.rows, list) else []
-        for k, row in enumerate(rows):
-            if len(row) < width or any(cell.strip() for cell in row[width:]):
-                inside, line = sum(cell.count("\n") for cell in row), lines[count + k]
-                until = f" in rows {line} to {line + inside}" if inside else ""
-                wrong[count + k] = f"{len(row)} fields{until}"
-                rows[k] = ["nan"] * width
-        count += len(block.rows)
+
+    def row_at(k: int) -> list[str]:
+        return ["nan"] * width if k in wrong else row_of(lines[k])
+
     ragged = np.zeros(len(lines), bool)
     ragged[list(wrong)] = True
     rule = f"where the header has {width}"
     faults = (BadRows(None, [*wrong], [*wrong.values()], rule),) if wrong else ()
-    cells = [Column(blocks, k) for k in range(width)]
-    return replace(table, cells=cells, lines=lines, ragged=ragged, faults=faults)
+    numbers = [Column(np.concatenate(values), k, row_at) for k, values in enumerate(columns)]
+    notes = [*table.notes, *["numbers read with a decimal comma (1,5 is 1.5)"] * commas]
+    table = replace(table, notes=tuple(notes), lines=np.array(lines), ragged=ragged)
+    return replace(table, cells=numbers, faults=faults)
+
+
+def _has_commas(rows: list[Row], headers: Sequence[str], is_known: IsKnown) -> bool:
+    """Whether a comma is the decimal mark of the first rows, by their known columns."""
+    # Names of runs, as "dry, lap 1" or "2024.1", say nothing of the numbers.
+    run = Guess("run", None)
+    known = [k for k, x in enumerate(headers) if is_known(x) and guess(x) != run]
+    cells = [row[k] for _, row in rows for k in known or range(len(row)) if k < len(row)]
+    return any("," in cell for cell in cells) and has_decimal_comma(cells)
 
 
 def stem_of(path: Place) -> str:
@@ -326,11 +303,7 @@ def table_of_frame(frame: Any, name: str) -> Table:
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
         values = [_shown(frame[name]) for name in names]
-    for k, value in enumerate(values):
-        if value.dtype.kind == "M":
-            known = value[~np.isnat(value)]
-            value = value - (known.min() if len(known) else np.datetime64(0, "s"))
-        values[k] = value / np.timedelta64(1, "s") if value.dtype.kind == "m" else value
+    values = [in_seconds(value) for value in values]
     lengths = {value.shape for value in values}
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
         shapes = ", ".join(f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True))
@@ -342,6 +315,14 @@ def table_of_frame(frame: Any, name: str) -> Table:
     ]
     n = len(values[0])
     return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+
+
+def in_seconds(values: np.ndarray) -> np.ndarray:
+    """Dates (n,) as seconds since the first, durations as seconds; other values unchanged."""
+    if values.dtype.kind == "M":
+        known = values[~np.isnat(values)]
+        values = values - (known.min() if len(known) else np.datetime64(0, "s"))
+    return values / np.timedelta64(1, "s") if values.dtype.kind == "m" else values
 
 
 def _shown(values: ArrayLike) -> np.ndarray:

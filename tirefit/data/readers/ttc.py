@@ -36,30 +36,23 @@ def recognised(table: Table) -> Table:
     """The table with signs, meanings and, unless stated, units by its layout.
 
     A table of another layout is returned unchanged. Signs are those of SAE if F_z is
-    negative; those of a file converted to z up follow from its slip angle and force.
+    negative, else those of ISO.
     """
     names = set(table.headers)
     if not ("FZ" in names and names & _SLIPS and names & _MARKS):
         return table
     layout = table.layout
     load = _median(table, "FZ")
-    slip, force = _numbers(table, "SA"), _numbers(table, "FY")
-    usable = np.isfinite(slip + force) if len(slip) and len(force) else []
-    turned = "FZ is positive, so the file was converted: signs read as"
-    convention, reason = "iso-w", f"{turned} 'iso-w'"
+    convention, reason = "iso-w", "FZ is positive, so the file was converted: signs read as 'iso-w'"
     if layout.convention:
         convention, reason = layout.convention, f"signs stated in line {layout.stated_in}"
     elif load is None or load < 0:
         convention, reason = "sae", "signs read as 'sae', as FZ is negative"
-    elif np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
-        convention, reason = "adapted-sae", f"{turned} 'adapted-sae', by SA and FY"
     notes = [f"laid out as Tire Test Consortium files are: {reason}"]
-    meant = {"N": "omega"}
+    meant = {"N": "omega"} | ({"SL": "kappa"} if "SL" in names else {})
     if {"SL", "SR"} <= names:
-        meant |= {"SL": "kappa", "SR": ""}
+        meant |= {"SR": ""}
         notes.append("slip from 'SL', which is 0 where FX is 0; 'SR' uses another radius")
-    elif "SL" in names:
-        meant |= {"SL": "kappa"}
     units, units_from = table.units_row, table.layout.units_from
     if units is None:
         pressure = _median(table, "P")
@@ -75,15 +68,10 @@ def recognised(table: Table) -> Table:
     return replace(table, layout=layout, units_row=units, notes=(*table.notes, *notes))
 
 
-def _numbers(table: Table, header: str) -> np.ndarray:
-    """A column (n,), NaN for cells without a number; (0,) without such a column."""
-    if header not in table.headers:
-        return np.empty(0)
-    cells = table.cells[table.headers.index(header)]
-    return read_numbers(cells, header, table.ragged)[0]
-
-
 def _median(table: Table, header: str) -> float | None:
-    values = _numbers(table, header)
-    values = values[np.isfinite(values)]
-    return float(np.median(values)) if len(values) else None
+    """The median of a column; None without such a column or numbers in it."""
+    if header not in table.headers:
+        return None
+    cells = table.cells[table.headers.index(header)]
+    values = read_numbers(cells, header, table.ragged)[0]
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else None

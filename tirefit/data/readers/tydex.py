@@ -43,13 +43,8 @@ _OF_TIRE = (
 )
 """Key of a .tir file, factor, dimension, and pattern of the name or comment of the
 constant; the first match of a key is used."""
-
-_INCH = 0.0254
-_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d\d)\s?[A-Z]*-?\s?(\d\d)\b", re.I)
-"""Nominal size such as 205/60 R15: width [mm], aspect ratio [%], rim diameter [inch]."""
 _LARGEST = 2.1  # radius [m] of the largest earthmover tires: a larger value has a wrong unit
 
-_SECTIONS = "HEADER COMMENTS CONSTANTS MEASURCHANNELS MEASURDATA END".split()
 _MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
 _WIDTH = 10
 
@@ -77,12 +72,6 @@ def is_tydex(text: str) -> bool:
 
 def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Table:
     """Channels, and constants without a channel, as a table in their units.
-
-    Args:
-        text: of the file.
-        path: of the file, named in the problems.
-        digest: its SHA-256.
-        notes: assumptions so far.
 
     Raises:
         DataError: a section is missing, or the line of a channel cannot be parsed.
@@ -112,7 +101,7 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
             both = zip(texts, converted, strict=True)
             cells.append([text if x is None else repr(x) for text, x in both])
     constants, others = _constants(sections.get("CONSTANTS", []), channels)
-    of_tire, origins = _of_tire(others, sections.get("HEADER", []))
+    of_tire, origins = _of_tire(others)
     unread = [line.split()[0] for _, line in others if line not in origins]
     names = [channel.name for channel in channels]
     meant: dict[str, str] = {}  # parameter -> column; "" if another one has the same meaning
@@ -175,25 +164,13 @@ def _channels(lines: Iterable[tuple[int, str]], file: str) -> list[_Entry]:
 
 
 def _entry(number: int, line: str) -> _Entry | None:
-    """A channel from its line, by columns, or by words if it does not keep the columns."""
+    """A channel or constant from the columns of its line."""
     line = line.expandtabs(_WIDTH).rstrip()
-    unit = line[40:50].strip()
     fields = [line[at : at + _WIDTH].strip() for at in (50, 60, 70)]
     given = [field for field in fields if field]
-    is_name = len(line[:10].split()) == 1 and len(line) > 50
-    is_unit = len(unit.split()) < 2 or known_unit(unit) is not None
-    if is_name and fields[0] and all(map(is_number, given)) and is_unit:
-        return _Entry(line[:10].strip(), unit, tuple(fields), number)
-    words = line.split()
-    numbers: list[str] = []
-    while len(words) > 1 and len(numbers) < 3 and is_number(words[-1]):
-        numbers.insert(0, words.pop())
-    if len(words) < 2:
-        return _Entry(words[0], "", tuple(numbers), number) if numbers else None
-    unit = words[-1] if words[-1] == "-" or known_unit(words[-1]) else ""
-    if len(words) > 2 and known_unit("".join(words[-2:])):
-        unit = "".join(words[-2:])
-    return _Entry(words[0], unit, tuple(numbers), number)
+    if len(line[:10].split()) == 1 and fields[0] and all(map(is_number, given)):
+        return _Entry(line[:10].strip(), line[40:50].strip(), tuple(fields), number)
+    return None
 
 
 def _records(
@@ -226,10 +203,8 @@ def _words(line: str, missing: int) -> list[str]:
     words = line.split()
     text = line.rstrip().expandtabs(_WIDTH)
     columns = [text[at : at + _WIDTH].strip() for at in range(0, len(text), _WIDTH)]
-    touching = len(words) < len(columns) <= missing and all(
-        is_number(column) or column.upper() in _MISSING for column in columns
-    )
-    return columns if touching else words
+    are_values = (is_number(column) or column.upper() in _MISSING for column in columns)
+    return columns if len(words) < len(columns) <= missing and all(are_values) else words
 
 
 # --- constants and meanings -----------------------------------------------------------
@@ -253,40 +228,21 @@ def _constants(
     return kept, unread
 
 
-def _of_tire(
-    lines: Iterable[tuple[int, str]], header: Iterable[tuple[int, str]]
-) -> tuple[dict[str, float], dict[str, str]]:
-    """Constants of the tire [SI] by .tir key, and a note for each line used.
-
-    The nominal size is also read from the header.
-    """
+def _of_tire(lines: Iterable[tuple[int, str]]) -> tuple[dict[str, float], dict[str, str]]:
+    """Constants of the tire [SI] by .tir key, and a note for each line used."""
     constants: dict[str, float] = {}
     notes: dict[str, str] = {}
-
-    def take(key: str, value: float, line: str) -> None:
-        largest = _LARGEST if key == "UNLOADED_RADIUS" else np.inf
-        if key not in constants and 0 < value < largest:
-            constants[key] = value
-            notes[line] = f"{key} = {value:.4g}: {' '.join(line.split())}"
-
     for key, factor, dimension, meaning in _OF_TIRE:
         for number, line in lines:
-            entry = _entry(number, line)
-            is_it = re.match(meaning, " ".join(line.split()), re.IGNORECASE)
-            if is_it and entry and entry.values:
-                value, unit = float(entry.values[0]), known_unit(entry.unit)
-                if entry.unit.casefold() in ("in", "inch", '"', "zoll") and dimension == "length":
-                    value *= _INCH
-                elif entry.unit in ("", "-"):  # a length above 3 is in mm
-                    value *= 1e-3 if dimension == "length" and value > 3 else 1.0
-                else:
-                    same = unit is not None and unit.dimension == dimension
-                    value = float(unit.to_si(value)) if unit and same else np.nan
-                take(key, factor * value, line)
-    for _, line in [*lines, *header]:
-        if size := _SIZE.search(line):
-            width, ratio, rim = map(float, size.groups())
-            take("UNLOADED_RADIUS", rim * _INCH / 2 + width * ratio * 1e-5, line)
+            words, entry = " ".join(line.split()), _entry(number, line)
+            unit = known_unit(entry.unit) if entry else None
+            if not entry or not unit or not re.match(meaning, words, re.IGNORECASE):
+                continue
+            value = float(factor * unit.to_si(float(entry.values[0])))
+            is_size = unit.dimension == dimension and 0 < value
+            if is_size and key not in constants and (dimension != "length" or value < _LARGEST):
+                constants[key] = value
+                notes[line] = f"{key} = {value:.4g}: {words}"
     return constants, notes
 
 
@@ -304,12 +260,8 @@ def _said(
     for channel in channels:
         factor, before, after = channel.conversion
         if channel.conversion != (1, 0, 0):
-            value = f"(value + {before:g})" if before else "value"
-            yield (
-                f"{channel.name} = {factor:g} * {value}"
-                + (f" + {after:g}" if after else "")
-                + (f" [{channel.unit}]" if channel.unit else "")
-            )
+            converted = f"{factor:g} * (value + {before:g}) + {after:g}"
+            yield f"{channel.name} = {converted} [{channel.unit or '-'}]"
     for entry in constants:
         yield f"{entry.name} = {entry.values[0]} {entry.unit} in all rows (**CONSTANTS)"
     for name, column in meant.items():
@@ -319,6 +271,3 @@ def _said(
             yield f"{name} is in axes H, at the wheel centre: read as if at the road"
     if unread:
         yield f"constants not read: {', '.join(unread)}"
-    others = {*sections} - {*_SECTIONS}
-    if others:
-        yield f"sections not read: {', '.join(sorted(others))}"

@@ -33,8 +33,6 @@ __all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir"]
 PRESSURES = (1e4, 5e6)
 """Range of inflation pressures [Pa], from a kart to an aircraft."""
 
-_OLDER = (5.0, 51.0, 60.0)  # FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1
-
 _NAMED = 6  # largest number of keys or values that a sentence lists; it counts the others
 
 
@@ -44,8 +42,6 @@ def notes_on(tir: TirFile) -> list[str]:
     if tir.numbers.get("FITTYP") not in FITTYP:
         messages.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")
     messages += [f"no {force} in this file: {why}" for force, why in tir.lacks.items()]
-    if tir.commas:
-        messages.append(f"{tir.commas} values have a decimal comma: read as decimal point")
     if empty := [e.key for e in tir.wanted() if not e.text]:
         messages.append(f"keys without a value are ignored: {_listed(empty)}")
     if tir.foreign:
@@ -56,19 +52,10 @@ def notes_on(tir: TirFile) -> list[str]:
     entry = tir.find("FE_METHOD")
     if entry and entry.text.upper() == "YES" and not tir.ellipse:
         messages.append(f"FE_METHOD = 'YES' is not used: MF {tir.version} has no friction ellipse")
-    use_mode = tir.numbers.get("USE_MODE")
-    if use_mode is not None and use_mode % 10 < 4 and not tir.lacks:
-        messages.append(f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip")
-    if (number := tir.numbers.get("FITTYP")) in _OLDER:
-        messages.append(f"FITTYP = {number:g}: the equations of MF {tir.version} are used")
     if tir.is_infofile:
         messages.append("read as an infofile of CarMaker, in SI units")
     elif not any(entry.section == "UNITS" for entry in tir.entries):
         messages.append("there is no [UNITS] section: SI units assumed")
-    if tir.unit("ANGLE") != 1:
-        messages.append(
-            "ANGLE applies to the limits of alpha and gamma only: coefficients are per radian"
-        )
     if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
         messages.append(
             "PKY1 > 0 gives F_y > 0 for alpha > 0: these are not the ISO-W axes of a"
@@ -97,24 +84,13 @@ def _of_units(tir: TirFile) -> Iterator[InputProblem]:
         reason = f"{quantity} = {entry.value} in [UNITS] is not supported"
         remedy = f"write the file with one of {', '.join(sizes)}"
         yield _problem(tir, quantity, reason, remedy, "UNITS")
-    entry, stiffness = tir.find("ANGLE", "UNITS"), tir.numbers.get("PKY1", 0.0)
-    # Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of race tires
-    # 60 per radian, which is 1 per degree.
-    if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < 2.0:
-        reason = f"ANGLE = {entry.value}, and PKY1 = {stiffness:g} is per degree"
-        remedy = "write the coefficients per radian, with ANGLE = 'radians'"
-        yield _problem(tir, "ANGLE", reason, remedy, "UNITS")
 
 
 def _of_model(tir: TirFile) -> Iterator[InputProblem]:
-    if tir.stated.name is None:
+    if tir.stated.name is None and {"FNOMIN", *COEFFICIENTS} & set(tir.numbers):
         known = ", ".join(f"{number} (MF {name})" for number, name in FITTYP.items())
         remedy = f"write FITTYP to [MODEL]: {known}"
         yield _problem(tir, "FITTYP", tir.stated.because, remedy)
-    entry = tir.find("FILE_TYPE")
-    if entry and entry.text.lower() != "tir":
-        reason = f"FILE_TYPE = {entry.value}, not 'tir'"
-        yield _problem(tir, "FILE_TYPE", reason, "give a tire property file")
     entry = tir.find("TYRESIDE")
     if entry and tir.side not in SIDES:
         reason = f"TYRESIDE = {entry.value} is not a side"
@@ -144,8 +120,6 @@ def _of_keys(tir: TirFile) -> Iterator[InputProblem]:
         if len(bad) > 1:
             some = [f"{entry.key} = {entry.value}" for entry in bad]
             message = f"{len(bad)} values are not numbers: {_listed(some)}"
-        if sum("," in entry.value for entry in bad) == len(bad):
-            message += "; other values have a decimal point"
         remedy = "give numbers such as 1.5 or -2e-3; removing a line changes the tire"
         yield InputProblem(message, remedy, tir.path, bad[0].row)
 

@@ -23,7 +23,7 @@ from tirefit.data.tir.tir_keys import (
 )
 from tirefit.results import InputProblem, UsageError
 
-_NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[EeDd][+-]?\d+)?"
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?"
 _MARKS = r"[$!%;#]"
 _VALUE = (
     rf"""[ \t]*(?![ \t])(?P<value>'[^']*'|"[^"]*"|{_NUMBER}(?=\s|{_MARKS}|$)"""
@@ -36,8 +36,6 @@ INFOFILE = re.compile(r"(?m)^[ \t]*FileIdent[ \t]*=[ \t]*CarMaker-Tire-(\S+)")
 """The first key of a CarMaker infofile of a tire, and the model."""
 _ENTRY = re.compile(r"\s*(?:(?P<group>[A-Za-z]\w*)\.)?(?P<key>[A-Za-z]\w*)\s*=" + _VALUE)
 """In an infofile of CarMaker the section stands before each key: ``Vertical.FNOMIN``."""
-_CONTINUED = re.compile(rf"\s*(?=[='\"]|{_NUMBER}\s*(?:{_MARKS}|[A-Za-z]|$))=?{_VALUE}")
-_BARE = re.compile(rf"\s*(?P<key>[A-Za-z]\w*)\s*(?:{_MARKS}|$)")
 _COMMENT = re.compile(r"\s*([$!#%;/*{(]|[-+.\d]|$)")
 """A comment, a row of a table, or nothing."""
 _BROKEN = re.compile(r"\s*(?:\[\s*[A-Za-z]\w{3}|(?P<key>[A-Za-z]\w*)\s*(?:=|[-+.\d]))")
@@ -93,19 +91,12 @@ class TirFile:
         """Entries whose values must be numbers."""
         return (e for e in self.entries if e.key in NUMERIC and e.section != "UNITS")
 
-    @cached_property
-    def commas(self) -> int:
-        """Number of values with a decimal comma, 0 if other values have a point."""
-        values = [e.value for e in self.wanted() if re.fullmatch(_NUMBER, e.value)]
-        commas = sum("," in value for value in values)
-        return 0 if any("." in value for value in values) else commas
-
     def number(self, entry: Entry) -> float | None:
         """The number of an entry as it is written, or None."""
         text = entry.text
-        if re.fullmatch(_NUMBER, text) is None or ("," in text and not self.commas):
+        if re.fullmatch(_NUMBER, text) is None:
             return None
-        number = float(text.replace(",", ".").upper().replace("D", "E"))
+        number = float(text.upper().replace("D", "E"))
         return number if math.isfinite(number) else None
 
     @cached_property
@@ -130,7 +121,7 @@ class TirFile:
 
     @cached_property
     def stated(self) -> Version:
-        """Version by FITTYP, else PROPERTY_FILE_FORMAT, else the coefficients."""
+        """Version by FITTYP, else by PROPERTY_FILE_FORMAT."""
         entry = self.find("FITTYP")
         if entry and entry.text:
             name = FITTYP.get(self.number(entry) or 0) or _version_in(entry.text)
@@ -139,14 +130,7 @@ class TirFile:
         entry = self.find("PROPERTY_FILE_FORMAT")
         if entry and (name := _version_in(entry.text)):
             return Version(name, f"{entry.key} = {entry.value}, and no FITTYP")
-        of_5, of_6 = self._acting("5"), self._acting("6")
-        if of_5 and of_6:
-            both = f"{of_5[0]} belongs to MF 5 and {of_6[0]} to MF 6"
-            return Version(None, f"no FITTYP, and {both}")
-        if of_6:
-            return Version("6.1", f"no FITTYP, and only MF 6 has {of_6[0]}")
-        which = f"only MF 5 has {of_5[0]}" if of_5 else "no coefficient of MF 6"
-        return Version("5.2", f"no FITTYP, and {which}")
+        return Version(None, "neither FITTYP nor PROPERTY_FILE_FORMAT states a version")
 
     def _acting(self, generation: str) -> list[str]:
         """Coefficients of this generation only, whose values have an effect."""
@@ -208,12 +192,8 @@ class TirFile:
         length, force = self.unit("LENGTH"), self.unit("FORCE")
         if dimension == "pressure" and self.find("PRESSURE", "UNITS"):
             return self.unit("PRESSURE")
-        angle = self.unit("ANGLE")
-        limits = (e for e in self.entries if DIMENSIONS.get(e.key) == "angle")
-        if all(abs(self.number(limit) or 0.0) < math.pi for limit in limits):
-            angle = 1.0  # limits in degrees would be below 3.2 deg
         return {
-            "angle": angle,
+            "angle": self.unit("ANGLE"),
             "length": length,
             "force": force,
             "speed": length / self.unit("TIME"),
@@ -235,7 +215,6 @@ class TirFile:
             written = f"'{value}'"
             if not isinstance(value, str):
                 written = shortest(float(value) / self._size(key))
-                written = written.replace(".", ",") if self.commas else written
             entry = self.find(key)
             if entry is not None:
                 start, end = entry.place
@@ -244,21 +223,15 @@ class TirFile:
             elif key in SECTIONS and not self.is_infofile:
                 new.setdefault(SECTIONS[key], []).append(f"{key:<24} = {written}")
             else:
-                reason, remedy = f"{key} is not a key of the file", "correct its name"
-                if self.is_infofile:
-                    remedy += ", or add it to the infofile"
+                reason, remedy = f"{key} is not a key of the file", "correct its name, or add it"
                 problems.append(InputProblem(reason, remedy, self.path))
         UsageError.raise_for(problems)
         newline = "\r\n" if any(line.endswith("\r\n") for line in lines) else "\n"
         text: list[str] = []
-        section = ""
-        # New lines go to the end of their sections, or into a new section.
-        for line in [*lines, ""]:
-            header = _SECTION.match(line)
-            if header or not line:
-                text += [added + newline for added in new.pop(section, ())]
-                section = header[1].strip().upper() if header else ""
-            text.append(line if line.endswith("\n") or not line else line + newline)
+        for line in lines:  # new lines go to the beginning of their sections, or into a new section
+            text.append(line if line.endswith("\n") else line + newline)
+            if header := _SECTION.match(line):
+                text += [added + newline for added in new.pop(header[1].strip().upper(), ())]
         for section, added in new.items():
             text += [f"{row}{newline}" for row in (f"[{section}]", *added)]
         return parsed("".join(text), self.path)[0]
@@ -289,42 +262,25 @@ def _version_in(text: str) -> str | None:
 
 
 def parsed(text: str, path: str, notes: Iterable[str] = ()) -> tuple[TirFile, list[InputProblem]]:
-    """The file, unchecked, and errors of lines that cannot be parsed.
-
-    A value or a comment may continue on the line after its key.
-    """
+    """The file, unchecked, and errors of lines that cannot be parsed."""
     lines = tuple(io.StringIO(text, newline=""))
     entries: list[Entry] = []
-    problems, words, section, held = [], [], "", None
+    problems, words, section = [], [], ""
     infofile = INFOFILE.search(text) is not None
     for row, line in enumerate(lines, 1):
-        key, held = held, None
         if infofile and line[:1] in "\t ":  # a text or a table below its key
             continue
-        if key and (match := _CONTINUED.match(line)):
-            if entries and (entries[-1].key, entries[-1].value) == (key, ""):
-                entries.pop()
-        elif header := _SECTION.match(line):
+        if header := _SECTION.match(line):
             section = header[1].strip().upper()
-            continue
         elif match := _ENTRY.match(line):
-            key = _key(match)
-        else:
-            bare, broken = _BARE.match(line), _BROKEN.match(line)
-            if bare and _key(bare) in KNOWN:
-                held = _key(bare)
-            elif broken and (not broken["key"] or _key(broken) in KNOWN):
-                reason = f"{line.strip()[:40]!r} is not a section, KEY = VALUE or comment"
-                remedy = "close its quotes or brackets, or begin the comment with $"
-                problems.append(InputProblem(reason, remedy, path, row))
-            elif not _COMMENT.match(line):
-                words.append(row)
-            continue
-        value = "" if match["value"] in ("&", "\\") else match["value"]
-        group = match.groupdict().get("group")
-        inside = group.upper() if group else section
-        entries.append(Entry(inside, key, row, value, match.span("value")))
-        held = key if not value else None
+            inside = (match["group"] or section).upper()
+            entries.append(Entry(inside, _key(match), row, match["value"], match.span("value")))
+        elif (broken := _BROKEN.match(line)) and (not broken["key"] or _key(broken) in KNOWN):
+            reason = f"{line.strip()[:40]!r} is not a section, KEY = VALUE or comment"
+            remedy = "close its quotes or brackets, or begin the comment with $"
+            problems.append(InputProblem(reason, remedy, path, row))
+        elif not _COMMENT.match(line):
+            words.append(row)
     messages = list(notes)
     if words:
         some = ", ".join(map(str, words[:5])) + (", ..." if len(words) > 5 else "")

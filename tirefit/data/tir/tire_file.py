@@ -1,8 +1,4 @@
-"""Recognise files of tires by their content: fits, ``.tir`` files, other tire models.
-
-A tire of a model that is not read gets an error that names the model, instead of the
-errors of the reader that would fail on it.
-"""
+"""Recognise files of tires by their content: fits, ``.tir`` files, other tire models."""
 
 import re
 from typing import Literal
@@ -16,23 +12,10 @@ TireKind = Literal["fit", "tir", ""]
 
 _HEAD = 2**18  # bytes that are searched; the key that names the model stands in the first lines
 
-_FORMATS = {
-    "FIALA": "Fiala",
-    "521": "5.2.1",
-    "PAC89": "Pacejka '89",
-    "PAC94": "Pacejka '94",
-    "PACMC": "PAC_MC (motorcycle)",
-    "PACTIME": "PAC-TIME",
-    "FTIRE": "FTire",
-    "TMEASY": "TMeasy",
-}
-"""PROPERTY_FILE_FORMAT of tire models that are not read, letters and digits -> the model."""
+_NOT_READ = ("521", "FIALA", "FTIRE", "PAC89", "PAC94", "PACMC", "PACTIME", "TMEASY")
+"""PROPERTY_FILE_FORMAT, letters and digits, of tire models that are not read."""
 
 _FORMAT = re.compile(r"(?mi)^[ \t]*PROPERTY_FILE_FORMAT[ \t]*=[ \t]*['\"]?([^'\"\r\n$!]*)")
-_FTIRE = re.compile(r"(?mi)^[ \t]*\[FTIRE_\w+\]")
-_ASSETTO = re.compile(r"(?m)^[ \t]*\[(FRONT|REAR)(_\d+)?\](?=[\s\S]*^[ \t]*(DY0|DY_REF)[ \t]*=)")
-_CHRONO = re.compile(r"\"Type\"\s*:\s*\"Tire\"")
-_TEMPLATE = re.compile(r"\"Template\"\s*:\s*\"(\w+)\"")
 _COEFFICIENT = re.compile(
     rf"(?mi)^[ \t]*(\w+\.)*({'|'.join(k for k in COEFFICIENTS if k[0] in 'PQR')})[ \t]*="
 )
@@ -84,22 +67,11 @@ def describes_tir(text: str) -> bool:
 def other_tire(text: str, file: str) -> list[InputProblem]:
     """The problem that a text describes a tire of a model that is not read; else empty."""
     stated = _FORMAT.search(text)
-    name = re.sub("[^A-Z0-9]", "", stated[1].upper()) if stated else "MF"  # one that is read
-    other = not name.startswith(("MF", "PAC", "USER")) and not _COEFFICIENT.search(text)
-    if (mark := stated) and (name in _FORMATS or (other and mark[1].strip())):
-        model = _FORMATS.get(name, mark[1].strip())
-        reason = f"a tire of the model {model} (PROPERTY_FILE_FORMAT = {mark[1].strip()!r})"
-    elif mark := _FTIRE.search(text):
-        reason = f"a tire of the model FTire (section {mark[0].strip()})"
-    elif mark := _ASSETTO.search(text):
-        reason = "a tyres.ini of Assetto Corsa"
-    elif mark := _CHRONO.search(text):
-        template = _TEMPLATE.search(text)
-        reason = f"a tire of Chrono ({template[1] if template else 'without template'})"
-    elif (mark := INFOFILE.search(text)) and not _COEFFICIENT.search(text):
-        reason = f"a CarMaker infofile of the model {mark[1]}, without Magic Formula"
-    else:
+    model = stated[1].strip() if stated else ""
+    name = re.sub("[^A-Z0-9]", "", model.upper())
+    is_read = name.startswith(("MF", "PAC", "USER")) or _COEFFICIENT.search(text)
+    if not stated or not name or (is_read and name not in _NOT_READ):
         return []
-    row = text.count("\n", 0, mark.start()) + 1
-    remedy = "give the .tir file that it names in place of it" if "Pac02" in reason else _REMEDY
-    return [InputProblem(f"this is {reason}, which tirefit does not read", remedy, file, row)]
+    row = text.count("\n", 0, stated.start()) + 1
+    reason = f"this is a tire of the model {model} (PROPERTY_FILE_FORMAT), which is not read"
+    return [InputProblem(reason, _REMEDY, file, row)]

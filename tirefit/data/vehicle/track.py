@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.data.check import INFINITE, NO_VALUE, BadRows, list_problems, read_numbers
+from tirefit.data.check import INFINITE, NO_VALUE, BadRows, excluded, list_problems, read_numbers
 from tirefit.data.columns import guess, stated_unit
-from tirefit.data.missing import excluded
 from tirefit.data.read import Table, read_table
 from tirefit.data.readers.cells import words_of
 from tirefit.data.readers.loggers import ARC, NO_UNIT
@@ -264,7 +263,7 @@ def _numbers(
     cells = {name: table.cells[table.headers.index(name)] for name in dict.fromkeys(wanted)}
     columns, faults = {}, []
     for name, column in cells.items():
-        columns[name], wrong = read_numbers(column, name, table.ragged, table.commas, gaps=True)
+        columns[name], wrong = read_numbers(column, name, table.ragged, gaps=True)
         faults += [fault._replace(remedy=_CORRECT) for fault in wrong if fault.rule != INFINITE]
     of_rows, of_columns = list_problems(faults, table.lines, table.file)
     DataError.raise_for([*of_rows, *of_columns])
