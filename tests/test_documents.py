@@ -63,11 +63,15 @@ def fit_document():
 @cache
 def whole_document():
     """A whole Magic Formula in a ``fit.json``."""
-    from tirefit.data.tir.tir import read_tir
-    from tirefit.fitting.mf.convert import converted
+    from tirefit.models import MODELS, TireInputs, forces
 
-    tire = read_tir("tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir")
-    return json.loads(converted(tire, "mf52", 0.2, [2000.0, 4000.0]).to_json())
+    slip, load = np.tile(np.linspace(-0.2, 0.2, 31), 2), np.repeat([2000.0, 4000.0], 31)
+    fx, fy = (
+        np.asarray(forces(MODELS["brush"], TireInputs(*slips, fz=load))[k])
+        for k, slips in enumerate(((slip, 0.0), (0.0, slip)))
+    )
+    along, across = {"sigma_x": slip, "fz": load, "fx": fx}, {"alpha": slip, "fz": load, "fy": fy}
+    return json.loads(tirefit.fit_magic_formula([along, across], "mf52").to_json())
 
 
 @cache

@@ -48,7 +48,6 @@ class Outcome(enum.StrEnum):
         "not unique",
         "the starts ended in different minima of equal cost: the estimate is not unique",
     )
-    WORSENED = "worsened", "rows of combined slip worsened the curve of pure slip"
     SYSTEMATIC_MISFIT = "systematic misfit"
     SHAPE_DEPENDENT = (
         "friction rests on the shape of the model",
@@ -83,7 +82,6 @@ class Outcome(enum.StrEnum):
 _UNFINISHED = {
     Outcome.NOT_CONVERGED,
     Outcome.GUARD_FAILED,
-    Outcome.WORSENED,
     Outcome.UNSOUND,
     Outcome.CHAIN_TOO_SHORT,
     Outcome.INTERRUPTED,

@@ -40,24 +40,26 @@ def problems(rows: int):
     from tirefit.fitting.problem.config import FitConfig
 
     config = FitConfig()
-    parts = rows_of_forces(rig_test(rows), ("fx", "fy"), config)
+    parts = rows_of_forces(rig_test(rows), ("fx", "fy"))
     tire, _ = nominal_of("mf61", parts, config)
     empty, _ = problem_from(tire, config)
     parts = {force: replace(of, setting=rig_settings(of)[1]) for force, of in parts.items()}
-    groups = groups_of(parts, True)
-    lateral, starts = [n for n, part in coefficients_of("6.1").items() if part == "fy"], []
-    for values in first_values(groups["fy"][0]):
-        named = [name in values for name in empty.names]
-        starts.append(np.zeros(len(named)))
-        starts[-1][named] = [empty.unit(n, values[n]) for n in empty.names if n in values]
+    groups = groups_of(parts)
+    lateral = [n for n, part in coefficients_of("6.1").items() if part == "fy"]
+    zero = np.zeros(len(empty.names))
+    starts = [empty.started(zero, values) for values in first_values(groups["fy"][0])]
     work = Search(empty, groups, starts[0], np.diag(empty.free.astype(float)))
     pure = problem_of(work, groups["fy"][:1], lateral)
     # SciPy has no limits of the curvature factors, so that ours has none here either.
-    yield "F_y", pure.with_blocks([one for one in pure.blocks if not one.is_limit]), starts
+    yield (
+        "F_y",
+        replace(pure, blocks=tuple(block for block in pure.blocks if not block.is_limit)),
+        starts,
+    )
     done = search(empty, groups)
     each = [problem_of(done, done.groups[force], done.moved) for force in parts]
     blocks = [one for problem in each for one in problem.blocks if not one.is_limit]
-    both = each[0].with_blocks(blocks)
+    both = replace(each[0], blocks=tuple(blocks))
     generator = np.random.default_rng(0)
     beside = 0.05 * both.free * generator.standard_normal(len(done.u))
     yield "F_x, F_y", both, [done.u + beside]
@@ -142,7 +144,7 @@ def whole_magic_formula(rows: int = 30_000) -> None:
     fit = fit_magic_formula(data, "mf61")
     wall, processor = time.perf_counter() - began, time.process_time() - used
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    moved = fit.stages[-1].moved
+    moved = sum(c.origin in ("fitted", "prior") for c in fit.coefficients.values())
     print(
         f"whole fit, {data.n} rows, {moved} coefficients, warm: {wall:.1f} s,"
         f" {processor:.1f} s of processor, {peak:.2f} GiB",

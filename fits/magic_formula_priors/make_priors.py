@@ -67,23 +67,24 @@ AMONG_TIRES = 2.0
 """Spread over the root mean square of the published values about the centre."""
 
 
-def priors_of(families: Mapping[str, Sequence[Mapping[str, float]]]) -> dict[str, Prior]:
-    """The prior of every coefficient from published tires.
+def published_values(
+    families: Mapping[str, Sequence[Mapping[str, float]]],
+) -> dict[str, list[float]]:
+    """The published values of every coefficient.
 
     Args:
         families: name -> coefficients of the files of one tire (at other pressures, in
             other versions); their mean is used. A zero is taken as not measured.
     """
-    priors = {}
+    published = {}
     for name in (*CENTRED, *FLOORS):
-        means = []
+        means = published[name] = []
         for tires in families.values():
             given = [normal_form(tire).get(name, 0.0) for tire in tires]
             measured = [value for value in given if value]
             if measured:
                 means.append(sum(measured) / len(measured))
-        priors[name] = _prior(name, means)
-    return priors
+    return published
 
 
 def _prior(name: str, published: list[float]) -> Prior:
@@ -94,12 +95,12 @@ def _prior(name: str, published: list[float]) -> Prior:
     ]
     size = math.sqrt(sum(squares) / len(squares)) if squares else 0.0
     spread = max(least, AMONG_TIRES * size)
-    return Prior(centre, float(f"{spread:.2g}"), log, tuple(published))
+    return Prior(centre, float(f"{spread:.2g}"), log)
 
 
-def priors_without(*left_out: str) -> dict[str, Prior]:
-    """The table from all families except these."""
-    return priors_of(
+def values_without(*left_out: str) -> dict[str, list[float]]:
+    """The published values of all families except these."""
+    return published_values(
         {
             family: [read_tir(TIRES / file).numbers for file in files]
             for family, files in FAMILIES.items()
@@ -108,10 +109,15 @@ def priors_without(*left_out: str) -> dict[str, Prior]:
     )
 
 
+def priors_without(*left_out: str) -> dict[str, Prior]:
+    """The prior of every coefficient from all families except these."""
+    return {name: _prior(name, values) for name, values in values_without(*left_out).items()}
+
+
 def main(path: Path = TABLE) -> None:
     """Writes the table."""
     order = dict.fromkeys(n for v in ("5.2", "6.1") for n in coefficients_of(v))
-    priors = priors_without()
+    priors, published = priors_without(), values_without()
     if missing := [name for name in order if name not in priors]:
         raise SystemExit(f"no floor of {', '.join(missing)}")
     with open(path, "w", newline="") as file:
@@ -120,7 +126,7 @@ def main(path: Path = TABLE) -> None:
         for name in order:
             prior = priors[name]
             scale = "log" if prior.log else "linear"
-            values = " ".join(f"{value:.6g}" for value in prior.published)
+            values = " ".join(f"{value:.6g}" for value in published[name])
             table.writerow([name, f"{prior.centre:g}", f"{prior.spread:g}", scale, values])
 
 

@@ -12,7 +12,6 @@ from fits.rig_test.check import FORCES, band, fit_of, residuals, rig_rows, rms
 from fits.rig_test.generate import SMALL
 from fits.rig_test.peer import staged_fit
 from tirefit.data.tir.tir import read_tir
-from tirefit.fitting.mf.result import save_magic_formula
 from tirefit.models import forces
 from tirefit.models.mf import mf_tire
 from tirefit.report.fit.mf_figures import ellipse_curves, force_curves, stacked
@@ -53,7 +52,7 @@ def properties() -> dict[str, float]:
     for force, (of_rows, _) in residuals(rows, [peer(o.inputs) for o in rows]).items():
         found[f"{force}: rms of the rows by SciPy"] = of_rows
     with tempfile.TemporaryDirectory() as folder:
-        save_magic_formula(fit, Path(folder))
+        fit.save(Path(folder))
         tir = read_tir(Path(folder) / "fit.tir")
         again = tirefit.load_fit(Path(folder) / "fit.json")
     one, whole = rows[1], given[1]

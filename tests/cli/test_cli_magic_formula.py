@@ -12,7 +12,6 @@ from test_cli_tutorials import undocumented
 
 from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf import fit as mf_fit
-from tirefit.fitting.tir import own_tire
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 
@@ -42,7 +41,7 @@ def test_a_fit_writes_a_tir_that_predicts(run, unrendered, sweeps, monkeypatch):
     assert "VERDICT: converged" in said and "GUARDS" in said
     assert "camber squared" not in said and len(said.splitlines()) <= 45
     made = sorted(path.name for path in Path("out").iterdir())
-    assert {"fx.png", "residuals.png"} <= {*made}
+    assert {"fit.png", "residuals.png"} <= {*made}
     assert sorted(re.search(r"^wrote to out: (.*)$", said, re.M)[1].split(", ")) == made
     said = run(*command, "--full").stdout
     assert "camber squared" in said and "held" in said
@@ -74,7 +73,7 @@ def test_a_fit_writes_a_tir_that_predicts(run, unrendered, sweeps, monkeypatch):
     [
         (("--model", "brush", "--part", "fx"), "--part without --model"),
         (("--like", "other.tir"), "--like without --model mf52, mf61, mf62"),
-        (("--model", "mf61", "--part", "fz"), "combined"),
+        (("--model", "mf61", "--part", "fz"), "known: fx, fy, mz, all"),
         (("--model", "mf61", "--solver", "jaxopt"), "--solver with --model mf61"),
         (("--model", "mf61", "--jobs", "2"), "--jobs with --model mf61"),
         (("--model", "mf61", "--resume", "--force", "fx"), "--force, --resume"),
@@ -87,45 +86,3 @@ def test_options_of_other_models_are_refused(run, sweeps, options, said):
 def test_other_commands_refuse_a_whole_magic_formula(run, sweeps):
     ended = run("predict", "mf61", sweeps, "--out", "p.csv", exit_code=2)
     assert "tirefit fit --model mf61" in ended.stderr
-    ended = run(
-        "convert", "--magic-formula", "10,1.5,1,0", "--loads", "4000", "--model",
-        "mf61", "--out", "c", exit_code=2,
-    )  # fmt: skip
-    assert "  --magic-formula with --model mf61" in ended.stderr
-
-
-@pytest.mark.long
-def test_a_tire_without_combined_coefficients_is_converted(run, no_figures):
-    """Combined slip by similarity; messages suggest only existing options."""
-    text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()
-    text = re.sub(r"(?ms)^\[ALIGNING_COEFF.*?(?=^\[|\Z)", "", text)
-    Path("plain.tir").write_text(re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", text))
-    options = ("--model", "mf61", "--loads", "6000,11000", "--out", "out")
-    said = " ".join(run("convert", "plain.tir", *options).stdout.split())
-    assert "F_x and F_y by the method of similarity" in said
-    assert "VERDICT: converged" in said
-    assert "fit.toml" not in said and "mask" not in said
-    slip = TireInputs(0.25, np.array([-0.2, 0.2]), 6000.0)
-    wanted, alone, found = (
-        np.stack(forces(own_tire(read_tir(path), combination=how), slip)[:2])
-        for path, how in (("plain.tir", None), ("plain.tir", "none"), ("out/fit.tir", None))
-    )
-    miss, gap = (np.max(np.abs(given - wanted)) for given in (found, alone))
-    assert miss < 0.15 * 6000.0 and gap > 0.2 * 6000.0
-
-
-def test_a_converted_file_adds_no_missing_coefficients(run, no_figures):
-    text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()
-    for name in ("LATERAL", "ALIGNING"):
-        text = re.sub(rf"(?ms)^\[{name}_COEFF.*?(?=^\[|\Z)", "", text)
-    Path("along.tir").write_text(text)
-    options = ("--model", "mf61", "--loads", "6000,11000", "--out", "out")
-    assert "no F_y in this file" in run("convert", "along.tir", *options).stdout
-    assert set(read_tir("out/fit.tir").lacks) == {"F_y", "M_z"}
-    kappa = -np.linspace(-0.2, 0.2, 9)
-    found, wanted = (
-        forces(own_tire(read_tir(path)), TireInputs(kappa / (1 - kappa), 0.0, 6000.0))
-        for path in ("out/fit.tir", "along.tir")
-    )
-    np.testing.assert_allclose(found.fx, wanted.fx, atol=1.0)
-    assert found.fy is None and found.mz is None

@@ -167,7 +167,7 @@ def test_the_nominal_state_of_a_magic_formula_is_read_from_the_constants(tmp_pat
     data = stating(tmp_path, *(constant(*line) for line in NOMINAL))
     known = data.source.constants
     config = parse_config({"parameters": {"NOMPRES": {"value": 8e4}}})
-    rows = rows_of_forces(data, ["fy", "mz"], config)
+    rows = rows_of_forces(data, ["fy", "mz"])
     tire, notes = nominal_of("mf61", rows, config, known)
     nominal = tire.nominal
     assert nominal.UNLOADED_RADIUS == pytest.approx(0.317)

@@ -16,7 +16,7 @@ from tirefit.data.read import read_frame
 from tirefit.data.tir.tir import read_tir
 from tirefit.fitting.mf import fit as fit_module
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.result import save_magic_formula, tir_of
+from tirefit.fitting.mf.result import tir_of
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
 from tirefit.models import forces
@@ -94,7 +94,7 @@ def test_forces_are_recovered_within_and_beyond_the_loads(monkeypatch, tmp_path)
             # The formula describes this tire beyond the loads as well as within.
             assert 0.90 < new < (0.99 if over == 1 else 1.001)
     assert all(guard.holds for guard in fit.guards)
-    save_magic_formula(fit, tmp_path)
+    fit.save(tmp_path)
     written = read_tir(tmp_path / "fit.tir")
     assert written.text == tir_of(fit).text
     at, _ = points(plan, 0)

@@ -1,10 +1,12 @@
 """Settings of a rig test, found in rows whose load follows the slip."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tirefit.fitting.mf.bins import rig_settings
-from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.mf.rows import ForceRows, groups_of
 from tirefit.models import TireInputs
 
 LOADS = (220.0, 440.0, 670.0, 890.0, 1110.0)
@@ -18,8 +20,7 @@ def rows_of(force, parts, run=0):
     n = len(fz)
     inputs = TireInputs(sigma_x, alpha, fz, 0 * fz, gamma, pressure, 0 * fz)
     run = np.broadcast_to(run, n)
-    one = np.ones(n, int)
-    return ForceRows(force, inputs, 0 * fz, 0 * fz + 1.0, True, run, fz > 0, 0 * one, one)
+    return ForceRows(force, inputs, 0 * fz, run, fz > 0, np.zeros(n, int))
 
 
 def triangle(n=200):
@@ -100,5 +101,22 @@ def test_runs_are_separate_settings():
     settings, code = rig_settings(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
     assert [s.run for s in settings] == [4, 7]
     assert np.array_equal(code, np.repeat([0, 1], 60))
-    labels = ["1000 N, rolling freely, run 5", "1000 N, rolling freely, run 8"]
-    assert [", ".join(map(s.text, ("fz", "held", "run"))) for s in settings] == labels
+    labels = [", ".join(map(setting.text, ("fz", "held"))) for setting in settings]
+    assert labels == 2 * ["1000 N, rolling freely"]
+
+
+def test_of_many_rows_some_are_taken_evenly_along_the_slip():
+    rng = np.random.default_rng(3)
+    alpha, setting = rng.uniform(-0.2, 0.2, 30_000), np.repeat([1, 0, 1], 10_000)
+    rows = replace(rows_of("fy", [(0.0, alpha, 1000.0, 0.0, 2e5)]), setting=setting)
+    rows = replace(rows, observed=1000.0 * np.sign(alpha), pure=np.abs(alpha) > 0.05)
+    pure, combined = groups_of({"fy": rows})["fy"]
+    assert pure.title == "fy in pure slip" and np.all(np.abs(pure.rows.column("alpha")) > 0.05)
+    assert combined.part == "combined" and len(combined.rows.observed) < 8192
+    taken = pure.rows
+    assert len(taken.observed) == 8192 and np.all(np.diff(taken.setting) >= 0)
+    assert np.mean(taken.setting) == pytest.approx(2 / 3, abs=0.01)
+    within = taken.column("alpha")[taken.setting == 1]
+    assert np.all(np.diff(within) > -0.006)  # a place of the slip is 0.005 rad wide
+    np.testing.assert_allclose(np.mean(within > 0.1), 1 / 3, atol=0.02)
+    assert np.all(pure.variance(taken.observed) == 50.0**2)

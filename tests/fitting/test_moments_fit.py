@@ -1,23 +1,19 @@
 """M_x and M_y of a whole Magic Formula, fitted with the forces."""
 
-import re
 from functools import cache
 
 import numpy as np
 import pytest
-from rig import MF52, MF61, MF62, Plan, sweeps, tire_of
+from rig import MF52, Plan, sweeps, tire_of
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir.tir import read_tir
-from tirefit.data.tir.tir_keys import PRESSURE_TERMS
-from tirefit.fitting.mf.convert import converted
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.result import save_magic_formula, tir_of
+from tirefit.fitting.mf.result import tir_of
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
-from tirefit.results import DataError
 
 NOISE = {"mx": 2.0, "my": 0.3}
 NOMINAL = ("FNOMIN", "UNLOADED_RADIUS", "LONGVL")
@@ -42,13 +38,13 @@ def columns():
     return given | noisy | {"run": run}, true
 
 
-def fitted(without=(), part="all", **more):
+def fitted(without=(), **more):
     table, _ = columns()
     numbers = read_tir(MF52).numbers
     given = {name: {"value": numbers[name]} for name in NOMINAL} | more
     table = {k: v for k, v in table.items() if k not in without}
     return fit_magic_formula(
-        read_frame(table), "mf52", part=part, config={"parameters": given}, leave_out="none"
+        read_frame(table), "mf52", config={"parameters": given}, leave_out="none"
     )
 
 
@@ -89,7 +85,7 @@ def test_the_moments_do_not_move_the_forces():
 
 def test_the_files_reproduce_the_moments(tmp_path):
     fit, (_, true) = whole(), columns()
-    save_magic_formula(fit, tmp_path)
+    fit.save(tmp_path)
     inputs = {k: columns()[0][k] for k in ("sigma_x", "alpha", "fz", "v", "gamma")}
     stored = predict(load_fit(tmp_path / "fit.json"), inputs)
     tir = read_tir(tmp_path / "fit.tir")
@@ -108,44 +104,3 @@ def test_an_overturning_moment_needs_a_lateral_force():
     assert fit.coefficients["QSX3"].origin == "given" and tir_of(fit).numbers["QSX3"] == 0.02
     assert "mx" not in fit.forces and "my" in fit.forces
     assert any("mx is not fitted: the data have no fy" in note for note in fit.notes)
-    for name, said in (("fy", "mx is not fitted: the data have no fy"), ("mx", "no mx")):
-        with pytest.raises(DataError, match=said):
-            fitted(without=(name,), part="mx")
-
-
-def assert_moments_agree(fit, tir, most):
-    """The M_y of the nominal state, and M_x up to a share of its largest value."""
-    nominal = tir.numbers["FNOMIN"]
-    inputs = {"sigma_x": np.linspace(-0.05, 0.1, 9), "alpha": np.linspace(-0.1, 0.1, 9)}
-    inputs |= {"fz": np.full(9, nominal), "gamma": np.full(9, 0.0), "v": np.full(9, 30.0)}
-    found = predict(fit.tire, inputs)
-    true = predict(mf_tire(tir.version, tir.numbers), inputs)
-    np.testing.assert_allclose(found["my"], true["my"], rtol=1e-3)
-    away = np.max(np.abs(found["mx"] - true["mx"]))
-    assert away < most * np.max(np.abs(true["mx"]))
-
-
-@pytest.mark.parametrize(
-    "sections", ["LONGITUDINAL|ALIGNING", pytest.param("NOTHING", marks=pytest.mark.long)]
-)
-def test_a_version_with_all_coefficients_of_the_moments_gets_them_exactly(sections, tmp_path):
-    """A tire with the lateral force alone, at one pressure, and the whole tire."""
-    path = tmp_path / "tire.tir"
-    text = re.sub(rf"(?ms)^\[({sections})_COEFF.*?(?=^\[|\Z)", "", MF62.read_text())
-    path.write_text(text)
-    tir = read_tir(path)
-    if sections != "NOTHING":
-        tir = tir.with_values(dict.fromkeys({*PRESSURE_TERMS} & {*tir.numbers}, 0.0))
-    nominal = tir.numbers["FNOMIN"]
-    fit = converted(tir, "mf61", 0.15, [0.6 * nominal, nominal])
-    # Two millionths of the force, at which the search rests.
-    assert "not converged" not in fit.outcomes
-    assert max(rmse for rmse, _ in fit.fitted.values()) < 0.02
-    assert_moments_agree(fit, tir, 0.01)
-
-
-@pytest.mark.long
-def test_a_version_without_a_coefficient_of_the_moments_gets_them_fitted():
-    tir = read_tir(MF61)
-    fit = converted(tir, "mf52", 0.15, [0.6 * tir.numbers["FNOMIN"], tir.numbers["FNOMIN"]])
-    assert_moments_agree(fit, tir, 0.35)

@@ -92,7 +92,7 @@ def test_the_ellipse_shows_both_forces_of_similar_rows(fit, table):
 
 def test_figures_and_page_are_written_completely(fit, tmp_path):
     names = {path.name for path in save_magic_formula(fit, tmp_path)}
-    assert names == {f"{name}.png" for name in ("fit", "fx", "fy", "residuals", "ellipse")}
+    assert names == {f"{name}.png" for name in ("fit", "fx", "residuals", "ellipse")}
     page = without_pictures(lambda: magic_formula_page(fit))
     links = Page(page).links
     assert len(links) == 6 and all(x.startswith("data:image/png") for x in links)

@@ -1,8 +1,8 @@
 """Tire property files and Chrono's JSON, read like their programs read them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +11,6 @@ from typer.testing import CliRunner
 import tirefit
 from tirefit.cli.commands import app
 from tirefit.data.tir.tir import read_tir, reduced_tir
-from tirefit.fitting.mf import convert
-from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.result import save_magic_formula
 from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
@@ -79,7 +76,7 @@ def fitted(tmp_path_factory):
     force = force + 20 * np.random.default_rng(1).standard_normal(82)
     fit = tirefit.fit_magic_formula({"alpha": angle, "fz": load, "fy": force}, "mf61")
     folder = tmp_path_factory.mktemp("fit")
-    save_magic_formula(fit, folder)
+    fit.save(folder)
     return fit, folder / "fit.json"
 
 
@@ -192,30 +189,24 @@ def test_chrono_accepts_a_brush(tmp_path):
     assert json.loads(path.read_text())["Coefficient of Friction"] == 0.9
 
 
-def test_the_refitted_version_is_written(tmp_path, monkeypatch):
-    """The refit itself is that of the tests of `converted`."""
-    refitted = own_tire(read_tir(TIR / "MagicFormula61_Parameters.tir"))
-
-    def converted(tir, model, slip_max, loads):
-        assert (tir.version, model) == ("6.2", "mf61") and len(loads) > 2
-        return SimpleNamespace(tire=refitted, coefficients={})
-
-    monkeypatch.setattr(convert, "converted", converted)
-    path = tmp_path / "t.tir"
+def test_another_version_of_a_magic_formula_is_refused(tmp_path):
     source = TIR / "MagicFormula62_Parameters.tir"
-    done = tirefit.export(source, "tir", path, model="mf61", force=True)
-    assert missed(own_tire(read_tir(path)), refitted) < 1e-9
-    assert any("refitted from Magic Formula 6.2 to 6.1" in note for note in done.notes)
+    with pytest.raises(UsageError, match=r"the tire is a Magic Formula 6\.2(.|\n)*predict"):
+        tirefit.export(source, "tir", tmp_path / "t.tir", model="mf61", force=True)
 
 
 # --- Project Chrono -----------------------------------------------------------------
 
 
-def test_a_file_without_aligning_moment_is_refitted():
-    """The reduced form has M_z = 0 everywhere, which gives the fit no size of its noise."""
+def test_a_moment_that_is_zero_everywhere_is_fitted():
+    """That of the reduced form of a brush, which gives the fit no size of its noise."""
     tir = reduced_tir(cpa2=5e4, mu=0.9, fz=4000.0, radius=0.3)
-    rows = convert.virtual_test(tir, 0.3, [4000.0], False)
-    fit = fit_magic_formula(rows, "mf52", part="mz", leave_out="none")
+    rows = TireInputs(0.0, np.linspace(-0.3, 0.3, 41), np.full(41, 4000.0), np.full(41, 16.0))
+    of_tire = forces(own_tire(tir), rows)
+    table = {"alpha": rows.alpha, "fz": rows.fz, "v": rows.v, "fy": np.asarray(of_tire.fy)}
+    data = tirefit.read_frame(table)
+    data = replace(data, columns={**data.columns, "mz": np.asarray(of_tire.mz)})
+    fit = tirefit.fit_magic_formula(data, "mf52", part="mz", leave_out="none")
     at = TireInputs(sigma_from_kappa(KAPPA), ALPHA, 4000.0, 16.0)
     assert np.max(np.abs(forces(fit.tire, at).mz)) < 1e-6  # N m; the rows have zero
 

@@ -8,21 +8,13 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.data.tir.tir import TirFile, notes_on
 from tirefit.data.tir.tir_keys import LIMITS, PRESSURE_TERMS
-from tirefit.models.base import AbstractTire, TireInputs
-from tirefit.models.mf import OTHER_SIDE, WEIGHTS, MFTire, Mirrored, curvatures, mf_tire
-from tirefit.models.mf.fields import Nominal
-from tirefit.models.mf.tire import turned_inputs
+from tirefit.models.base import AbstractTire
+from tirefit.models.mf import OTHER_SIDE, WEIGHTS, MFTire, Mirrored, mf_tire
 from tirefit.params import parameter_values
 from tirefit.results import DataError, UsageError, unknown_names
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
 TIR_SIGNS = "iso-w"  # convention of ``.tir`` files: that of the axes TYDEX W
-
-USUAL_SLIP = 0.3
-"""Default of the largest kappa and slip angle [rad] of a conversion."""
-
-USUAL_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)
-"""Default of the loads of a conversion, over the nominal load."""
 
 _SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
 _NEEDED = {
@@ -73,8 +65,7 @@ def tire_of(
     Raises:
         UsageError: ``side`` given but not stated in the file; unknown signs.
     """
-    tire = own_tire(tir, **how)
-    turned = turned_by(signs)
+    tire, turned = own_tire(tir, **how), turned_by(signs)
     if side is not None and tir.side not in (side.upper(), "SYMMETRIC"):
         if tir.side == "UNKNOWN":
             reason = "TYRESIDE is not stated: no side to mirror the tire from"
@@ -82,21 +73,6 @@ def tire_of(
             raise UsageError(reason, remedy, tir.path)
         turned ^= OTHER_SIDE
     return Mirrored(tire, turned) if turned else tire
-
-
-def moments_noted(tir: TirFile, data: TireData) -> list[str]:
-    """Sentences on M_x and M_y: those that the file lacks, and the assumed speed."""
-    there = {key[:3] for key in tir.numbers}
-    keys = {"QSX": "mx (overturning moment)", "QSY": "my (rolling resistance moment)"}
-    messages = [
-        f"no coefficients {key}...: {name} is not predicted"
-        for key, name in keys.items()
-        if key not in there
-    ]
-    if "v" not in data and any(tir.numbers.get(key) for key in ("QSY3", "QSY4")):
-        speed = tir.numbers.get("LONGVL", Nominal().LONGVL)
-        messages.append(f"no column v: my is computed at {speed:g} m/s (--constant v=SPEED)")
-    return messages
 
 
 def turned_by(signs: str | None) -> frozenset[str]:
@@ -150,8 +126,7 @@ def remarks(
                 f"{count} of {data.n} rows with {name}, which changes no {force}: the"
                 " file has no coefficient of it"
             )
-    turned = tire.turned if isinstance(tire, Mirrored) else frozenset()
-    return [*messages, *_limited(mounted, data, turned), *_outside(tir, data, turned_by(signs))]
+    return messages + _outside(tir, data, turned_by(signs))
 
 
 def _combination(tire: MFTire, where: str) -> list[str]:
@@ -179,37 +154,12 @@ def _combination(tire: MFTire, where: str) -> list[str]:
             f"{where}: {' and '.join(whole)} as in pure slip: the weighting function"
             f" is one, so the resultant force may exceed the friction limit{remedy}"
         )
-    if "fx" in tire.lacks and "mz" not in tire.lacks:
-        messages.append(f"{where}: M_z without the part of F_x, which the file does not give")
     return messages
 
 
 def _used(data: TireData, name: str) -> np.ndarray:
     """A column of the used rows, (n,); zero if the data do not have it."""
     return data.usable(name) if name in data else np.zeros(data.n)
-
-
-def _limited(tire: MFTire, data: TireData, turned: frozenset[str]) -> list[str]:
-    """Sentences on forces that depend on the limit of E to one, with their loads.
-
-    Args:
-        turned: fields with reversed sign in the tire.
-    """
-    inputs = TireInputs(*(np.nan_to_num(_used(data, k)) for k in TireInputs._fields))
-    inputs = turned_inputs(inputs, turned)
-    messages = []
-    for force, values in curvatures(tire, inputs).items():
-        beyond = np.asarray(values) > 1
-        if not beyond.any():
-            continue
-        loads, largest = np.asarray(inputs.fz)[beyond], np.max(values)
-        where = f"{beyond.sum()} of {data.n} rows (F_z {loads.min():.4g} to"
-        messages.append(
-            f"the curvature factor E of {_SYMBOLS[force]} exceeds 1 in {where}"
-            f" {loads.max():.4g} N, up to {largest:.3g}) and is limited to 1 there:"
-            " programs that do not limit it give other forces"
-        )
-    return messages
 
 
 def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:

@@ -12,14 +12,21 @@ from jaxtyping import Array
 from scipy.optimize import least_squares
 
 from tirefit.arrays import Numbers, Scalar
-from tirefit.fitting.tir import USUAL_SHARES, USUAL_SLIP
 from tirefit.models import TireInputs, forces
 from tirefit.params import Values
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import sigma_from_kappa
 from tirefit.targets.code import compiled
 from tirefit.targets.formulas import Curves, Formula, magic_formula_of
-from tirefit.targets.tire import ALWAYS, INPUTS, Tire, range_text, turned_range
+from tirefit.targets.tire import (
+    ALWAYS,
+    INPUTS,
+    USUAL_SHARES,
+    USUAL_SLIP,
+    Tire,
+    range_text,
+    turned_range,
+)
 
 MOST = 0.05
 """Largest error over the load that is written without ``force``."""

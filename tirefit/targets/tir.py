@@ -19,7 +19,7 @@ from tirefit.data.tir.tir import new_tir, parse_tir, reduced_tir
 from tirefit.data.tir.tir_file import TirFile
 from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.files import json_text
-from tirefit.fitting.tir import TIR_SIGNS, USUAL_SHARES, USUAL_SLIP, own_tire, remarks
+from tirefit.fitting.tir import TIR_SIGNS, own_tire, remarks
 from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS, WEIGHTS, MFTire
 from tirefit.params import parameter_values, specs
@@ -35,16 +35,16 @@ _PARTS = {"fx": "longitudinal", "fy": "lateral", "mz": "aligning"}
 def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Tire:
     """The tire of a ``.tir`` file for ``tire``.
 
-    A Magic Formula is written unchanged, or refitted to another version. For other
-    models, the reduced form keeps c_p a^2 and mu.
+    A Magic Formula is written unchanged. For other models, the reduced form keeps c_p a^2
+    and mu.
 
     Args:
-        model: ``mf52``, ``mf61`` or ``mf62``; None for the version of the tire.
+        model: ``mf52``, ``mf61`` or ``mf62``: the version of a reduced form.
         wheel: ``radius`` of the free tire [m], for a model without one.
 
     Raises:
-        UsageError: unknown version or key of the wheel, a missing radius, or a model
-            that is no Magic Formula and has no c_p a^2 and mu.
+        UsageError: unknown version or key of the wheel, a missing radius, a Magic Formula of
+            another version, or another model without c_p a^2 and mu.
     """
     problems = _wheel_problems(wheel, ("radius",))
     UsageError.raise_for(problems + unknown_names("--model", [model], MAGIC_FORMULAS))
@@ -60,13 +60,9 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
             f" and the largest force mu F_z are kept, at F_z = {tire.load:.4g} N"
         )
     if model and MAGIC_FORMULAS[model].version != tir.version:
-        from tirefit.fitting.mf.convert import converted  # slow to import
-
-        loads = [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
-        fit = converted(tir, model, USUAL_SLIP, loads)
-        notes.append(f"refitted from Magic Formula {tir.version} to {fit.tire.version}")
-        spread = {k: c.std for k, c in fit.coefficients.items() if c.std}
-        tir = _new_file(replace(tire, model=fit.tire, spread=spread))
+        reason = f"--model {model}: the tire is a Magic Formula {tir.version}"
+        remedy = "fit the other version to the forces that `tirefit predict` gives at rows of yours"
+        raise UsageError(reason, remedy)
     held = own_tire(tir)
     if isinstance(bare, MFTire):
         # They may differ only by the rounding of a file.

@@ -36,6 +36,8 @@ INPUTS = ("kappa", "alpha", "fz", "v", "gamma", "pressure")
 [N]; then speed [m/s], camber [rad], pressure [Pa], if they change a force."""
 ALWAYS = 3
 """The number of the first of them that every exported tire has."""
+USUAL_SLIP = 0.3  # largest kappa and slip angle [rad] of a comparison, if none was measured
+USUAL_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # its loads over the nominal load
 _USUAL_LOAD = 4000.0  # default load [N], of a tire of a passenger car
 _SPEED = 10.0  # speed [m/s] at which tires are compared if it was measured, or nothing was
 

@@ -1,4 +1,4 @@
-"""``tirefit convert``: a Magic Formula as a brush or as another version."""
+"""``tirefit convert``: a Magic Formula as a brush."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -7,12 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from tirefit.cli.commands.fit_one import fit_files, fit_into
-from tirefit.cli.commands.magic_formula import (
-    MAGIC_FORMULA_NAMES,
-    CombinationOption,
-    convert_whole,
-    is_whole,
-)
 from tirefit.cli.options import (
     File,
     Folder,
@@ -38,10 +32,6 @@ _SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
 
 Force = StrEnum("Force", "fx fy")
 
-_MODEL = """\
-model to fit: a brush model (default: brush), or another version of the Magic Formula: mf52, mf61, \
-mf62"""
-
 
 def convert(
     file: Annotated[
@@ -52,7 +42,9 @@ def convert(
     magic_formula: Annotated[
         Text, option("B,C,D,E", "coefficients of one curve, instead of a .tir file")
     ] = None,
-    model: Annotated[Text, option("", _MODEL, autocompletion=model_names)] = None,
+    model: Annotated[
+        Text, option("", "brush model to fit (default: brush)", autocompletion=model_names)
+    ] = None,
     force: Annotated[Force | None, option("", "force to convert (default: fx)")] = None,
     slip_max: Annotated[
         Number, option("", f"largest sigma_x or alpha [rad] (default: {_SLIP_MAX})")
@@ -60,10 +52,9 @@ def convert(
     slip_min: Annotated[Number, option("", "smallest slip (default: minus the largest)")] = None,
     loads: Annotated[Text, option("N,N,...", "loads [N] (default: 0.5, 1 and 1.5 FNOMIN)")] = None,
     signs: SignsOption = None,
-    combination: CombinationOption = None,
     seed: SeedOrNone = None,
 ) -> None:
-    """Convert a Magic Formula to a brush or another version.
+    """Convert a Magic Formula to a brush.
 
     The standard errors are those of the systematic misfit over the slips and loads: the
     curve has no noise.
@@ -71,15 +62,6 @@ def convert(
     coefficients, slips, chosen = _checked(file, magic_formula, slip_min, slip_max, loads, out)
     if signs and file is None:
         raise UsageError("--signs applies to .tir files only", "leave it out")
-    if model in MAGIC_FORMULA_NAMES:
-        is_whole(model, (), ("magic_formula", "force", "slip_min", "seed"))
-        assert file is not None  # as --magic-formula is not given
-        of_file = {"signs": signs, "combination": combination}
-        code = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
-        raise typer.Exit(code)
-    if combination:
-        remedy = "leave it out: a brush is fitted to one force in pure slip"
-        raise UsageError(f"--combination with --model {model or 'brush'}", remedy)
     result = _refit(
         file, coefficients, model or "brush", force or Force.fx, slips, chosen, seed, out, signs
     )

@@ -56,7 +56,7 @@ PAGE_OF_ALL = "fits.html"
 _MODEL = """\
 model of `tirefit models` (default: brush); mf52, mf61, mf62: a whole Magic Formula to all files; \
 with --vehicle: front=NAME,rear=NAME"""
-_PART = "mf52, mf61, mf62: fit this part only (default: all that the files determine)"
+_PART = "mf52, mf61, mf62: fit this force in pure slip only (default: all that the files determine)"
 _LIKE = """\
 mf52, mf61, mf62: take forces and coefficients that the files do not determine from this similar \
 tire"""
@@ -97,7 +97,7 @@ def fit(
     seed: SeedOrNone = None,
     out: Annotated[File, path_option("FOLDER", "folder of the results")] = None,
     force: Forces = None,
-    part: Annotated[Text, option("fx|fy|mz|mx|my|combined|all", _PART)] = None,
+    part: Annotated[Text, option("fx|fy|mz|all", _PART)] = None,
     like: Annotated[File, option("OTHER.tir", _LIKE)] = None,
     leave_out: Annotated[Text, option("three|load|none", _LEAVE_OUT)] = None,
     vehicle: Annotated[File, option("VEHICLE.toml", _VEHICLE)] = None,

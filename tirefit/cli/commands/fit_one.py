@@ -73,13 +73,12 @@ def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
     from tirefit.fitting.result import SCHEMA
     from tirefit.fitting.store import record_of_fit
 
-    def record_of(document: Path) -> "FileRecord":
-        return record_of_fit(read_record(document, SCHEMA, ""), str(directory))
+    names = ["fit.json", "fit.png", *["posterior.nc"] * task.posterior, *[PAGE] * task.also.html]
+    files = [directory / name for name in names]
 
-    expected = ["fit.json", "fit.png"]
-    expected += ["posterior.nc"] if task.posterior else []
-    expected += [PAGE] if task.also.html else []
-    files = [directory / name for name in expected]
+    def record_of(path: Path) -> "FileRecord":
+        return record_of_fit(read_record(path, SCHEMA, ""), str(directory))
+
     record = done_before(files, files[0], asked, record_of)
     # A posterior that was not finished is sampled again.
     is_open = record and {"chain_too_short", "interrupted"} & {*record.outcomes}

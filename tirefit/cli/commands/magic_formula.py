@@ -1,19 +1,16 @@
 """``tirefit fit --model mf52|mf61|mf62``: fit a whole Magic Formula, write a ``.tir``."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tirefit.cli.commands.fit_one import PAGE, Also, fit_files
 from tirefit.cli.notes import warn
-from tirefit.cli.options import option, progress_bar, refuse, say, start_jax, warn_of
+from tirefit.cli.options import option, progress_bar, refuse, start_jax, warn_of
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.results import ExitCode, exit_code
-
-if TYPE_CHECKING:
-    from tirefit.fitting.mf.result import MagicFormulaFit
-
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
 
@@ -27,22 +24,13 @@ CombinationOption = Annotated[Combination | None, option("", _COMBINATION, "--co
 
 
 def is_whole(model: str | None, of_whole: Collection[str], unused: Collection[str]) -> bool:
-    """Whether the model is a whole Magic Formula.
-
-    Args:
-        of_whole: options that only a whole Magic Formula has.
-        unused: options that it does not have.
-
-    Raises:
-        UsageError: an option of the other kind of fit was given.
-    """
+    """Whether the model is a whole Magic Formula; raises UsageError for an option of the other
+    kind of fit, of those ``of_whole`` or those that it leaves ``unused``."""
     whole = model in MAGIC_FORMULA_NAMES
-    if whole:
-        remedy = "leave it out: a whole Magic Formula is fitted in fixed stages"
-        refuse(unused, f"with --model {model}", remedy)
-    else:
-        remedy = "leave it out: other models have no such stages"
-        refuse(of_whole, f"without --model {', '.join(MAGIC_FORMULA_NAMES)}", remedy)
+    wrong, word = (unused, "with") if whole else (of_whole, "without")
+    names = model if whole else ", ".join(MAGIC_FORMULA_NAMES)
+    remedy = "leave it out: only a whole Magic Formula is fitted in fixed stages"
+    refuse(wrong, f"{word} --model {names}", remedy)
     return whole
 
 
@@ -61,8 +49,11 @@ def fit_whole(
     """
     from tirefit.data.read import read
     from tirefit.data.tir.tir import notes_on, read_tir
+    from tirefit.report.fit.mf_figures import MAGIC_FORMULA_FILES, save_magic_formula
 
-    check_results(_files(out), files)
+    also_made = [out / name for name in ("fit.tir", *MAGIC_FORMULA_FILES)]
+    made = dict.fromkeys([*fit_files(out), *also_made])
+    check_results(made, files)
     if like := options.get("like"):
         options = options | {"like": read_tir(like)}
         warn_of(notes_on(options["like"]), like)
@@ -76,63 +67,8 @@ def fit_whole(
             result = fit_magic_formula(
                 tables, settings.model, config=settings, progress=progress, **options
             )
-        _write(result, out, also)
+        # Figures and draws of an earlier fit would be mistaken for those of this one.
+        known = [path.name for path in made]
+        figures, page = partial(save_magic_formula, result), PAGE if also.html else ""
+        write_result(result, out, known, figures, page, full=also.full)
     return exit_code(result.outcomes, strict)
-
-
-def convert_whole(
-    file: Path,
-    model: str,
-    slip_max: float,
-    loads: Sequence[float] | None,
-    out: Path,
-    of_file: dict[str, Any],
-) -> ExitCode:
-    """Fit a version of the Magic Formula to the forces of a file of another version."""
-    from tirefit.data.table import CANONICAL
-    from tirefit.data.tir.tir import read_tir
-
-    check_results(_files(out))
-    tir = read_tir(file)
-    start_jax()
-    from tirefit.fitting.mf.convert import converted
-    from tirefit.fitting.tir import USUAL_SHARES
-
-    loads = loads or [share * tir.numbers["FNOMIN"] for share in USUAL_SHARES]
-    with claimed(out):
-        result = converted(tir, model, slip_max, loads, **of_file)
-        _write(result, out, advice="try other --loads or a smaller --slip-max")
-    signs = of_file["signs"]
-    in_signs = f" in signs {signs}" if signs else ""
-    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{in_signs}")
-    for force, (rmse, count) in result.fitted.items():
-        unit = CANONICAL[force][0]
-        say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
-    return exit_code(result.outcomes)
-
-
-_ADVICE = "give starting values in fit.toml or fix a parameter"
-"""Advice in the report of a fit that does not converge; `convert` has no fit.toml."""
-
-
-def _files(out: Path) -> list[Path]:
-    """Every file that a fit of a whole Magic Formula may write or replace."""
-    from tirefit.report.fit.mf_figures import MAGIC_FORMULA_FILES
-
-    return [*fit_files(out), *(out / name for name in ("fit.tir", *MAGIC_FORMULA_FILES))]
-
-
-def _write(
-    result: "MagicFormulaFit", out: Path, also: Also | None = None, advice: str = _ADVICE
-) -> None:
-    """Print the result and write it into the claimed folder; ``also``: figures."""
-    from tirefit.report.fit.mf_figures import save_magic_formula
-
-    def draw(folder: Path) -> None:
-        if also is not None:
-            save_magic_formula(result, folder)
-
-    # Figures and draws of an earlier fit would be mistaken for those of this one.
-    known = [*dict.fromkeys(path.name for path in _files(out))]
-    text = result.summary(full=also is not None and also.full).replace(_ADVICE, advice)
-    write_result(result, out, known, draw, PAGE if also and also.html else "", text=text)

@@ -128,7 +128,7 @@ def derive(
     units = pairs("--unit", unit)
     if out.parent.is_dir() and not out.is_dir():  # others are refused with the CSV
         check_results([out, out.with_name(f"{out.stem}.derive.json")])
-    written = derive_files(files, vehicle, out, axle.value, units, believe, say)
+    written = derive_files(files, vehicle, out, axle.value, units, believe)
     say(written.summary())
 
 
@@ -183,7 +183,7 @@ def predict(
     warn(table)
     noted = outside_fit(tire, table) if kind == "fit" else []
     if tir is not None:
-        noted = [*of_tir.remarks(tir, tire, table, signs), *of_tir.moments_noted(tir, table)]
+        noted = of_tir.remarks(tir, tire, table, signs)
     warn_of(noted, source)
     forces = forces_of(tire, table, values)
     if tir is not None:

@@ -2,7 +2,7 @@
 
 import importlib.metadata
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -12,12 +12,11 @@ import numpy as np
 
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
-from tirefit.data.table import TireData
 from tirefit.data.tir.tir import TirFile, read_tir
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.bins import binned, rig_settings
 from tirefit.fitting.mf.guards import check_guards
-from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, cross_validated
+from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, cross_validated, rms
 from tirefit.fitting.mf.parts import (
     HELD,
     MOMENTS,
@@ -28,33 +27,22 @@ from tirefit.fitting.mf.parts import (
     VERSIONS,
     coefficients_of,
     own_coefficients,
-    parts_named,
 )
-from tirefit.fitting.mf.priors import (
-    LOGARITHMIC,
-    Prior,
-    borrowed_from,
-    normal_form,
-    published_priors,
-    with_dimensions,
-)
+from tirefit.fitting.mf.priors import LOGARITHMIC, Prior, borrowed_from, published_priors
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, groups_of, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, search
 from tirefit.fitting.problem.config import FitConfig, ParameterConfig, parse_config
-from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
+from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
-_FAR = 7.0
-"""Standard deviations (of noise and misfit) beyond which a row is reported as far."""
-
-_REACHED = 0.9
-"""Share of mu F_z that some row must reach for the friction to be measured."""
+_FAR = 7.0  # standard deviations of a measurement beyond which a row is reported as far
 
 
 def fit_magic_formula(
@@ -63,7 +51,6 @@ def fit_magic_formula(
     *,
     part: str = "all",
     config: FitConfig | dict[str, Any] | None = None,
-    first: Mapping[str, float] | None = None,
     like: TirFile | str | os.PathLike[str] | None = None,
     leave_out: str = "three",
     progress: Callable[[float, str], None] = lambda share, note: None,
@@ -79,13 +66,11 @@ def fit_magic_formula(
         data: the result of ``tirefit.read``, or a file that it reads; a list of these
             counts as runs of one data set and need not hold the same columns.
         model: ``mf52``, ``mf61`` or ``mf62``.
-        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all`` or ``combined`` for these,
-            combined slip, ``mx`` and ``my``, as far as the data hold them; ``mx`` or
-            ``my`` for that moment and the forces.
+        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all`` for these, combined slip,
+            ``mx`` and ``my``, as far as the data hold them.
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
             prior of coefficients.
-        first: coefficients of a tire that may be similar, as an additional start.
         like: a ``.tir`` whose coefficients are prior means, if not in config.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
             of each load, ``none`` nothing.
@@ -108,7 +93,7 @@ def fit_magic_formula(
     require_x64("a fit")
     check_names("Magic Formula", [model], VERSIONS)
     check_names("leave_out", [leave_out], LEAVE_OUT)
-    parts = parts_named(part)
+    check_names("part", [part], (*CHANNEL_SLIP, "all"))
     if isinstance(config, dict):
         config = parse_config(config)
     config = config or FitConfig()
@@ -119,47 +104,42 @@ def fit_magic_formula(
     rows, notes = rows_of_part(whole, part, config)
     other = like if like is None or isinstance(like, TirFile) else read_tir(Path(like))
     constants = whole.source.constants
-    if other is not None:
-        config, taken = with_dimensions(other, rows, config, constants)
-        notes += taken
-    also = other.numbers if other else ()
-    tire, assumed = nominal_of(model, rows, config, constants, also)
+    tire, assumed = nominal_of(model, rows, config, constants, other)
     borrowed, borrowing = borrowed_from(other, tire, rows, config) if other else ({}, [])
-    notes += [*assumed, *borrowing]
-    of_slips = [f"{slip}_std" for slip in ("sigma_x", "alpha") if f"{slip}_std" in whole]
-    keys = ("sigma_x", "alpha", "sigma_x_speed", "alpha_speed")
-    of_slips += [f"noise.{key}" for key in keys if getattr(config.noise, key)]
-    if of_slips:
-        reason = "not used, a Magic Formula fit takes the slips as exact"
-        notes.append(f"{', '.join(of_slips)}: {reason}")
     problem, priors = problem_from(tire, config, borrowed)
-    settings_of = {force: rig_settings(of_force) for force, of_force in rows.items()}
-    settings = {force: of_force for force, (of_force, _) in settings_of.items()}
-    rows = {force: replace(of, setting=settings_of[force][1]) for force, of in rows.items()}
-    centre = np.zeros(len(problem.names))
-    start = problem.started(centre, normal_form(first)) if first else None
-    # As many stages as kinds of rows, and about as many parts left out.
-    steps, done = 2 * sum(len(set(of.pure)) for of in rows.values()), count()
+    settings = {}
+    for force, of_force in rows.items():
+        settings[force], code = rig_settings(of_force)
+        rows[force] = replace(of_force, setting=code)
+    groups, done = groups_of(rows), count()
+    steps = 2 * sum(map(len, groups.values()))  # about as many parts are left out
 
     def say(note: str) -> None:
         now = next(done)
         progress(now / max(steps, now + 1), note)
 
-    work = search(problem, groups_of(rows, "combined" in parts), start, say)
+    work = search(problem, groups, say)
     left_out, bands = cross_validated(work, rows, settings, leave_out, say)
     coefficients, covariance = _coefficients(work, bands, priors, borrowed.keys())
-    result = _result(model, whole, work, rows, bands, notes)
     return MagicFormulaFit(
-        **result, coefficients=coefficients, covariance=covariance, left_out=left_out
+        model=model,
+        coefficients=coefficients,
+        covariance=covariance,
+        noise={force: band.law for force, band in bands.items()},
+        wider={force: band.wider for force, band in bands.items()},
+        left_out=left_out,
+        data=data_record(whole, whole.n, ()),
+        version=importlib.metadata.version("tirefit"),
+        **_of_search(work, rows, bands, [*notes, *assumed, *borrowing]),
     )
 
 
 def _check_settings(model: str, config: FitConfig) -> None:
     """Raises one UsageError for all settings that a Magic Formula does not have."""
     coefficients, faults = coefficients_of(VERSIONS[model]), []
-    given = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
+    settable = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
     for name, asked in config.parameters.items():
-        if name not in coefficients and (name not in given or asked.value is None):
+        if name not in coefficients and (name not in settable or asked.value is None):
             remedy = f"its coefficients are {', '.join(coefficients)}"
             faults.append((f"parameters.{name}: {model} does not fit it", remedy))
         wrong = [key for key in ("lower", "upper", "tied", "per_run") if getattr(asked, key)]
@@ -168,11 +148,11 @@ def _check_settings(model: str, config: FitConfig) -> None:
         if wrong:
             reason = f"parameters.{name}: {', '.join(wrong)} in a Magic Formula"
             faults.append((reason, "give value to hold it there, or a prior of mean and std"))
-    if brush := {"force", "solver", "starts", "posterior"} & config.model_fields_set:
-        reason = f"{', '.join(sorted(brush))} in a Magic Formula"
+    unused = [k for k in ("force", "solver", "starts", "posterior") if k in config.model_fields_set]
+    unused += ["noise.loss"] * (config.noise.loss not in ("squares", FitConfig().noise.loss))
+    if unused:
+        reason = f"{', '.join(unused)} in a Magic Formula"
         faults.append((reason, "leave it out: a Magic Formula is fitted in fixed stages"))
-    if config.noise.loss not in ("squares", FitConfig().noise.loss):
-        faults.append((f"noise.loss = {config.noise.loss!r} in a Magic Formula", "leave it out"))
     UsageError.raise_for([InputProblem(*fault, config.source) for fault in faults])
 
 
@@ -181,41 +161,46 @@ def nominal_of(
     rows: Mapping[str, ForceRows],
     config: FitConfig,
     constants: Mapping[str, float] | None = None,
-    also: Iterable[str] = (),
+    like: TirFile | None = None,
 ) -> tuple[MFTire, list[str]]:
     """The tire with its nominal state and the given values, and notes on assumptions.
 
-    It has M_x or M_y if the data do, or ``config`` or ``also`` name a coefficient.
+    It has M_x or M_y if the data do, or ``config`` or ``like`` have a coefficient.
 
     Args:
         constants: ``Source.constants`` of the data file, which replace assumptions; the
             configuration replaces both.
-        also: further names of coefficients.
+        like: a similar tire. Its free radius replaces the assumed one, its nominal pressure
+            if the test has none, and its QSX12 to QSX14 the zeros if M_x is not measured.
     """
-    empty = MAGIC_FORMULAS[model]
-    asked = {name[:3] for name in (*config.parameters, *also)}
+    empty, there = MAGIC_FORMULAS[model], {} if like is None else like.numbers
+    asked = {name[:3] for name in (*config.parameters, *there)}
     if "mx" not in rows and "QSX" not in asked:
         empty = replace(empty, overturning=None)
     if "my" not in rows and "QSY" not in asked:
         empty = replace(empty, rolling=None)
     given = {k: v.value for k, v in config.parameters.items() if v.value is not None}
     check_values(MAGIC_FORMULAS[model], model, given)
-    first = next(iter(rows.values()))
-    pressures = first.column("pressure")
-    pressures, speeds = pressures[pressures > 0], first.column("v")
-    pressure = float(np.median(pressures)) if len(pressures) else 2.2e5
-    speed = float(np.median(speeds)) if np.any(speeds > 0) else 16.7
-    load = float(np.median(first.column("fz")))
-    rounded = {"FNOMIN": load, "NOMPRES": pressure, "LONGVL": speed, "UNLOADED_RADIUS": 0.3}
-    assumed = {name: float(f"{value:.3g}") for name, value in rounded.items()}
-    stated = {k: v for k, v in (constants or {}).items() if k in assumed}
-    assumed |= stated
-    assumed["INFLPRES"] = given.get("NOMPRES", assumed["NOMPRES"])
-    reason = "the median pressure" if len(pressures) else "the data have no pressure"
+    assumed = {"FNOMIN": np.nan, "NOMPRES": 2.2e5, "LONGVL": 16.7, "UNLOADED_RADIUS": 0.3}
+    for name, key in (("FNOMIN", "fz"), ("NOMPRES", "pressure"), ("LONGVL", "v")):
+        measured = next(iter(rows.values())).column(key)
+        if np.any(measured > 0):
+            assumed[name] = float(f"{np.median(measured[measured > 0]):.3g}")
+    is_known = bool(np.any(next(iter(rows.values())).column("pressure") > 0))
+    reason = "the median pressure" if is_known else "the data have no pressure"
     origins = {"FNOMIN": "the median load", "NOMPRES": reason}
     if {"mz", *MOMENTS} & rows.keys():
         origins["UNLOADED_RADIUS"] = "no radius is given; only the moments depend on it"
+    if like is not None:
+        wanted = {"UNLOADED_RADIUS", *(() if "mx" in rows else NEVER_FITTED)}
+        wanted |= set() if is_known else {"NOMPRES"}
+        taken = {k: there[k] for k in wanted & specs(empty).keys() if there.get(k)}
+        assumed |= taken
+        origins |= dict.fromkeys(taken, f"that of {Path(like.path).name}")
+    stated = {k: v for k, v in (constants or {}).items() if k in assumed}
+    assumed |= stated
     origins |= dict.fromkeys(stated, "stated by the data file")
+    assumed["INFLPRES"] = given.get("NOMPRES", assumed["NOMPRES"])
     notes = [
         f"{name} = {assumed[name]:g}: {why} (parameters.{name}.value gives another)"
         for name, why in origins.items()
@@ -244,9 +229,7 @@ def problem_from(
             prior = prior._replace(centre=asked.value, log=False)
         priors[name] = prior
         free.append(asked.free is not False and (asked.value is None or asked.prior is not None))
-    centre = np.array([prior.centre for prior in priors.values()])
-    spread = np.array([prior.spread for prior in priors.values()])
-    log = np.array([prior.log for prior in priors.values()])
+    centre, spread, log = map(np.array, zip(*priors.values(), strict=True))
     tire = with_values(tire, dict(zip(names, centre.tolist(), strict=True)))
     return Problem(tire, names, centre, spread, log, np.array(free), ()), priors
 
@@ -281,109 +264,45 @@ def _coefficients(
     return coefficients, covariance
 
 
-def _result(
-    model: str,
-    data: TireData,
-    work: Search,
-    rows: Mapping[str, ForceRows],
-    bands: Mapping[str, Band],
-    notes: Sequence[str],
+def _of_search(
+    work: Search, rows: Mapping[str, ForceRows], bands: Mapping[str, Band], notes: Sequence[str]
 ) -> dict[str, Any]:
-    """The fields of the result, without those of the coefficients."""
-    problem, forces = work.problem, tuple(work.groups)
+    """The fields of the result that follow from rows and residuals."""
+    problem = work.problem
     tire = with_values(problem.tire, problem.values(work.u))
-    every = [rows[force] for force in forces]
-    kinds = {force: [group.pure for group in groups] for force, groups in work.groups.items()}
-    used = {force: rows[force].part(rows[force].chosen(kinds[force])) for force in forces}
-    missed = {
-        force: row_values(problem, work.u, force, some.inputs) - some.observed
-        for force, some in used.items()
-    }
-    ranges = _ranges(every)
+    names = ("sigma_x", "alpha", "gamma", "fz", "pressure", "v")
+    columns = {k: np.concatenate([of.column(k) for of in rows.values()]) for k in names}
+    typical = {k: float(np.median(columns[k])) for k in ("fz", "v")}
+    columns["kappa"] = -np.asarray(kappa_from_sigma(columns["sigma_x"]))
+    inputs = ("kappa", "alpha", "gamma", "fz", *(["pressure"] if columns["pressure"].any() else []))
+    ranges = {k: (float(np.min(columns[k])), float(np.max(columns[k]))) for k in inputs}
+    missed, far = {}, []
+    for force, of in rows.items():
+        predicted = row_values(problem, work.u, force, of.inputs)
+        missed[force] = predicted - of.observed
+        variance = bands[force].law.variance(of.column("fz"), predicted)
+        if outlying := int(np.count_nonzero(missed[force] ** 2 > _FAR**2 * variance)):
+            far.append(
+                f"residuals beyond {_FAR:g} standard deviations in {outlying} of {len(predicted)}"
+                f" rows of {force}, which were fitted like the others: mask rows that are wrong"
+            )
     # A force whose own slip was not swept has no curve to guard.
-    curves = [force for force in forces if force in ("fx", "fy")]
-    slips = {force: rows[force].column(SLIPS_OF[force][0]) for force in curves}
-    guarded = tuple(force for force, slip in slips.items() if np.ptp(slip) > 2 * NEARLY_PURE)
-    typical = {
-        k: float(np.median(np.concatenate([r.column(k) for r in every]))) for k in ("fz", "v")
-    }
+    guarded = [
+        force
+        for force in ("fx", "fy")
+        if force in rows and np.ptp(rows[force].column(SLIPS_OF[force][0])) > 2 * NEARLY_PURE
+    ]
+    fitted_parts = {group.part for groups in work.groups.values() for group in groups}
     return dict(
-        model=model,
-        parts=tuple(part for part in PARTS if part in {s.part for s in work.stages}),
-        forces=forces,
+        parts=tuple(part for part in PARTS if part in fitted_parts),
+        forces=tuple(work.groups),
         tire=tire,
-        noise={force: bands[force].law for force in forces},
-        noise_estimated={force: rows[force].estimated for force in forces},
-        wider={force: bands[force].wider for force in forces},
-        inflation={force: work.rows_per_one(force) for force in forces},
-        fitted={force: (_size(off), len(off)) for force, off in missed.items()},
-        stages=tuple(
-            stage._replace(rmse_at_end=work.rmse(group))
-            for stage in work.stages
-            for group in work.groups[stage.force]
-            if group.pure == stage.pure
-        ),
+        inflation={force: work.rows_per_one(force) for force in rows},
+        fitted={force: (rms(off), len(off)) for force, off in missed.items()},
+        stages=work.stages,
         guards=check_guards(tire, ranges, guarded) if guarded else (),
         ranges=ranges,
-        reference=typical | {of.force: _size(of.observed) for of in every},
-        data=data_record(data, data.n, ()),
-        notes=(*notes, *_far(work, used, missed), *_not_reached(work, tire)),
-        version=importlib.metadata.version("tirefit"),
-        binned={force: binned(rows[force]) for force in forces},
+        reference=typical | {force: rms(of.observed) for force, of in rows.items()},
+        notes=(*notes, *far),
+        binned={force: binned(of) for force, of in rows.items()},
     )
-
-
-def _size(values: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _far(
-    work: Search, used: Mapping[str, ForceRows], missed: Mapping[str, np.ndarray]
-) -> list[str]:
-    """Notes on the number of rows of each force that are far from the formula."""
-    messages = []
-    for force, off in missed.items():
-        rows, groups = used[force], work.groups[force]
-        predicted = off + rows.observed
-        variance = [group.row_variance(rows.column("fz"), predicted) for group in groups]
-        outlying = int(np.count_nonzero(off**2 > _FAR**2 * np.max(variance, axis=0)))
-        if outlying:
-            messages.append(
-                f"residuals beyond {_FAR:g} standard deviations in {outlying} of"
-                f" {len(off)} rows of {force}, which were fitted like the others:"
-                " mask rows that are wrong"
-            )
-    return messages
-
-
-def _not_reached(work: Search, tire: MFTire) -> list[str]:
-    """Notes on friction coefficients that no row reaches."""
-    messages = []
-    for force, shape, peak in (("fx", "PCX1", "PDX1"), ("fy", "PCY1", "PDY1")):
-        pure = [group.cells.inputs for group in work.groups.get(force, ()) if group.pure]
-        if not pure or peak not in work.moved:
-            continue
-        given = row_values(work.problem, work.u, force, pure[0]) / np.asarray(pure[0].fz)
-        share = float(np.max(np.abs(given / frictions(tire, pure[0])[force])))
-        if share < _REACHED:
-            value = work.problem.values(work.u)[peak]
-            messages.append(
-                f"{peak} = {value:.3g} is not a measured friction: {force} reaches only"
-                f" {share:.0%} of it within the slips of the data, so {peak} and"
-                f" {shape} trade off; measure larger slips, or give one of them"
-            )
-    return messages
-
-
-def _ranges(rows: Sequence[ForceRows]) -> dict[str, tuple[float, float]]:
-    """(Least, largest) value of each input, in ISO-W axes."""
-    ranges = {}
-    for name in ("sigma_x", "alpha", "gamma", "fz", "pressure"):
-        column = np.concatenate([getattr(row.inputs, name) for row in rows])
-        if name == "sigma_x":
-            name, column = "kappa", -np.asarray(kappa_from_sigma(column))
-        ranges[name] = (float(np.min(column)), float(np.max(column)))
-    if ranges["pressure"][1] == 0:
-        del ranges["pressure"]
-    return ranges

@@ -1,16 +1,18 @@
 """Cross-validate a fit on parts of the data, and set its prediction bands by them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.special import chdtrc
 
 from tirefit.fitting.mf.bins import Setting
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, propagated
-from tirefit.fitting.mf.stages import Search, without
+from tirefit.fitting.mf.stages import Progress, Search, without
 from tirefit.fitting.problem.noise import NoiseLaw, beyond_loads, noise_law
 from tirefit.fitting.solve.inference import half_width_95
 
@@ -18,19 +20,12 @@ LEAVE_OUT = ("three", "load", "none")
 """Parts that are left out in turn: the bins of three loads (smallest, middle, largest),
 the bins of each load, or nothing."""
 
-_ROWS = 1500
-"""Largest number of rows of a force, evenly taken, that a part is judged by."""
-
+_ROWS = 1500  # largest number of rows of a force, evenly taken, that a part is judged by
 _IN_95 = 1.96
-
 _CHANCE = 0.05  # level of the test for shifts that are larger than the standard errors
-
 _DETERMINED = 0.1
 """Smallest relative growth of a variance without the part, in a direction of the
 coefficients that the part determines."""
-
-_FEWEST_LOADS = 3
-"""Smallest number of loads for one to be left out: two others predict it."""
 
 _ONE_LOAD = 1.06
 """Largest ratio of two neighbouring levels of one load. The levels of a load differ between
@@ -44,6 +39,11 @@ _BEYOND, _WORTH = 0.04, 1
 """Error of the formula, relative to the force, at e times the largest load or 1/e of the
 smallest, before any load is left out; and the number of left-out loads that it counts as.
 Chosen on five tires, judged on others (``fits/rig_test/loads.py``)."""
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 class LeftOut(NamedTuple):
@@ -82,17 +82,13 @@ class _Sample(NamedTuple):
         """Distance (n,) from the fitted loads."""
         return beyond_loads(self.fz, self.loads)
 
-    @property
-    def rmse(self) -> float:
-        return float(np.sqrt(np.mean(self.residual**2)))
-
 
 def cross_validated(
     work: Search,
     rows: Mapping[str, ForceRows],
     settings: Mapping[str, Sequence[Setting]],
     which: str,
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Progress = lambda text: None,
 ) -> tuple[tuple[LeftOut, ...], dict[str, Band]]:
     """Leave each part out in turn and predict it; the band of each force follows.
 
@@ -104,56 +100,51 @@ def cross_validated(
         The parts, and by force the band. If nothing is left out, the bands are those of
         the fitted rows. ``within`` of a single part is NaN.
     """
-    samples: dict[str, list[tuple[str, _Sample, _Sample]]] = {f: [] for f in rows}
+    samples: dict[str, list[tuple[str, _Sample, float]]] = {force: [] for force in rows}
     for label, gone in _parts(settings, which).items():
         progress(f"left out: {label}")
         fitted = without(work, gone)
         for force in fitted.groups:
-            chosen = _chosen(work, rows[force])
-            part_rows = chosen & np.isin(rows[force].setting, gone[force])
-            if np.any(part_rows):
-                part = _sample(fitted, rows[force], part_rows, chosen & ~part_rows)
+            is_out = np.isin(rows[force].setting, gone[force])
+            if np.any(is_out):
+                part = _sample(fitted, rows[force], is_out, ~is_out)
                 part = part._replace(shift=_shift(fitted, work, force))
-                samples[force].append((label, part, _sample(work, rows[force], part_rows, chosen)))
+                of_all = _sample(work, rows[force], is_out, ~is_out)
+                samples[force].append((label, part, rms(of_all.residual)))
     left_out, bands = [], {}
     for force, parts in samples.items():
-        chosen = _chosen(work, rows[force])
-        fitted_rows = _sample(work, rows[force], chosen, chosen)
-        for label, part, whole in parts:
+        every = np.full(len(rows[force].observed), True)
+        fitted_rows = _sample(work, rows[force], every, every)
+        for label, part, rmse_of_all in parts:
             others = [other for _, other, _ in parts if other is not part]
-            band = _band(others, fitted_rows)
-            within = _within(part, band) if others else float("nan")
-            sizes = part.rmse, whole.rmse
-            left_out.append(LeftOut(label, force, part.rows, *sizes, within))
+            within = float("nan")
+            if others:
+                band = _band(others, fitted_rows)
+                law = band.law._replace(loads=part.loads)
+                variance = law.variance(part.fz, part.predicted) + band.wider**2 * part.variance
+                within = float(np.mean(np.abs(part.residual) <= _IN_95 * np.sqrt(variance)))
+            rmse = rms(part.residual)
+            left_out.append(LeftOut(label, force, part.rows, rmse, rmse_of_all, within))
         bands[force] = _band([part for _, part, _ in parts], fitted_rows)
     return tuple(left_out), bands
-
-
-def _chosen(work: Search, rows: ForceRows) -> np.ndarray:
-    """Which rows (n,) of a force were fitted."""
-    return rows.chosen([group.pure for group in work.groups[rows.force]])
 
 
 def _parts(
     settings: Mapping[str, Sequence[Setting]], which: str
 ) -> dict[str, dict[str, list[int]]]:
     """Label of each part -> by force, the settings that are left out together."""
-    if which == "none":
-        return {}
     fz = np.unique([setting.fz for of_force in settings.values() for setting in of_force])
     loads = np.split(fz, np.flatnonzero(fz[1:] > _ONE_LOAD * fz[:-1]) + 1)
-    if len(loads) < _FEWEST_LOADS:
+    if which == "none" or len(loads) < 3:  # two others predict a load
         return {}
-    name_of = {fz: f"F_z = {np.median(load):.0f} N" for load in loads for fz in load}
-    chosen = list(dict.fromkeys(name_of.values()))
     if which == "three":
-        chosen = [chosen[k] for k in sorted({0, len(chosen) // 2, len(chosen) - 1})]
+        loads = [loads[k] for k in sorted({0, len(loads) // 2, len(loads) - 1})]
     return {
-        label: {
-            force: [k for k, setting in enumerate(of_force) if name_of[setting.fz] == label]
+        f"F_z = {np.median(load):.0f} N": {
+            force: [k for k, setting in enumerate(of_force) if setting.fz in load]
             for force, of_force in settings.items()
         }
-        for label in chosen
+        for load in loads
     }
 
 
@@ -161,12 +152,10 @@ def _sample(work: Search, rows: ForceRows, chosen: np.ndarray, fitted: np.ndarra
     """A sample of the ``chosen`` rows (n,) under the fit of the ``fitted`` rows (n,)."""
     at = np.flatnonzero(chosen)
     count = len(at)
-    if count > _ROWS:
-        at = at[np.linspace(0, count - 1, _ROWS).astype(int)]
+    at = at[np.linspace(0, count - 1, min(count, _ROWS)).astype(int)]
     some = rows.part(at)
-    unit_std = np.full(len(at), 1.0)
-    blocks = blocks_of(rows.force, some.inputs, some.observed, unit_std)
-    problem = work.problem.with_blocks(blocks)
+    blocks = blocks_of(rows.force, some.inputs, some.observed, np.full(len(at), 1.0))
+    problem = replace(work.problem, blocks=blocks)
     residual, variance = propagated(problem, work.u, work.covariance)
     each = max(work.rows_per_one(rows.force) * len(at) / count, 1.0)
     predicted = residual + some.observed
@@ -175,38 +164,27 @@ def _sample(work: Search, rows: ForceRows, chosen: np.ndarray, fitted: np.ndarra
 
 
 def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
-    """The shift of the coefficients of a force when a part is left out.
-
-    The difference of two estimates, one of them from part of the data of the other, has
-    a covariance that is the difference of theirs (Hausman 1978).
-
-    Returns:
-        Sum of squares of the shift over its variance, and the number of directions, of
-        those that the part determines.
-    """
+    """Sum of squares of the shift of the coefficients of a force when a part is left out, over
+    its variance, and the number of directions, of those that the part determines. The
+    difference of two estimates, one of them from part of the data of the other, has a
+    covariance that is the difference of theirs (Hausman 1978)."""
     names, moved = whole.problem.names, whole.moved - whole.held
     coefficients = own_coefficients(whole.problem.tire.version, force)
     at = np.flatnonzero(np.isin(names, [name for name in coefficients if name in moved]))
-    inverse = np.linalg.inv(np.linalg.cholesky(whole.covariance[np.ix_(at, at)]))
-    ratio = inverse @ fitted.covariance[np.ix_(at, at)] @ inverse.T
-    sizes, axes = np.linalg.eigh((ratio + ratio.T) / 2)
+    sizes, axes = eigh(fitted.covariance[np.ix_(at, at)], whole.covariance[np.ix_(at, at)])
     determined = sizes - 1 > _DETERMINED
-    shift = (axes.T @ inverse @ (fitted.u - whole.u)[at])[determined]
+    shift = (axes.T @ (fitted.u - whole.u)[at])[determined]
     return float(np.sum(shift**2 / (sizes[determined] - 1))), len(shift)
 
 
 def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     """The band that rows of left-out parts follow.
 
-    Standard errors are widened to the size of the shifts if these are larger than the
-    errors at the level of 5 %. The noise is that of the ``fitted`` rows. It is raised if
-    fewer than 95 % of them would be in the band, as the rows of one load may scatter more
-    than the law. The error of the formula beyond the loads is estimated from the parts
-    whose loads lie beyond those of the other parts.
+    Standard errors are widened to the size of the shifts if these are larger than the errors
+    at the level of 5 %. The noise of the ``fitted`` rows is raised if fewer than 95 % of them
+    would be in the band, as the rows of one load may scatter more than the law.
     """
-    shift, count = (
-        sum(numbers) for numbers in zip((0.0, 0), *(p.shift for p in parts), strict=True)
-    )
+    shift, count = np.sum([(0.0, 0), *(part.shift for part in parts)], axis=0)
     is_clear = count > 0 and chdtrc(count, shift) < _CHANCE
     wider = float(np.sqrt(shift / count)) if is_clear else 1.0
     known = wider**2 * fitted.variance
@@ -236,10 +214,3 @@ def beyond_of(squares: Sequence[float]) -> float:
     count = len(squares) + _WORTH
     variance = (sum(squares) + _WORTH * _BEYOND**2) / count
     return float(np.sqrt(variance)) * half_width_95(True, count) / _IN_95
-
-
-def _within(sample: _Sample, band: Band) -> float:
-    """Share of the rows of a sample in the 95 % band."""
-    law = band.law._replace(loads=sample.loads)
-    variance = law.variance(sample.fz, sample.predicted) + band.wider**2 * sample.variance
-    return float(np.mean(np.abs(sample.residual) <= _IN_95 * np.sqrt(variance)))

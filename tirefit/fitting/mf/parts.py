@@ -1,7 +1,6 @@
-"""The parts of a Magic Formula: their coefficients, and the rows that fit them."""
+"""The parts of the Magic Formula: their coefficients, and the rows that fit them."""
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from tirefit.data.tir.tir_keys import ONLY_IN
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
 from tirefit.models.mf import MFTire
 from tirefit.models.mf.moments import Overturning, Rolling
-from tirefit.params import check_names, specs
+from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
@@ -23,31 +22,21 @@ SLIPS_OF: dict[str, tuple[str, ...]] = {
 }
 """Force or moment -> slips; the rows need at least one of them."""
 
-_BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
-
 NEARLY_PURE = 0.01
 """Largest other slip (kappa, or slip angle [rad]) of a row of pure slip. It covers the
 zero error of a rig (half a degree) and the slip of a free-rolling tire; weighting
 functions are within 1 % of one there."""
 
-
-class Part(NamedTuple):
-    """One part of the formula."""
-
-    name: str
-    forces: tuple[str, ...]  # whose rows it uses
-    meaning: str  # its name in reports
-
-
 PARTS = {
-    "fx": Part("fx", ("fx",), "longitudinal force in pure slip"),
-    "fy": Part("fy", ("fy",), "lateral force in pure slip"),
-    "mz": Part("mz", ("mz",), "aligning moment in pure slip"),
-    "combined": Part("combined", ("fx", "fy", "mz"), "combined slip"),
-    "mx": Part("mx", ("mx",), "overturning moment"),
-    "my": Part("my", ("my",), "rolling resistance moment"),
+    "fx": "longitudinal force in pure slip",
+    "fy": "lateral force in pure slip",
+    "mz": "aligning moment in pure slip",
+    "combined": "combined slip",
+    "mx": "overturning moment",
+    "my": "rolling resistance moment",
 }
-"""Name -> part, in the order in which they are fitted."""
+"""Part -> its name in reports, in the order in which they are fitted. Combined slip is
+fitted to the rows of F_x, F_y and M_z, another part to those of its force."""
 
 MOMENTS = ("mx", "my")
 """Moments without coefficients of combined slip: they depend on F_x and F_y."""
@@ -68,18 +57,8 @@ _OWN = {
 }
 """Force -> the coefficients that its rows move."""
 
-
-def parts_named(part: str) -> tuple[str, ...]:
-    """The stages of ``--part``: that one; for ``combined`` and ``all`` all of them; for
-    M_x or M_y also those of the forces from which it is computed.
-
-    Raises:
-        UsageError: no such part.
-    """
-    (name,) = check_names("part", [part], (*PARTS, "all"))
-    if name in MOMENTS:
-        return ("fx", "fy", "combined", name)
-    return tuple(PARTS) if name in ("combined", "all") else (name,)
+_ALSO = {"mz": ("fx", "fy"), "mx": ("fy",), "my": ("fx",)}
+"""Moment -> forces that it depends on."""
 
 
 def coefficients_of(version: str) -> dict[str, str]:
@@ -88,25 +67,23 @@ def coefficients_of(version: str) -> dict[str, str]:
     Scaling factors and the nominal state are given, so they are not included.
     """
     return {
-        name: part if _BEGINNINGS[name[0]] == "pure" else "combined"
+        name: part if name[0] in "PQ" else "combined"
         for part, group in _OWN.items()
         for name in specs(group)
         if ONLY_IN.get(name, version[0]) == version[0] and name not in NEVER_FITTED
     }
 
 
+def own_coefficients(version: str, *forces: str) -> tuple[str, ...]:
+    """The coefficients that the rows of some forces move, in pure and combined slip."""
+    names = {name for force in forces for name in specs(_OWN[force])}
+    return tuple(name for name in coefficients_of(version) if name in names)
+
+
 @cache
 def influences(version: str, force: str) -> tuple[str, ...]:
     """The coefficients that a force depends on, in the order of the equations."""
-    of = {"mz": ("fx", "fy", "mz"), "mx": ("fy", "mx"), "my": ("fx", "my")}
-    names = {name for group in of.get(force, (force,)) for name in specs(_OWN[group])}
-    return tuple(name for name in coefficients_of(version) if name in names)
-
-
-def own_coefficients(version: str, force: str) -> tuple[str, ...]:
-    """The coefficients that the rows of a force move, in pure and combined slip."""
-    names = specs(_OWN[force])
-    return tuple(name for name in coefficients_of(version) if name in names)
+    return own_coefficients(version, force, *_ALSO.get(force, ()))
 
 
 def is_pure(data: TireData, force: str) -> np.ndarray:
@@ -115,6 +92,4 @@ def is_pure(data: TireData, force: str) -> np.ndarray:
     if other not in data or force in MOMENTS:
         return np.full(data.n, True)
     size = np.abs(data.usable(other))
-    if other == "sigma_x":
-        size = np.abs(kappa_from_sigma(size))
-    return size <= NEARLY_PURE
+    return (kappa_from_sigma(size) if other == "sigma_x" else size) <= NEARLY_PURE

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.tir.tir import TirFile
-from tirefit.fitting.mf.parts import NEVER_FITTED, PARTS, SLIPS_OF, coefficients_of
+from tirefit.fitting.mf.parts import PARTS, SLIPS_OF, coefficients_of
 from tirefit.fitting.mf.rows import ForceRows
-from tirefit.fitting.problem.config import FitConfig, ParameterConfig
+from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.tir import own_tire
 from tirefit.models import forces
 from tirefit.models.mf import MFTire
@@ -29,12 +29,11 @@ from tirefit.params import parameter_values, with_values
 
 
 class Prior(NamedTuple):
-    """Centre and standard deviation of a Gaussian prior, and the published values."""
+    """Centre and standard deviation of a Gaussian prior."""
 
     centre: float
     spread: float  # relative to the centre with ``log``
     log: bool = False  # the logarithm is Gaussian
-    published: tuple[float, ...] = ()
 
     @property
     def std(self) -> float:
@@ -45,9 +44,6 @@ class Prior(NamedTuple):
 LOGARITHMIC = ("RBX1", "RBX2", "RBY1", "RBY2", "RVY4", "QSX5", "QSX6")
 """Coefficients with a prior of their logarithm, as their sign has no effect (that of
 RBX1 and RBY1 changes together with RBX3 and RBY4)."""
-
-_EVEN = (*LOGARITHMIC, "QBZ9")
-"""Coefficients whose sign has no effect (QBZ9: if QBZ10 is zero)."""
 
 
 def normal_form(values: Mapping[str, float]) -> dict[str, float]:
@@ -72,10 +68,8 @@ def normal_form(values: Mapping[str, float]) -> dict[str, float]:
         if values.get(leader, 0.0) < 0:
             for name in (leader, *followers):
                 values[name] = -values.get(name, 0.0)
-    for name in _EVEN:
-        if name in values:
-            values[name] = abs(values[name])
-    return values
+    even = {*LOGARITHMIC, "QBZ9"}  # coefficients whose sign has no effect
+    return {name: abs(value) if name in even else value for name, value in values.items()}
 
 
 @cache
@@ -84,10 +78,7 @@ def published_priors() -> dict[str, Prior]:
     with open(Path(__file__).with_name("priors.csv"), newline="") as file:
         return {
             row["coefficient"]: Prior(
-                float(row["centre"]),
-                float(row["spread"]),
-                row["scale"] == "log",
-                tuple(float(value) for value in row["published"].split()),
+                float(row["centre"]), float(row["spread"]), row["scale"] == "log"
             )
             for row in csv.DictReader(file)
         }
@@ -95,36 +86,13 @@ def published_priors() -> dict[str, Prior]:
 
 ALIKE = 0.25  # spread of a borrowed prior over that of all published tires: a judgement
 
-_LOWEST, _HIGHEST = 0.2, 0.8
-"""Quantiles of slip below which the rows of a force give the scale of stiffness, and
-above which that of friction."""
+_LOWEST, _HIGHEST = 0.2, 0.8  # quantiles of slip of the rows that give stiffness, friction
 
 _SCALED: dict[str, dict[str, tuple[str, ...]]] = {
     "fx": {"friction": ("PDX1", "PDX2"), "stiffness": ("PKX1", "PKX2")},
     "fy": {"friction": ("PDY1", "PDY2"), "stiffness": ("PKY1",)},
 }
 """Force -> the coefficients of its friction and of its stiffness."""
-
-
-def with_dimensions(
-    like: TirFile, rows: Mapping[str, ForceRows], config: FitConfig, constants: Mapping[str, float]
-) -> tuple[FitConfig, list[str]]:
-    """Complete the settings from the other tire; returns them with notes.
-
-    Taken are its free radius, its nominal pressure if the test has no pressure, and
-    QSX12 to QSX14 if M_x is not measured, unless settings or the data file give them.
-    """
-    wanted = ["UNLOADED_RADIUS"]
-    if not any(np.any(row.column("pressure") > 0) for row in rows.values()):
-        wanted.append("NOMPRES")
-    wanted += [] if "mx" in rows else NEVER_FITTED
-    there = {k: like.numbers[k] for k in wanted if like.numbers.get(k)}
-    known = config.parameters.keys() | constants.keys()
-    taken = {k: v for k, v in there.items() if k not in known}
-    given = {name: ParameterConfig(value=value) for name, value in taken.items()}
-    new = config.model_copy(update={"parameters": config.parameters | given})
-    file = Path(like.path).name
-    return new, [f"{name} = {value:g}: that of {file}" for name, value in taken.items()]
 
 
 def borrowed_from(
@@ -151,19 +119,17 @@ def borrowed_from(
     for name in of_part.keys() & values.keys() & coefficients.keys() - config.parameters.keys():
         prior, value = published[name], values[name]
         if value and (value > 0 or not prior.log):
-            priors[name] = Prior(value, ALIKE * prior.spread, prior.log, (value,))
+            priors[name] = Prior(value, ALIKE * prior.spread, prior.log)
     file, parts = Path(like.path).name, {of_part[name] for name in priors}
     notes = [
-        f"priors of {len(priors)} coefficients are those of {file} (MF {like.version}),"
-        f" {ALIKE:g} times as wide as the spread of published tires; its forces at"
-        f" {own_tire(like).nominal.FNOMIN:g} N are used at FNOMIN ="
-        f" {tire.nominal.FNOMIN:g} N",
+        f"priors of {len(priors)} coefficients are those of {file} (MF {like.version}), {ALIKE:g}"
+        f" times as wide as the spread of published tires; its forces at"
+        f" {own_tire(like).nominal.FNOMIN:g} N are used at FNOMIN = {tire.nominal.FNOMIN:g} N",
         f"scaled coefficients of {file}: {', '.join(scales)}",
     ]
-    absent = [p for p in PARTS.values() if p.name in parts and not {*p.forces} & rows.keys()]
-    if absent:
-        meanings = ", ".join(part.meaning for part in absent)
-        notes.append(f"borrowed, since not measured: {meanings}")
+    measured = {*rows, *(["combined"] if {"fx", "fy", "mz"} & rows.keys() else [])}
+    if absent := [PARTS[part] for part in PARTS if part in parts - measured]:
+        notes.append(f"borrowed, since not measured: {', '.join(absent)}")
     lost = [k for k, v in like.numbers.items() if k in published and v and k not in of_part]
     if lost:
         notes.append(f"not borrowed, as MF {tire.version} lacks them: {', '.join(lost)}")
@@ -175,16 +141,12 @@ def _scale(like: TirFile, tire: MFTire, rows: ForceRows, kind: str) -> float:
     one, by least squares over the largest (``friction``) or smallest slips; one if the
     rows or the other tire do not give it."""
     nominal = {k: v for k, v in parameter_values(tire.nominal).items() if k != "LONGVL"}
-    other = with_values(own_tire(like), nominal)
-    force = rows.force
-    size, pure = np.abs(rows.column(SLIPS_OF[force][0])), rows.pure
-    if not np.any(pure):
+    predicted = getattr(forces(with_values(own_tire(like), nominal), rows.inputs), rows.force)
+    if predicted is None or not np.any(rows.pure):
         return 1.0
-    low, high = np.quantile(size[pure], [_LOWEST, _HIGHEST])
-    chosen = pure & (size >= high if kind == "friction" else size <= low)
-    predicted = getattr(forces(other, rows.inputs), force)
-    if predicted is None:
-        return 1.0
+    size = np.abs(rows.column(SLIPS_OF[rows.force][0]))
+    low, high = np.quantile(size[rows.pure], [_LOWEST, _HIGHEST])
+    chosen = rows.pure & (size >= high if kind == "friction" else size <= low)
     given = np.asarray(predicted)[chosen]
     scale = float(given @ rows.observed[chosen] / max(given @ given, 1e-12))
     return scale if scale > 0 else 1.0

@@ -14,13 +14,12 @@ from tirefit.data.tir.tir import new_tir
 from tirefit.data.tir.tir_file import TirFile
 from tirefit.display import ByName, Record
 from tirefit.door import sealed
-from tirefit.files import json_safe, json_text, write_texts
+from tirefit.files import json_safe, json_text
 from tirefit.fitting.mf.bins import SlipBins
 from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.parts import VERSIONS, coefficients_of
 from tirefit.fitting.mf.solve import Problem, blocks_of, propagated
-from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.problem.noise import NoiseLaw
 from tirefit.fitting.result import SCHEMA, FitResult, layout_record
@@ -42,10 +41,6 @@ ORIGINS = {
     "given": "given, not fitted",
 }
 """Origin of the value of a coefficient -> its meaning."""
-
-_WORSENED, _NOTHING = 1.1, 1e-4
-"""A stage is worsened if its rmse at the end of the fit exceeds 1.1 times its own rmse
-by more than this share of the force. Later rounding and search change it by 0.1 %."""
 
 _REACH = 200.0
 """Half width of the bounds in ``fit.json``, in standard deviations of the prior: within
@@ -72,7 +67,6 @@ class MagicFormulaFit(Record):
     text_by: ClassVar[str] = "tirefit.report.fit.magic_formula:magic_formula_report"
     plot_by: ClassVar[str] = "tirefit.report.fit.mf_figures:plot_magic_formula"
     page_by: ClassVar[str] = "tirefit.report.fit.magic_formula:magic_formula_page"
-    save_by: ClassVar[str] = "tirefit.fitting.mf.result:save_magic_formula"
 
     model: str
     parts: tuple[str, ...]  # the stages
@@ -81,11 +75,10 @@ class MagicFormulaFit(Record):
     covariance: np.ndarray  # (p, p), with ``wider``
     tire: MFTire
     noise: Mapping[str, NoiseLaw]  # of a measurement, from rows left out
-    noise_estimated: Mapping[str, bool]
     wider: Mapping[str, float]  # factor of the standard errors
     inflation: Mapping[str, float]  # rows per independent row
     fitted: Mapping[str, tuple[float, int]]  # rms residual [N, N m], number of rows
-    stages: tuple[Stage, ...]
+    stages: Mapping[str, bool]  # stage -> whether it converged
     left_out: tuple[LeftOut, ...]  # predictions of parts that were left out
     guards: tuple[Guard, ...]  # checks of the curves within and beyond ``ranges``
     ranges: Mapping[str, tuple[float, float]]  # (least, largest) input, ISO-W axes
@@ -127,21 +120,11 @@ class MagicFormulaFit(Record):
     def limits(self) -> dict[Outcome, str]:
         """Outcome -> its message with the stages, guards or coefficients concerned."""
         concerned = {
-            Outcome.NOT_CONVERGED: [stage.name for stage in self.stages if not stage.converged],
+            Outcome.NOT_CONVERGED: [name for name, ended in self.stages.items() if not ended],
             Outcome.GUARD_FAILED: [guard.name for guard in self.guards if not guard.holds_inside],
-            Outcome.WORSENED: self.worsened,
             Outcome.NOT_IDENTIFIED: [k for k, c in self.coefficients.items() if c.origin == "held"],
         }
         return {o: f"{o.message}: {', '.join(names)}" for o, names in concerned.items() if names}
-
-    @property
-    def worsened(self) -> list[str]:
-        """Stages with larger residuals at the end of the fit than at their own end."""
-        return [
-            stage.name
-            for stage in self.stages
-            if stage.rmse_at_end > _WORSENED * stage.rmse + _NOTHING * self.reference[stage.force]
-        ]
 
     @property
     def stored(self) -> StoredFit:
@@ -149,26 +132,26 @@ class MagicFormulaFit(Record):
         known, free = specs(self.tire), []
         for name, coefficient in self.coefficients.items():
             if coefficient.origin != "given":
-                reach = _REACH * coefficient.prior_std
-                low, high = coefficient.value - reach, coefficient.value + reach
-                free.append(FreeParameter(name, known[name]._replace(lower=low, upper=high)))
+                half = _REACH * coefficient.prior_std
+                ends = {"lower": coefficient.value - half, "upper": coefficient.value + half}
+                free.append(FreeParameter(name, known[name]._replace(**ends)))
+        # At z = 0 a parameter is in the middle of its bounds.
+        slope = np.array([(parameter.spec.upper - parameter.spec.lower) / 4 for parameter in free])
         names = [parameter.name for parameter in free]
         at = [list(self.coefficients).index(name) for name in names]
-        # At z = 0 a parameter is in the middle of its bounds.
-        slope = np.array([(p.spec.upper - p.spec.lower) / 4 for p in free])
         values = {k: v for k, v in parameter_values(self.tire).items() if k not in names}
-        noise = {}
-        for force, law in self.noise.items():
-            noise[force] = {
+        noise = {
+            force: {
                 "median_std": float(law.std(self.reference["fz"], self.reference[force])),
-                "proportional_to_load": law.constant == 0 and law.share > 0,
                 "constant": law.constant,
                 "share_of_load": law.share,
                 "share_of_force": law.of_force,
                 "share_beyond": law.beyond,
                 "loads": law.loads,
-                "source": "estimated" if self.noise_estimated[force] else "given",
+                "source": "estimated",
             }
+            for force, law in self.noise.items()
+        }
         return StoredFit(
             self.model,
             with_values(MAGIC_FORMULAS[self.model], values),
@@ -182,34 +165,24 @@ class MagicFormulaFit(Record):
     def to_dict(self) -> dict[str, Any]:
         """JSON-able content of ``fit.json``."""
         stored, known = self.stored, specs(self.tire)
-        content = {
+        names = "version model parts forces data ranges reference stages notes outcomes"
+        content = {name: getattr(self, name) for name in names.split()} | {
             "schema": SCHEMA,
-            "version": self.version,
-            "model": self.model,
-            "parts": list(self.parts),
-            "forces": list(self.forces),
-            "data": self.data,
-            "noise": {f: stored.noise[f] for f in self.forces}
-            | {"inflation": dict(self.inflation), "wider": dict(self.wider)},
+            "noise": {**stored.noise, "inflation": self.inflation, "wider": self.wider},
             "coefficients": {
                 name: asdict(coefficient) | {"unit": "-", "meaning": known[name].meaning}
                 for name, coefficient in self.coefficients.items()
             },
             "origins": ORIGINS,
-            "ranges": dict(self.ranges),
             "guards": [guard._asdict() for guard in self.guards],
-            "stages": [stage._asdict() for stage in self.stages],
             "left_out": [part._asdict() for part in self.left_out],
             "fit": {f: {"rmse": r, "n": n} for f, (r, n) in self.fitted.items()},
-            "reference": dict(self.reference),
             "prediction": {
-                "labels": list(stored.layout.labels),
+                "labels": stored.layout.labels,
                 "z": stored.z,
                 "covariance": stored.covariance,
                 "layout": layout_record(stored.layout, self.tire),
             },
-            "notes": list(self.notes),
-            "outcomes": self.outcomes,
         }
         return json_safe(content)
 
@@ -217,15 +190,19 @@ class MagicFormulaFit(Record):
         """Text of ``fit.json``, with a checksum."""
         return json_text(sealed(self.to_dict()))
 
+    def files(self, name: str) -> dict[str, str]:
+        """``fit.tir`` and ``fit.json`` with their texts."""
+        return {"fit.tir": tir_of(self).text, "fit.json": self.to_json()}
+
 
 def tir_of(fit: MagicFormulaFit) -> TirFile:
     """The tire property file of a fit; comments give origin and standard error."""
-    version = VERSIONS[fit.model]
-    known = specs(fit.tire)
-    notes = {}
-    for name, coefficient in fit.coefficients.items():
-        error = f" +- {coefficient.std:.3g}" if coefficient.std else ""
-        notes[name] = f"{known[name].meaning}; {coefficient.origin}{error}"
+    version, known = VERSIONS[fit.model], specs(fit.tire)
+    notes = {
+        name: f"{known[name].meaning}; {coefficient.origin}"
+        + (f" +- {coefficient.std:.3g}" if coefficient.std else "")
+        for name, coefficient in fit.coefficients.items()
+    }
     comment = [
         f"Magic Formula {version} fitted by tirefit {fit.version}",
         f"to {', '.join(Path(file).name for file in fit.data['file'].split(', '))}",
@@ -233,22 +210,8 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         *fit.notes,
     ]
     if missing := {"fx", "fy", "mz"} - set(fit.forces):
-        of = {coefficient.origin for coefficient in fit.coefficients.values()}
-        other = " or borrowed" if "borrowed" in of else ""
-        message = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
-        comment.append(message)
-    lost = {k for k, coefficient in fit.coefficients.items() if coefficient.part in fit.tire.lacks}
-    values = {k: v for k, v in parameter_values(fit.tire).items() if k not in lost}
-    return new_tir(version, values, fit.ranges, notes, comment)
-
-
-def save_magic_formula(fit: MagicFormulaFit, directory: str | os.PathLike[str]) -> list[Path]:
-    """Write ``fit.tir`` and ``fit.json``, both or none."""
-    directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    texts = {"fit.tir": tir_of(fit).text, "fit.json": fit.to_json()}
-    write_texts({directory / name: text for name, text in texts.items()})
-    return [directory / name for name in texts]
+        comment.append(f"not fitted: {', '.join(sorted(missing))}; values of priors or borrowed")
+    return new_tir(version, parameter_values(fit.tire), fit.ranges, notes, comment)
 
 
 def magic_formula_forces(
@@ -274,14 +237,12 @@ def magic_formula_forces(
     slope = np.array([(p.spec.upper - p.spec.lower) / 4 for p in fit.layout.free])
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_(at, at)] = fit.covariance * np.outer(slope, slope)
-    values = parameter_values(tire)
-    centre = np.array([values[name] for name in names])
-    ones = np.full(len(names), 1.0)
-    mean, variance = {}, {}
+    centre, ones = parameter_values(tire), np.ones(len(names))
+    of_names = np.array([centre[name] for name in names])
+    mean, variance, zero = {}, {}, np.zeros(np.shape(inputs.fz))
     for force in forces:
-        nothing = np.zeros(np.shape(inputs.fz))
-        blocks = blocks_of(force, inputs, nothing, nothing + 1.0)
-        problem = Problem(tire, names, centre, ones, ones < 0, ones > 0, blocks)
+        blocks = blocks_of(force, inputs, zero, zero + 1.0)
+        problem = Problem(tire, names, of_names, ones, ones < 0, ones > 0, blocks)
         mean[force], variance[force] = propagated(problem, 0 * ones, covariance)
     return mean, variance
 

@@ -1,15 +1,13 @@
 """Least squares of many coefficients: rows in blocks, priors as further residuals.
 
 The search variable u is the coefficient minus the centre of its prior, over the spread
-of the prior. A prior is then the residual u itself, and the problem is scaled. A
-coefficient whose sign has no effect is searched by its logarithm: at zero the force has
-no slope in it, so a least-squares search could not leave zero. One reverse pass per row
-gives the gradient of its force in all coefficients at the cost of about five
-evaluations; forward tangents would cost one evaluation per coefficient. Blocks have few
-sizes, so that all files, forces and stages share three compiled programs.
+of the prior, so that a prior is the residual u itself. A coefficient whose sign has no
+effect is searched by its logarithm: at zero the force has no slope in it. One reverse
+pass per row gives the gradient of its force at the cost of about five evaluations;
+forward tangents would cost one evaluation per coefficient.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -34,19 +32,16 @@ from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values
 
 _ROWS = (8192, 1024)
-"""Numbers of rows of a block. A call costs as much as about 1000 rows, and the last
-block is padded. The sizes are few because each is compiled."""
+"""Numbers of rows of a block, of many and of few rows: few sizes, as each is compiled. A
+call costs as much as about 1000 rows."""
 
 _FIRST_DAMPING = 10.0  # of the search; the first trial has a tenth of it
-_SETTLED = 1e-6
-"""Least gain in deviance of one more undamped step: 0.001 of a standard error."""
-
+_SETTLED = 1e-6  # least gain in deviance of one more undamped step: 0.001 of a standard error
 _REST = 15, 1e-3
 """The search ends if this number of passes gained less than this deviance (a thirtieth
 of a standard error) in all: at a kink of the formula every step stays damped."""
 
 _LIMITED = 256  # number of points at which the curvature factors of a force are limited
-
 _LARGEST_E, _OVER = 0.98, 0.005
 """Curvature factor above which a penalty applies, and the excess that costs one of
 deviance per point. The limit is below one so that every reader of the coefficients
@@ -81,57 +76,44 @@ class Problem:
 
     def natural(self, u: np.ndarray) -> np.ndarray:
         """Coefficients (p,) at u (p,)."""
-        moved = self.spread * u
-        raised = self.centre * np.exp(np.where(self.log, moved, 0.0))
-        return np.where(self.log, raised, self.centre + moved)
+        raised = self.centre * np.exp(np.where(self.log, self.spread * u, 0.0))
+        return np.where(self.log, raised, self.centre + self.spread * u)
 
     def scale(self, u: np.ndarray) -> np.ndarray:
         """Derivatives (p,) of the coefficients in u."""
         return self.spread * np.where(self.log, self.natural(u), 1.0)
 
-    def unit(self, name: str, value: float) -> float:
-        """The element of u at which a coefficient has this value."""
-        i = self.names.index(name)
-        if self.log[i]:
-            return float(np.log(value / self.centre[i]) / self.spread[i])
-        return float((value - self.centre[i]) / self.spread[i])
-
     def started(self, u: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
-        """u (p,) with the free coefficients at these values, where they can have them."""
-        u = u.copy()
-        for i, name in enumerate(self.names):
-            if name in values and self.free[i] and (values[name] > 0 or not self.log[i]):
-                u[i] = self.unit(name, values[name])
-        return u
+        """u (p,) with the free coefficients at these values; none has a logarithm."""
+        given = np.array([values.get(name, np.nan) for name in self.names])
+        moved = (given - self.centre) / self.spread
+        return np.where(self.free & np.isfinite(given), moved, u)
 
     def with_free(self, names: Collection[str]) -> "Problem":
         """The same problem with exactly these coefficients free."""
         return replace(self, free=np.isin(self.names, list(names)))
 
-    def with_blocks(self, blocks: Iterable[Block]) -> "Problem":
-        """The same problem with other rows."""
-        return replace(self, blocks=tuple(blocks))
+
+def _padded(columns: np.ndarray) -> Iterator[np.ndarray]:
+    """Columns (k, n) cut into parts of one size; the last is padded with its first row."""
+    size = _ROWS[columns.shape[1] < _ROWS[0]]
+    for start in range(0, columns.shape[1], size):
+        yield pad_rows(columns[:, start : start + size].T, size).T
 
 
 def blocks_of(
     force: str, inputs: TireInputs, observed: np.ndarray, std: np.ndarray
 ) -> tuple[Block, ...]:
-    """Cut rows (n,) into blocks; the last one is padded with its first row.
+    """Cut rows (n,) into blocks of one size; the last is padded with rows of no weight.
 
     Args:
         std: standard deviation of each row (n,).
     """
-    rows = np.stack([*inputs, observed, 1 / std])
-    blocks, start = [], 0
-    while start < rows.shape[1]:
-        left = rows.shape[1] - start
-        size = next((size for size in _ROWS if size <= left), _ROWS[-1])
-        part = rows[:, start : start + size]
-        filler = np.repeat(part[:, :1], size - part.shape[1], axis=1)
-        filler[-1] = 0.0
-        part = np.concatenate([part, filler], axis=1)
-        blocks.append(Block(force, TireInputs(*part[:-2]), part[-2], part[-1]))
-        start += size
+    blocks, left = [], len(observed)
+    for *columns, of_force, weight in _padded(np.stack([*inputs, observed, 1 / std])):
+        weight = np.where(np.arange(len(weight)) < left, weight, 0.0)
+        blocks.append(Block(force, TireInputs(*columns), of_force, weight))
+        left -= len(weight)
     return tuple(blocks)
 
 
@@ -184,10 +166,10 @@ def limit_of(force: str, inputs: Sequence[TireInputs]) -> list[Block]:
     inputs (of arrays), evenly taken in the order of load; none for M_x and M_y."""
     if force not in ("fx", "fy", "mz"):
         return []
-    columns = [np.concatenate(parts) for parts in zip(*inputs, strict=True)]
-    order = np.argsort(columns[TireInputs._fields.index("fz")], kind="stable")
+    joined = TireInputs(*(np.concatenate(parts) for parts in zip(*inputs, strict=True)))
+    order = np.argsort(joined.fz, kind="stable")
     some = order[np.linspace(0, len(order) - 1, _LIMITED).astype(int)]
-    points = TireInputs(*(column[some] for column in columns))
+    points = TireInputs(*(column[some] for column in joined))
     return [Block(force, points, np.zeros(_LIMITED), np.ones(_LIMITED), is_limit=True)]
 
 
@@ -211,25 +193,21 @@ def normal_equations(
 def row_values(problem: Problem, u: np.ndarray, force: str, inputs: TireInputs) -> np.ndarray:
     """The force (n,) [N, N m] at u (p,) and inputs of arrays (n,)."""
     tire = with_values(problem.tire, problem.values(u))
-    size = len(np.asarray(inputs.fz))
-    step, values = _ROWS[size < _ROWS[0]], []
-    for start in range(0, size, step):
-        part = (pad_rows(np.asarray(c)[start : start + step], step) for c in inputs)
-        values.append(np.asarray(getattr(forces(tire, TireInputs(*part)), force)))
-    return np.concatenate(values)[:size]
+    parts = (forces(tire, TireInputs(*part)) for part in _padded(np.stack(inputs)))
+    values = np.concatenate([np.asarray(getattr(part, force)) for part in parts])
+    return values[: np.size(inputs.fz)]
 
 
 def row_gradients(problem: Problem, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (n,) of the problem's rows over the noise, and their derivatives in u
     (n, p); padding rows and limits are omitted."""
-    values, slopes = [], []
+    parts = []
     for block, at, residual, slope in _passes(problem, u):
-        used = (block.weight > 0) & (not block.is_limit)
-        values.append(residual[used])
-        whole = np.zeros((len(values[-1]), len(u)))
-        whole[:, at] = slope.T[used]
-        slopes.append(whole)
-    return np.concatenate(values), np.concatenate(slopes)
+        whole = np.zeros((len(u) + 1, len(residual)))
+        whole[at], whole[-1] = slope, residual
+        parts.append(whole[:, (block.weight > 0) & (not block.is_limit)])
+    joined = np.concatenate(parts, axis=1).T
+    return joined[:, -1], joined[:, :-1]
 
 
 def propagated(
@@ -237,13 +215,12 @@ def propagated(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (n,) of the problem's rows over the noise, and their variance (n,) for
     a covariance of u (p, p)."""
-    values, variances = [], []
+    parts = []
     for block, at, residual, slope in _passes(problem, u):
-        used = block.weight > 0
-        spread = covariance[np.ix_(at, at)] @ slope
-        values.append(residual[used])
-        variances.append(np.einsum("pn,pn->n", slope, spread)[used])
-    return np.concatenate(values), np.concatenate(variances)
+        variance = np.einsum("pn,pn->n", slope, covariance[np.ix_(at, at)] @ slope)
+        parts.append(np.stack([residual, variance])[:, block.weight > 0])
+    residuals, variances = np.concatenate(parts, axis=1)
+    return residuals, variances
 
 
 def _between(size: Array) -> Array:

@@ -9,14 +9,12 @@ formula describes badly does not worsen a force.
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
 from tirefit.fitting.mf.rows import Group
 from tirefit.fitting.mf.solve import (
-    Block,
     Problem,
     blocks_of,
     limit_of,
@@ -27,44 +25,13 @@ from tirefit.fitting.mf.solve import (
 )
 from tirefit.fitting.problem.noise import autocorrelation_time, design_effect, noise_law
 
-_ENOUGH = 2048
-"""Number of cells, evenly taken, by which the best of several starts is chosen."""
-
-_TRIES, _ROUGHLY = 60, 0.01
-"""Limit of passes, and the deviance left to gain, while the noise is estimated."""
-
-_ROUNDS = 10
-_SETTLED = 0.02
-"""Most rounds of search and noise estimation; change of the noise that ends them."""
-
-_DETERMINED = 0.5
-"""Posterior over prior variance below which later stages keep a coefficient."""
-
-_HELD = 0.98
-"""Posterior over prior variance above which the rows do not identify a coefficient."""
+_ENOUGH = 2048  # number of rows, evenly taken, by which the best of several starts is chosen
+_TRIES, _ROUGHLY = 60, 0.01  # most passes, deviance left to gain, while the noise is estimated
+_ROUNDS, _SETTLED = 10, 0.02  # of search and noise; the change of the noise that ends them
+_DETERMINED = 0.5  # posterior over prior variance below which later stages keep a coefficient
+_HELD = 0.98  # the same ratio above which the rows do not identify a coefficient
 
 Progress = Callable[[str], None]
-
-
-class Stage(NamedTuple):
-    """The record of one stage."""
-
-    name: str
-    force: str
-    pure: bool
-    rows: int
-    cells: int
-    moved: int  # number of coefficients that it moved
-    chi2: float  # weighted sum of squares
-    steps: int  # passes over the rows
-    converged: bool  # whether it ended before its limit of passes
-    rmse: float  # [N, N m] of the means of its cells at the end of the stage
-    rmse_at_end: float  # and at the end of the fit
-
-    @property
-    def part(self) -> str:
-        """The key of :data:`~tirefit.fitting.mf.parts.PARTS` of the stage."""
-        return self.force if self.pure else "combined"
 
 
 @dataclass
@@ -72,57 +39,42 @@ class Search:
     """The state of the search: u (p,), its covariance (p, p), and the stages done."""
 
     problem: Problem
-    groups: dict[str, list[Group]]  # cells of each force
+    groups: dict[str, list[Group]]  # of each force
     u: np.ndarray
     covariance: np.ndarray
-    near: bool = False  # u started from a tire that may be similar
-    stages: list[Stage] = field(default_factory=list)
+    stages: dict[str, bool] = field(default_factory=dict)  # stage -> whether it converged
     moved: set[str] = field(default_factory=set)  # coefficients that some stage moved
     held: set[str] = field(default_factory=set)  # those that the data do not identify
 
-    def rmse(self, group: Group) -> float:
-        """Rms residual [N, N m] of the means of cells, weighted by rows."""
-        cells = group.cells
-        predicted = row_values(self.problem, self.u, group.force, cells.inputs)
-        squares = (predicted - cells.observed) ** 2
-        return float(np.sqrt(np.average(squares, weights=cells.count)))
-
     def rows_per_one(self, force: str) -> float:
         """Number of rows of a force per independent row."""
-        ones, rows = 0.0, 0
-        for group in self.groups[force]:
-            fz, observed = group.cells.column("fz"), group.cells.observed
-            share = group.row_variance(fz, observed) / group.variance(observed)
-            ones += float(np.sum(share)) / group.each
-            rows += int(np.sum(group.cells.count))
-        return max(rows / ones, 1.0)
+        counts = [(len(group.rows.observed), group.each) for group in self.groups[force]]
+        return sum(rows for rows, _ in counts) / sum(rows / each for rows, each in counts)
 
 
 def search(
-    problem: Problem,
-    groups: Mapping[str, list[Group]],
-    first: np.ndarray | None = None,
-    progress: Progress = lambda text: None,
+    problem: Problem, groups: Mapping[str, list[Group]], progress: Progress = lambda text: None
 ) -> Search:
     """Fit each force to its own rows, pure slip first; the moments after the forces.
 
     Args:
         problem: without rows; ``free`` marks the coefficients that are not fixed.
         groups: of every force in the data.
-        first: u (p,) of a tire that may be similar, as an additional start.
     """
-    start = np.zeros(len(problem.names)) if first is None else first
-    nothing = np.diag(problem.free.astype(float))
-    work = Search(problem, {}, start, nothing, near=first is not None)
+    start = np.zeros(len(problem.names))
+    work = Search(problem, {}, start, np.diag(problem.free.astype(float)))
     for force in (force for force in PARTS if force in groups):
         for group in groups[force]:
             progress(group.title)
-            _one_stage(work, group, is_last=group is groups[force][-1])
+            # In combined slip from the end of the stage of pure slip.
+            values = [] if force in work.groups else first_values(group)
+            starts = [problem.started(work.u, given) for given in values]
+            _one_stage(work, group, starts, is_last=group is groups[force][-1])
     return work
 
 
 def without(work: Search, gone: Mapping[str, Sequence[int]]) -> Search:
-    """Fit the cells without some settings, from the end of a search; the noise of rows is kept.
+    """Fit the rows without some settings, from the end of a search.
 
     Args:
         gone: by force, the settings that are left out.
@@ -130,65 +82,53 @@ def without(work: Search, gone: Mapping[str, Sequence[int]]) -> Search:
     covariance = np.diag(work.problem.free.astype(float))
     left = Search(work.problem, {}, work.u.copy(), covariance)
     for force, whole in work.groups.items():
-        parts = [group.part(~np.isin(group.cells.setting, gone[force])) for group in whole]
-        groups = [group for group in parts if len(group.cells.count)]
+        kept = [
+            replace(group, rows=group.rows.part(~np.isin(group.rows.setting, gone[force])))
+            for group in whole
+        ]
+        groups = [group for group in kept if len(group.rows.observed)]
         for group in groups:
-            _one_stage(left, group, is_last=group is groups[-1])
+            _one_stage(left, group, [], is_last=group is groups[-1])
     return left
 
 
-def _one_stage(work: Search, group: Group, is_last: bool) -> None:
-    """Fit a new group of a force together with the groups of that force before it; without
-    its rows, from the end of an earlier search and with the noise of rows found there.
+def _one_stage(work: Search, group: Group, starts: Sequence[np.ndarray], is_last: bool) -> None:
+    """Fit a new group of a force together with the groups of that force before it.
 
     Args:
+        starts: u (p,) to choose from; that of ``work`` if there is none.
         is_last: whether it is the last group of the force.
     """
     groups = work.groups.setdefault(group.force, [])
-    # In combined slip from the end of the stage of pure slip.
-    starts = [work.u] if groups or work.near else []
-    if not groups:
-        starts += [work.problem.started(work.u, values) for values in first_values(group)]
     groups.append(group)
     names = _to_move(work, group.force, is_last)
-    if group.rows:
+    if starts:
         few = problem_of(work, groups, names, _ENOUGH)
         ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts]
         work.u = min(ends, key=lambda end: end.cost).z
+    rows = group.rows
     for _ in range(_ROUNDS):
         work.u = minimise(problem_of(work, groups, names), work.u, _TRIES, _ROUGHLY).z
-        predicted = row_values(work.problem, work.u, group.force, group.cells.inputs)
-        before = groups[-1].variance(predicted)
-        cells, rows = group.cells, group.rows
-        if rows and cells.estimated:
-            of_rows = row_values(work.problem, work.u, group.force, rows.inputs)
-            group = replace(group, white=group.white_law(rows, of_rows))
-        off, known = predicted - cells.observed, group.known(predicted)
-        group = replace(group, misfit=noise_law(off, cells.column("fz"), predicted, known))
+        predicted = row_values(work.problem, work.u, group.force, rows.inputs)
+        law = noise_law(predicted - rows.observed, rows.column("fz"), predicted)
+        before, group = group.variance(predicted), replace(group, law=law)
         groups[-1] = group
         if np.max(np.abs(np.sqrt(group.variance(predicted) / before) - 1)) < _SETTLED:
             break
-    groups[-1] = group = replace(group, each=_cells_per_one(work, group, names))
-    moved = problem = problem_of(work, groups, names)
+    groups[-1] = group = replace(group, each=_rows_per_one(work, group, names))
+    problem = problem_of(work, groups, names)
     end = minimise(problem, work.u)
     if is_last:  # hold what the rows do not identify at the centre of its prior
         left = np.diagonal(_covariance(work.covariance, problem, end.z))
         held, every = problem.free & (left > _HELD), np.array(problem.names)
         of_force = own_coefficients(problem.tire.version, group.force)
         work.held = (work.held - set(of_force)) | set(every[held].tolist())
-        moved = problem.with_free(every[problem.free & ~held].tolist())
-        end = minimise(moved, np.where(held, 0.0, end.z))
+        left_free = problem.with_free(every[problem.free & ~held].tolist())
+        end = minimise(left_free, np.where(held, 0.0, end.z))
     work.u, work.moved = end.z, work.moved | set(names)
     # The covariance includes the held coefficients: the rows may determine them at this end.
     work.covariance = _covariance(work.covariance, problem, end.z)
-    counts = int(np.sum(group.cells.count)), len(group.cells.count)
-    chi2, rmse = end.cost - float(end.z @ end.z), work.rmse(group)
-    work.stages.append(
-        Stage(
-            group.title, group.force, group.pure, *counts,
-            int(np.count_nonzero(moved.free)), chi2, end.steps, end.converged, rmse, rmse,
-        )
-    )  # fmt: skip
+    work.stages[group.title] = end.converged
 
 
 def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
@@ -204,46 +144,36 @@ def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
     return [name for name in of_force if part[name] == force]
 
 
-def _blocks(group: Group, most: int | None = None) -> list[Block]:
-    """The cells of a group as blocks, at most ``most`` of them, evenly taken."""
-    count = len(group.cells.count)
-    chosen = np.linspace(0, count - 1, min(most or count, count)).astype(int)
-    std = np.sqrt(group.each * group.variance(group.cells.observed))[chosen]
-    some = group.cells.part(chosen)
-    return list(blocks_of(group.force, some.inputs, some.observed, std))
-
-
 def problem_of(
-    work: Search, groups: Sequence[Group], names: Collection[str], most: int | None = None
+    work: Search, groups: Sequence[Group], names: Collection[str], most: int = 10**9
 ) -> Problem:
     """The problem of some groups of a force, with the coefficients ``names`` free; at
-    most ``most`` cells of a group, evenly taken."""
-    blocks = [block for group in groups for block in _blocks(group, most)]
-    limit = limit_of(groups[0].force, [group.cells.inputs for group in groups])
-    return work.problem.with_free(names).with_blocks([*blocks, *limit])
+    most ``most`` rows of a group, evenly taken."""
+    blocks = limit_of(groups[0].force, [group.rows.inputs for group in groups])
+    for group in groups:
+        count = len(group.rows.observed)
+        chosen = np.linspace(0, count - 1, min(most, count)).astype(int)
+        std = np.sqrt(group.each * group.variance(group.rows.observed))[chosen]
+        some = group.rows.part(chosen)
+        blocks += blocks_of(group.force, some.inputs, some.observed, std)
+    return replace(work.problem.with_free(names), blocks=tuple(blocks))
 
 
-def _cells_per_one(work: Search, group: Group, names: Collection[str]) -> float:
-    """Number of cells of a group per independent cell.
-
-    The misfit of neighbouring cells of a sweep is correlated. The number is the larger
-    of the autocorrelation time of their residuals along the slip, and of the design
-    effect of the settings on the slope of the deviance.
-    """
-    problem = work.problem.with_free(names).with_blocks(_blocks(replace(group, each=1.0)))
+def _rows_per_one(work: Search, group: Group, names: Collection[str]) -> float:
+    """Number of rows of a group per independent row: the larger of the autocorrelation time of
+    the residuals along the slip, and of the design effect of the settings on the slope of the
+    deviance. The misfit of neighbouring rows of a sweep is correlated."""
+    problem = problem_of(work, [replace(group, each=1.0)], names)
     residual, slopes = row_gradients(problem, work.u)
-    setting = group.cells.setting
+    setting = group.rows.setting
     parts = [residual[setting == code] for code in np.unique(setting)]
     by_setting = design_effect(residual, slopes[:, problem.free], setting)
     return max(autocorrelation_time(parts), by_setting)
 
 
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:
-    """The covariance (p, p) of u after a stage.
-
-    The known coefficients k keep their covariance. The moved ones m have the covariance
-    H_mm^-1 given k and change by -H_mm^-1 H_mk; H: curvature of rows and priors.
-    """
+    """The covariance (p, p) of u after a stage. The known coefficients k keep theirs. The moved
+    ones m have H_mm^-1 given k and change by -H_mm^-1 H_mk; H: curvature of rows and priors."""
     moved, known = np.flatnonzero(problem.free), np.flatnonzero(~problem.free)
     _, curvature, _ = normal_equations(problem, u, np.full(len(u), True))
     # Of a noise-free test the curvature spans 1e12: only a product with its own transpose
@@ -273,7 +203,7 @@ sharp peak belong to different local minima."""
 def first_values(group: Group) -> list[dict[str, float]]:
     """Coefficients to start from, one set per shape: friction from the largest forces,
     and stiffness from the slope at small slips."""
-    values, inputs, force = {}, group.cells.inputs, group.cells.observed
+    values, inputs, force = {}, group.rows.inputs, group.rows.observed
     if group.force in ("fx", "fy"):
         slip = np.asarray(inputs.sigma_x if group.force == "fx" else inputs.alpha)
         fz, size = np.asarray(inputs.fz), np.abs(slip)

@@ -13,16 +13,15 @@ from tirefit.results import Outcome
 
 
 def _sections(fit: MagicFormulaFit, full: bool) -> list[Section]:
-    coefficients = _tables(fit) if full else [_undetermined(fit)]
-    stages = [_stages(fit)] if full else []
-    return [*stages, _forces(fit), _left_out(fit), _guards(fit, full), *coefficients]
+    tables = [_coefficients(fit, part) for part in fit.parts] if full else []
+    return [_forces(fit), _left_out(fit), _guards(fit, full), *tables, _origins(fit)]
 
 
 def magic_formula_report(fit: MagicFormulaFit, full: bool = False) -> str:
     """Verdict, residuals, noise, predictions of rows left out and guards of a fit.
 
     Args:
-        full: with the stages, every guard and every coefficient.
+        full: with every guard and every coefficient.
     """
     title = f"MAGIC FORMULA {fit.model}, tirefit {fit.version}"
     sentence, lines = _verdict(fit)
@@ -36,11 +35,8 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
     """The fit as one self-contained HTML page: verdict, figures, tables, data and record."""
     from tirefit.report.fit.mf_figures import page_pictures, title_of  # Matplotlib
 
-    sections = [
-        Section("", [EXPLORE], pictures=page_pictures(fit)),
-        *_sections(fit, full=True),
-        _data(fit),
-    ]
+    first = Section("", [EXPLORE], pictures=page_pictures(fit))
+    sections = [first, *_sections(fit, full=True), _data(fit)]
     sentence, lines = _verdict(fit)
     verdict = verdict_of(f"Verdict: {sentence}", lines, not fit.outcomes)
     return page(title_of(fit), sections, verdict, f"tirefit {fit.version}", fit.to_json())
@@ -54,7 +50,7 @@ def _data(fit: MagicFormulaFit) -> Section:
     return Section("Data and settings", [("file", file), signs, *columns, *others])
 
 
-def _undetermined(fit: MagicFormulaFit) -> Section:
+def _origins(fit: MagicFormulaFit) -> Section:
     """The names of the coefficients that the data determine less than their priors."""
     lines = []
     for origin, meaning in ORIGINS.items():
@@ -65,17 +61,6 @@ def _undetermined(fit: MagicFormulaFit) -> Section:
     return Section("Coefficients", lines, note="values and standard errors: --full, fit.json")
 
 
-def _tables(fit: MagicFormulaFit) -> list[Section]:
-    """Every coefficient, by part of the tire, and what the origins mean."""
-    there = {c.part for c in fit.coefficients.values()} - {*fit.parts}
-    origins = {c.origin for c in fit.coefficients.values()}
-    lines = []
-    if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
-        lines = [("not fitted", f"{', '.join(left_out)}: given, borrowed or at the priors")]
-    lines += [(origin, meaning) for origin, meaning in ORIGINS.items() if origin in origins]
-    return [*(_coefficients(fit, part) for part in fit.parts), Section("Origins", lines)]
-
-
 def _coefficients(fit: MagicFormulaFit, part: str) -> Section:
     known = specs(fit.tire)
     rows = [["", "value ± std", "origin", "meaning"]]
@@ -83,20 +68,7 @@ def _coefficients(fit: MagicFormulaFit, part: str) -> Section:
         if coefficient.part == part:
             value = format_estimate(coefficient.value, coefficient.std or None)
             rows.append([name, value, coefficient.origin, known[name].meaning])
-    return Section("Coefficients", (), rows, note=PARTS[part].meaning)
-
-
-def _stages(fit: MagicFormulaFit) -> Section:
-    """The residuals of each stage, at its own end and at the end of the fit."""
-    rows = [["stage", "rows", "cells", "coefficients", "passes", "RMSE", "RMSE at end"]]
-    for stage in fit.stages:
-        unit = FORCE_UNIT[stage.force]
-        passes = str(stage.steps) if stage.converged else f"{stage.steps} (limit)"
-        cells = [stage.name, str(stage.rows), str(stage.cells), str(stage.moved)]
-        sizes = (stage.rmse, stage.rmse_at_end)
-        rows.append([*cells, passes, *(f"{format_number(s)} {unit}" for s in sizes)])
-    note = "RMSE of the means of cells, at end of stage and of fit"
-    return Section("Stages", (), rows, note=note, right=(1, 2, 3, 4, 5, 6))
+    return Section("Coefficients", (), rows, note=PARTS[part])
 
 
 def _forces(fit: MagicFormulaFit) -> Section:
@@ -133,12 +105,12 @@ def _left_out(fit: MagicFormulaFit) -> Section:
 def _guards(fit: MagicFormulaFit, full: bool) -> Section:
     """Which guards hold within the data and beyond; in short, those that fail."""
     low, high = fit.ranges["fz"]
-    holding = [guard.name for guard in fit.guards if guard.holds]
-    lines = [("hold", ", ".join(holding))] * (bool(holding) and not full)
+    holding = ", ".join(guard.name for guard in fit.guards if guard.holds)
+    lines = [("hold", holding)] if holding and not full else []
     for guard in fit.guards:
         if full or not guard.holds:
-            message = "holds" if guard.holds else "FAILS beyond the data"
-            message = message if guard.holds_inside else "FAILS WITHIN THE DATA"
+            beyond = "holds" if guard.holds else "FAILS beyond the data"
+            message = beyond if guard.holds_inside else "FAILS WITHIN THE DATA"
             lines.append((guard.name, f"{message}: {guard.text}"))
     return Section("Guards", lines, note=f"F_z of the data: {low:.4g} to {high:.4g} N")
 
@@ -149,7 +121,4 @@ def _verdict(fit: MagicFormulaFit) -> tuple[str, list[str]]:
     counts = [f"{origins.count(o)} {o}" for o in ORIGINS if o in origins]
     against = [text for o, text in fit.limits.items() if o is not Outcome.NOT_IDENTIFIED]
     message = "do not use this fit as it is" if against else "converged"
-    beyond = [guard.name for guard in fit.guards if guard.holds_inside and not guard.holds]
-    if beyond:
-        against = [*against, f"guards that fail beyond the data: {', '.join(beyond)}"]
     return f"{message}; coefficients: {', '.join(counts)}", against
