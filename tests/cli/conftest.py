@@ -58,13 +58,13 @@ def two():
 
 @pytest.fixture
 def workers_here(monkeypatch):
-    """The work of ``--jobs`` in this process, last piece first, sent and returned as
-    bytes: the workers of ``test_cli_fleet.py`` are real."""
+    """The work of ``--jobs`` in this process, sent and returned as bytes: the workers of
+    ``test_cli_fleet.py`` are real."""
 
     def here(work, pieces, client):
-        for number, piece in reversed(list(enumerate(pieces))):
+        for piece in pieces:
             taken, given = pickle.loads(pickle.dumps((work, piece)))
-            yield number, pickle.loads(pickle.dumps(taken(given)))
+            yield pickle.loads(pickle.dumps(taken(given)))
 
     monkeypatch.setattr(fleet, "shared", here)
     monkeypatch.setattr(fleet, "cluster", lambda *how: nullcontext())

@@ -172,7 +172,7 @@ WRONG = {
     "unknown parameter": (["brush", "d.csv", "--set", "nu=1"], 2, "no parameter 'nu'"),
     "outside bounds": (["brush", "d.csv", "--set", "mu=9"], 2, "outside its bounds"),
     "not a number": (["brush", "d.csv", "--set", "mu=x"], 2, "not a valid number"),
-    "no value": (["brush", "d.csv", "--set", "mu"], 2, "--set NAME=VALUE"),
+    "no value": (["brush", "d.csv", "--set", "mu"], 2, "'--set': 'mu': write it as NAME=VALUE"),
     "no data": (["brush", "none.csv"], 3, "none.csv"),
     "no such fit": (["none.json", "d.csv"], 3, "none.json"),
     "set on a fit": (["none.json", "d.csv", "--set", "mu=1"], 2, "--set"),
@@ -316,7 +316,7 @@ def test_derive_refuses_a_wrong_unit_with_a_working_remedy(run, tmp_path):
     assert "channels compared: " in run(*arguments, "--unit", "v_x=km/h").stdout
     assert "warning: channels contradict" in run(*arguments, "--believe").stdout
     result = run(*arguments, "--unit", "v_x", exit_code=2)
-    assert "--unit NAME=VALUE" in result.stderr
+    assert "'--unit': 'v_x': write it as NAME=VALUE" in result.stderr
 
 
 def test_inspect_lists_identifiable_parameters(run, tmp_path):

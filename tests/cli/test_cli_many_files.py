@@ -55,9 +55,11 @@ def test_the_report_of_one_file_has_all_notes(run, sweeps):
     assert done.stderr == ""
 
 
-def test_each_page_has_its_notes_and_the_summary_page_counts_them(run, unrendered, sweeps):
-    run("fit", *sweeps[:2], "--no-posterior", "--html", "--out", "o")
-    text = Path("o/fits.html").read_text()
-    assert text.count("columns not read") == 1
-    assert "2 files: columns not read" in text
+def test_the_page_of_each_fit_has_its_notes_and_that_of_all_those_kept_too(run, unrendered, sweeps):
+    command = ("fit", *sweeps[:2], "--no-posterior", "--html", "--out", "o")
+    run(*command)
     assert "columns not read" in Path("o/sweep_0/fit.html").read_text()
+    text = Path("o/fits.html").read_text()
+    Path("o/sweep_1/fit.html").unlink()
+    assert run(*command, "--resume").stdout.count("done before, kept") == 1
+    assert Path("o/fits.html").read_text() == text and "of 2 files" in text

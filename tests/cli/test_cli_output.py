@@ -1,21 +1,18 @@
 """Complete results or none, one process per directory, Ctrl-C, and progress bars."""
 
-import io
 import os
 import pty
-import re
 import shutil
 import subprocess
 import sys
 import threading
-import time
 from contextlib import suppress
 
 import pytest
 from test_cli_fit import FAST, content, write
 
 from tests.killed import steps_of
-from tirefit.cli import options, silence
+from tirefit.cli import options
 from tirefit.cli.commands import app
 from tirefit.cli.output import check_results, claimed, is_page, staged
 from tirefit.files import replacing
@@ -208,36 +205,6 @@ def test_ctrl_c_during_the_imports_exits_cleanly(rig, name):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
 
 
-UNHEARD = """
-import gc, os, signal, sys
-
-came = []
-
-def collecting(phase, info):
-    if "jax._src.core" in sys.modules and not came:
-        came.append(True)
-        os.kill(os.getpid(), signal.{signal})
-        len(came)  # where the handler is called, and its error dropped
-
-gc.callbacks.append(collecting)
-gc.set_threshold = lambda count: None  # stays at Python's own, so that some is collected
-signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.argv = ["tirefit", "fit", {file!r}]
-from tirefit.cli import main
-main()
-"""
-
-
-@pytest.mark.parametrize("by", ["SIGINT", "SIGTERM"])
-def test_an_interrupt_within_garbage_collection_is_not_lost(rig, by):
-    program = UNHEARD.format(signal=by, file=str(rig))
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, cwd=rig.parent
-    )
-    assert done.returncode == 130
-    assert done.stderr == "interrupted: files written before are complete\n"
-
-
 def test_sigterm_acts_as_ctrl_c(rig):
     """A scheduler, for example, sends SIGTERM; also in the background of a shell."""
     done = ended("jax._src.core", "fit", str(rig), by="SIGTERM", ignored=True)
@@ -309,43 +276,3 @@ def test_progress_without_a_terminal_is_printed_as_lines(monkeypatch, capsys):
         "posterior: 12 %, step 5",
         "posterior: 38 %, step 15",
     ]
-
-
-def test_a_long_silence_is_ended_by_a_line(monkeypatch):
-    heard, until = io.StringIO(), time.monotonic() + 60
-    monkeypatch.setattr(sys, "stderr", heard)
-    with silence.reported(most=0.01):
-        while heard.getvalue().count("\n") < 2 and time.monotonic() < until:
-            pass
-    assert re.match(r"(still at work, for \d+ s\n){2}", heard.getvalue())
-
-
-SILENT = """
-import io, sys, time
-from tirefit.cli import commands, main, silence
-
-def app():
-    until = time.monotonic() + 60
-    while not heard.getvalue() and time.monotonic() < until:
-        pass
-
-heard = sys.stderr = io.StringIO()
-silence.reported.__wrapped__.__defaults__ = (0.01,)
-commands.app = app
-main()
-print(heard.getvalue())
-"""
-
-
-def test_every_command_prints_a_line_after_a_long_silence():
-    done = subprocess.run([sys.executable, "-c", SILENT], capture_output=True, text=True)
-    assert done.stdout.startswith("still at work, for ")
-
-
-def test_a_command_that_prints_is_not_silent(monkeypatch):
-    heard = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", heard)
-    for talks in (lambda: options.complain("heard"), lambda: options.say("heard")):
-        before = silence._LATEST[0] = 0.0
-        talks()
-        assert silence._LATEST[0] > before

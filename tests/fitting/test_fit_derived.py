@@ -20,7 +20,6 @@ from tirefit.fitting.uncertainty.extremes import _bowl
 from tirefit.fitting.uncertainty.posterior import sample
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.fit.tables import derived_by_run
 
 
 def derived(model, values, channel="fx"):
@@ -374,12 +373,8 @@ def test_quantities_of_a_bin_are_at_its_load():
         assert friction == pytest.approx(1.1 - 4e-5 * load, rel=0.02)
         peak = result.derived[f"F_max[{name}]"].value
         assert peak == pytest.approx(friction * at, rel=1e-9)
-    rows = derived_by_run(result)
-    assert rows[0][:2] == ["run", "at F_z [N]"]
-    assert [float(row[1]) for row in rows[1:]] == pytest.approx(loads, rel=3e-3)
 
 
 def test_runs_of_the_same_loads_are_compared_at_one_load():
     result, _ = bins((3000.0, 3000.0 + 10, 3000.0 + 20))
     assert set(result.reference) == {"fz", "v"}
-    assert derived_by_run(result)[0][1] != "at F_z [N]"

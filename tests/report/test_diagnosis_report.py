@@ -880,7 +880,7 @@ def test_the_page_contains_the_record_and_its_panels(page_text):
 def test_a_notebook_shows_the_diagnosis():
     fragment = diagnosis()._repr_html_()
     page = Page(fragment)
-    assert page.seen.count("img") == 1 and "html" not in page.seen
+    assert page.seen.count("img") == 3 and "html" not in page.seen
     assert "The gap comes from load friction of 0.1234 ± 0.0056 (0.91)" in "".join(page.texts)
     assert "style" not in page.seen  # it would restyle the whole notebook
 

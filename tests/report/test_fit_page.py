@@ -175,10 +175,9 @@ def test_points_at_other_inputs_keep_their_residual(plain):
 
 
 def test_the_page_of_several_has_a_row_for_each(several):
-    text = fits_page(several, {"rig <1>.csv": "no column of a slip"})
+    text = fits_page(several)
     shown = " ".join(re.sub(r"<[^>]*>", " ", text).split())
-    assert "Verdict: of 5 files: 4 ok, 1 failed" in shown
-    assert "rig &lt;1&gt;.csv: failed: no column of a slip" in shown
+    assert "Verdict: of 4 files: 4 ok" in shown
     assert "drum_2026-03-12_cold_asphalt_*" in shown
     for name, result in zip(("dry", "damp", "wet", "ice"), several.values(), strict=True):
         mu = result.parameters["mu"]

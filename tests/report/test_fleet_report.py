@@ -4,10 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from tirefit.data.records import FileRecord, Row, dates_of, records_into
-from tirefit.report.fit.values import Points, draw_points
 from tirefit.report.many_files import files_of, files_page, points_of, write_fleet_page
 
 WILD = 17
@@ -69,20 +67,6 @@ def test_drift_and_the_outlying_file_are_found(dated):
     assert np.flatnonzero(points_of(fleet, mu).outlying).tolist() == [WILD]
     assert np.isfinite(stiffness.value).sum() == 199 and stiffness.known.sum() == 179
     assert not rmse.across.drifts
-
-
-@pytest.mark.parametrize(
-    ("values", "whole"),
-    [([400.0, 401.0, 401.0], True), ([400.0] * 3, True), ([39.5, 40, 41], False)],
-)
-def test_axes_of_counts_have_whole_numbers(values, whole):
-    axes, value = Figure().subplots(), np.array(values)
-    there = np.ones(3, bool)
-    draw_points(axes, Points("n", "abc", np.arange(3.0), *[value] * 3, there, ~there, whole=whole))
-    low, high = axes.yaxis.get_view_interval()
-    seen = np.array([t for t in axes.yaxis.get_majorticklocs() if low <= t <= high])
-    assert len(seen) and np.array_equal(seen, np.round(seen)) == whole
-    assert [tick.get_text() for tick in axes.get_xticklabels()] == list("abc")
 
 
 def test_the_page_is_small_complete_and_escaped(tmp_path):

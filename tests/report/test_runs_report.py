@@ -95,16 +95,6 @@ def test_every_run_is_distinguished_in_the_report(by_run):
     assert f"F_max[{RUNS[3]}]" in record["derived"]
 
 
-def test_derived_quantities_have_a_row_per_run(by_run):
-    text = fit_report(by_run).split("DERIVED, BY RUN")[1].split("QUALITY")[0]
-    (row,) = re.findall(r"^  run07 .*", text, re.M)
-    for name in ("C_x", "F_max", "slip_at_peak"):
-        value = by_run.derived[f"{name}[{RUNS[6]}]"].value
-        shown = [float(x) for x in re.findall(r"([\d.]+) ±", row)]
-        assert any(abs(x - value) < 1e-2 * value for x in shown), name
-    assert "at F_z = 4000 N, v = 20 m/s" in " ".join(text.split())
-
-
 def test_a_summary_has_every_column_of_every_fit(by_run):
     content = by_run.to_dict()
     text = summary_table([record_of_fit(content, f"all/{run}") for run in RUNS[:3]])

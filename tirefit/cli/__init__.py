@@ -3,13 +3,11 @@
 Heavy imports are made by the commands only, so completion and ``--help`` are fast.
 """
 
-import _thread
 import atexit
 import gc
 import os
 import signal
 import sys
-import threading
 from contextlib import suppress
 from typing import NoReturn
 
@@ -23,15 +21,6 @@ def main() -> None:
     def interrupt(number: int, _: object) -> NoReturn:
         came.append(number)
         raise KeyboardInterrupt
-
-    def unheard(what: "sys.UnraisableHookArgs") -> None:
-        # Python ignores exceptions within a callback of the garbage collector, which JAX
-        # has, so raise an interrupt that comes then again after its end.
-        if issubclass(what.exc_type, KeyboardInterrupt) and came:
-            # Seconds after which a callback of the garbage collector has ended.
-            threading.Timer(0.01, _thread.interrupt_main, [came[-1]]).start()
-        else:
-            sys.__unraisablehook__(what)
 
     # Set before NumPy is imported. For small matrices a second thread of OpenBLAS is no
     # gain, and spins while it waits (on two busy cores, a diagnosis of 900 rows took
@@ -52,14 +41,11 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGTERM, interrupt)
-    sys.unraisablehook = unheard
     try:
         # Imported here, so that Ctrl-C is answered during the imports as well.
-        from tirefit.cli import silence
         from tirefit.cli.commands import app
 
-        with silence.reported():
-            app()
+        app()
     except OSError as error:
         # The command could not print; it handles its own errors otherwise.
         if came:

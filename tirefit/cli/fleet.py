@@ -1,50 +1,38 @@
-"""Run a command on many files: here one by one, or by the workers of a cluster.
+"""Run a command on many files: here one by one, or by the workers of Dask.
 
 A file that fails stops no other file. Workers write the results; they return the output of
-the command for a file, and its record for the table of all results. Each file is a task of
-Dask that carries all it needs: Dask runs it again, on another worker, if the worker that had
-it died; it gives the task up after four deaths.
+the command for a file, and its record for the table of all results. Dask runs a file again, on
+another worker, if the worker that had it died; it gives the file up after four deaths.
 """
 
 import logging
 import os
 import pickle
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, chdir, closing, contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
-from functools import lru_cache, partial
-from itertools import count
+from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from tirefit import __version__
+from tirefit.cli import options as cli
 from tirefit.cli.notes import merged_notes
-from tirefit.cli.options import (
-    Text,
-    Unheard,
-    complain,
-    error_text,
-    has_terminal,
-    option,
-    progress_bar,
-    say,
-)
 from tirefit.cli.output import swept
-from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.data.readers.extras import extra
+from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-Jobs = Annotated[int | None, option("N", "number of processes that share the files", min=1)]
+Jobs = Annotated[int | None, cli.option("N", "number of processes that share the files", min=1)]
 Scheduler = Annotated[
-    Text, option("ADDRESS", "Dask scheduler whose workers share the files, e.g. tcp://host:8786")
+    cli.Text,
+    cli.option("ADDRESS", "Dask scheduler whose workers share the files, e.g. tcp://host:8786"),
 ]
-
-TABLE, PAGE = "results.parquet", "fleet.html"
 
 
 class Piece(NamedTuple):
@@ -54,13 +42,8 @@ class Piece(NamedTuple):
     to: Any
 
 
-Work = Callable[[Piece], tuple[ExitCode, "FileRecord"]]
-"""Function of a command for one file; for workers it can be pickled."""
-
-
 class Outcome(NamedTuple):
-    """One file: its exit code, its record in the table of all results; of a worker also its
-    standard output, error output and notes."""
+    """Exit code and record of a file; of a worker also its output, error output and notes."""
 
     code: ExitCode
     record: "FileRecord"
@@ -74,62 +57,46 @@ def worst_of(codes: Iterable[ExitCode]) -> ExitCode:
     return min((code for code in codes if code), default=ExitCode.OK)
 
 
+Work = Callable[[Piece], tuple[ExitCode, "FileRecord"]]  # for workers it can be pickled
+
+
 def _attempted(work: Work, piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     """Run one file; neither a bad file nor a fault of the program stops the others."""
     try:
         return work(piece)
-    except BrokenPipeError:
-        raise
-    except OSError as error:  # its report was printed
-        code, problem = ExitCode.USAGE, error_text(error)
-    except TirefitError as error:
-        if error.exit_code == ExitCode.USAGE:
+    except (TirefitError, OSError) as error:  # of OSError, the report was printed
+        if isinstance(error, BrokenPipeError | UsageError):
             raise
-        code, problem = error.exit_code, error_text(error)
+        return _failed(piece, error)
     except Exception as error:
         reason = f"a fault of the program: {type(error).__name__}: {error}"
         remedy = "run the command on this file only to see where; please report it"
-        code, problem = ExitCode.DATA, error_text(DataError(reason, remedy, str(piece.file)))
-    complain(problem)
-    return code, _failed(piece, problem)
+        return _failed(piece, DataError(reason, remedy, str(piece.file)))
 
 
-def _failed(piece: Piece, printed: str) -> "FileRecord":
+def _failed(piece: Piece, error: TirefitError | OSError) -> tuple[ExitCode, "FileRecord"]:
+    """Print the error; the exit code and the record of the file."""
     from tirefit.data.records import FAILED, FileRecord
 
-    problem = " ".join(printed.partition("\n")[2].split())  # without "error:"
-    return FileRecord(str(piece.file), str(piece.to), "", FAILED, problem=problem)
+    cli.complain(text := cli.error_text(error))
+    problem = " ".join(text.partition("\n")[2].split())  # without "error:"
+    code = error.exit_code if isinstance(error, TirefitError) else ExitCode.USAGE
+    return code, FileRecord(str(piece.file), str(piece.to), "", FAILED, problem=problem)
 
 
-@dataclass(frozen=True)
-class Sharing:
+class Sharing(NamedTuple):
     """Where the work is done: in this process, in several others, or on a cluster."""
 
     jobs: int | None = None
     scheduler: str | None = None
 
-    def __post_init__(self) -> None:
-        if self.jobs is not None and self.scheduler is not None:
-            remedy = "give one: --jobs starts a cluster on this machine"
-            raise UsageError("--jobs together with --scheduler", remedy)
-
     @property
     def apart(self) -> bool:
         return self.jobs is not None or self.scheduler is not None
 
-    def files(self, out: Path, made: Iterable[Path]) -> list[Path]:
-        """Paths of the table of all results and of its page in ``out``; empty if the files
-        are not shared among processes.
-
-        Raises:
-            UsageError: one of them is also a result of one file (``made``).
-        """
-        ours = [out / TABLE, out / PAGE] if self.apart else []
-        if both := sorted(set(ours) & set(made)):
-            reason = "it would be both the result of one file and that of all"
-            remedy = "rename the file, or leave out --jobs and --scheduler"
-            raise UsageError(reason, remedy, str(both[0]))
-        return ours
+    def files(self, out: Path) -> list[Path]:
+        """The table of all results and its page in ``out``, if processes share the files."""
+        return [out / "results.parquet", out / "fleet.html"] if self.apart else []
 
 
 def run_pieces(
@@ -146,8 +113,8 @@ def run_pieces(
             yield from _shared_outcomes(title, pieces, work, sharing, out, notes)
             return
         for number, piece in enumerate(pieces, 1):
-            if count > 1 and has_terminal():
-                complain(f"file {number} of {count}: {piece.file}")
+            if count > 1 and cli.has_terminal():
+                cli.complain(f"file {number} of {count}: {piece.file}")
             yield Outcome(*(work(piece) if count == 1 else _attempted(work, piece)))
 
 
@@ -160,156 +127,112 @@ def _shared_outcomes(
 
     there = partial(_apart, (os.getcwd(), __version__), pickle.dumps(work))
     out.mkdir(parents=True, exist_ok=True)
-    left, early = dict(enumerate(pieces)), dict[int, Outcome]()
-    count, records = len(pieces), list[FileRecord]()
+    count, records, (table_file, page) = len(pieces), list[FileRecord](), sharing.files(out)
     try:
         with (
-            records_into(out / TABLE) as table,
-            progress_bar(title) as progress,
-            cluster(min(sharing.jobs or 1, count), sharing.scheduler) as client,
-            closing(shared(there, pieces, client)) as results,
+            records_into(table_file) as table,
+            cli.progress_bar(title) as progress,
+            cluster(sharing.jobs and min(sharing.jobs, count), sharing.scheduler) as client,
         ):
-            for number, result in results:
-                piece = left.pop(number)
-                progress(1 - len(left) / count, f"{count - len(left)} of {count} files")
-                early[number] = result or _lost(piece)
-                while outcome := early.pop(len(records), None):
-                    typer.echo(outcome.output, nl=False)
-                    typer.echo(outcome.complained, nl=False, err=True)
-                    notes += outcome.notes
-                    table.add(outcome.record)
-                    records.append(outcome.record)
-                    yield outcome
+            for piece, result in zip(pieces, shared(there, pieces, client), strict=True):
+                outcome = result or _lost(piece)
+                typer.echo(outcome.output, nl=False)
+                typer.echo(outcome.complained, nl=False, err=True)
+                notes += outcome.notes
+                table.add(outcome.record)
+                records.append(outcome.record)
+                progress(len(records) / count, f"{len(records)} of {count} files")
+                yield outcome
     finally:
-        for piece in left.values():  # after an interrupt: remove half-written results
+        for piece in pieces[len(records) :]:  # after an interrupt: remove half-written results
             swept(piece.to)
-    write_fleet_page(records, out / PAGE, title)
-    say(f"all results: {out / TABLE}, {out / PAGE}")
+    write_fleet_page(records, page, title)
+    cli.say(f"all results: {table_file}, {page}")
 
 
 def _lost(piece: Piece) -> Outcome:
     swept(piece.to)
     reason = "the workers that had this file died, each time that it was tried"
     remedy = "free memory if it is short, or run the command on this file only, without workers"
-    problem = error_text(DataError(reason, remedy, str(piece.file)))
-    return Outcome(ExitCode.DATA, _failed(piece, problem), complained=problem + "\n")
+    return Outcome(*_failed(piece, DataError(reason, remedy, str(piece.file))))
 
 
 _CONNECT = 30.0  # seconds to wait for a scheduler and its first worker
 
-_LOCAL = {
-    # Other tasks wait at the scheduler, not at a worker, whose death would fail them too.
-    "distributed.scheduler.worker-saturation": 1.0,
-    # Without any worker for so long, the tasks fail instead of waiting. On a machine with
-    # six times as many busy processes as cores, a worker was restarted in 10 s.
-    "distributed.scheduler.no-workers-timeout": "300s",
-    # A worker's nanny restarts it. Dask would end the nanny if the worker had died and was
-    # just restarting so long after an earlier death, 15 s by default.
-    "distributed.deploy.lost-worker-timeout": "1 day",
-    # A fit needs all of its memory at once: spilling or pausing would not help it.
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.profile.enabled": False,
-}
-"""Settings of the workers on this machine."""
-
 
 @contextmanager
-def cluster(jobs: int, scheduler: str | None = None) -> Iterator[Any]:
+def cluster(jobs: int | None, scheduler: str | None = None) -> Iterator[Any]:
     """Open a client of the cluster at an address, or of a new one on this machine.
 
     Args:
         jobs: number of workers of a new cluster, which end with the block.
-        scheduler: address of a running scheduler; None starts a cluster.
 
     Raises:
-        UsageError: no ``distributed``, or no scheduler or worker at the address.
+        DataError: Dask is not installed.
+        UsageError: both are given, or no scheduler with a worker answers at the address.
     """
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        reason = "--jobs and --scheduler need distributed, which is not installed"
-        raise UsageError(InputProblem(reason, "pip install 'tirefit[cluster]'")) from error
+    if jobs and scheduler:
+        remedy = "give one: --jobs starts a cluster on this machine"
+        raise UsageError("--jobs together with --scheduler", remedy)
+    dask = extra("dask", "files by several processes", "", "cluster")
+    distributed = extra("distributed", "files by several processes", "", "cluster")
     # Its messages are for the administrator of a cluster; the errors below are for users.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as opened:
         address: Any = scheduler
         if scheduler is None:
-            opened.enter_context(dask.config.set(_LOCAL))
-            one_thread = {"n_workers": jobs, "threads_per_worker": 1}
+            settings = {
+                # Other files wait at the scheduler, not at a worker, whose death would fail them.
+                "distributed.scheduler.worker-saturation": 1.0,
+                # A worker's nanny restarts it. Dask would end the nanny if the worker had died and
+                # was just restarting so long after an earlier death, 15 s by default.
+                "distributed.deploy.lost-worker-timeout": "1 day",
+            }
+            opened.enter_context(dask.config.set(settings))
             here = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
-            address = LocalCluster(**one_thread, **here, silence_logs=logging.CRITICAL)
-            opened.enter_context(address)
+            workers = distributed.LocalCluster(
+                jobs, threads_per_worker=1, silence_logs=logging.CRITICAL, **here
+            )
+            address = opened.enter_context(workers)
         try:
-            client = Client(address, timeout=_CONNECT, set_as_default=False)
+            client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+            opened.enter_context(client).wait_for_workers(1, timeout=_CONNECT)
         except (OSError, ValueError, TypeError) as error:
-            reason = f"--scheduler: no scheduler answers at {address}"
-            remedy = "start one with `dask scheduler`; it prints its address"
-            raise UsageError(reason, remedy) from error
-        opened.enter_context(client)
-        try:
-            if scheduler is not None:
-                client.wait_for_workers(1, timeout=_CONNECT)
-        except TimeoutError:
-            reason = f"--scheduler: the scheduler at {address} has no worker"
-            remedy = f"start some: dask worker {address} --nthreads 1 --nworkers auto"
-            raise UsageError(reason, remedy) from None
+            reason = f"--scheduler: no scheduler with a worker answers at {address}"
+            remedy = "start `dask scheduler`, which prints its address, and `dask worker ADDRESS"
+            raise UsageError(reason, f"{remedy} --nthreads 1 --nworkers auto`") from error
         yield client
 
 
-def shared(
-    work: Callable[..., Any], pieces: Sequence[Any], client: Any
-) -> Generator[tuple[int, Any]]:
-    """Yield (number, ``work(piece)``) of every piece, in the order of completion; None of one
-    whose workers died.
+def shared(work: Callable[..., Any], pieces: Sequence[Any], client: Any) -> Iterator[Any]:
+    """Yield ``work(piece)`` of every piece, in their order; None of one whose workers died.
 
     When the iteration stops early, or is interrupted, pieces that have not begun are cancelled.
 
-    Args:
-        work: a function that can be pickled, as its arguments and results can; it never
-            returns None.
-        pieces: the arguments.
-        client: of :func:`cluster`.
-
     Raises:
-        UsageError: the scheduler, or every worker, is gone.
+        UsageError: the scheduler is gone.
     """
-    from distributed import as_completed
-    from distributed.scheduler import KilledWorker, NoValidWorkerError, NoWorkerError
+    from distributed.scheduler import KilledWorker
 
-    futures: dict[Any, int] = {}
+    futures = client.map(work, pieces, pure=False)
     try:
-        futures = dict(zip(client.map(work, pieces, pure=False), count()))
-        for future in as_completed(list(futures), loop=client.loop):
-            number = futures.pop(future)
+        for future in futures:
             try:
                 result = future.result()
             except KilledWorker:
                 result = None
-            yield number, result
-    except (CancelledError, NoWorkerError, NoValidWorkerError) as error:
-        lost = "connection to the scheduler is lost"
-        reason = lost if isinstance(error, CancelledError) else "workers are all gone"
-        raise UsageError(f"the {reason}", "start it again, then --resume") from None
+            yield result
+    except CancelledError:
+        reason, remedy = "the connection to the scheduler is lost", "start it again, then --resume"
+        raise UsageError(reason, remedy) from None
     finally:
-        if futures and client.status == "running":
-            client.cancel(list(futures), force=True)
+        if client.status == "running":
+            client.cancel(futures, force=True)
 
 
 # --- In a worker ----------------------------------------------------------------------
 
 _ALONE = threading.Lock()  # output is redirected for the whole process
-
-
-@lru_cache(maxsize=2)
-def _unpacked(content: bytes) -> Work:
-    """The work with what all files share; JAX arrays have 64 bits only after the start."""
-    from tirefit.cli.start import start
-
-    start()
-    return pickle.loads(content)
 
 
 def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome:
@@ -320,18 +243,17 @@ def _apart(of_command: tuple[str, str], content: bytes, piece: Piece) -> Outcome
         of_command: working directory and version of the command.
         content: the work with what all files share, as bytes.
     """
+    from tirefit.cli.start import start
+
     folder, version = of_command
-    if version != __version__:
-        reason = f"a worker runs tirefit {__version__}, the command {version}"
-        raise UsageError(reason, "install the same for all workers")
-    if not os.path.isdir(folder):
-        reason = f"a worker does not see the folder of the command, {folder}"
-        remedy = "run workers where it is mounted: they read files and write results"
-        raise UsageError(reason, remedy)
-    output, complained = Unheard(), Unheard()
+    if version != __version__ or not os.path.isdir(folder):
+        reason = f"a worker runs tirefit {__version__}; it needs {version} and the folder {folder}"
+        raise UsageError(reason, "install the same for all workers, where the folder is mounted")
+    start()  # before: JAX arrays of the work have 64 bits only then
+    output, complained = cli.Unheard(), cli.Unheard()
     with _ALONE, redirect_stdout(output), redirect_stderr(complained), merged_notes() as held:
         with chdir(folder):
-            code, record = _attempted(_unpacked(content), piece)
+            code, record = _attempted(pickle.loads(content), piece)
         notes = tuple(held)
         held.clear()
     return Outcome(code, record, output.getvalue(), complained.getvalue(), notes)

@@ -6,10 +6,10 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import wraps
 from io import StringIO
@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli import silence
 from tirefit.data.readers.remote import file_at
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -79,10 +78,10 @@ _SEED = typer.Option(min=0, max=2**32 - 1, help="seed of the random numbers")
 Seed = Annotated[int, _SEED]
 SeedOrNone = Annotated[int | None, _SEED]
 Full = Annotated[bool, typer.Option("--full", help="print the report with all details")]
-SetOption = Annotated[Texts, option("NAME=VALUE", "parameter of the model", "--set")]
 Html = Annotated[bool, typer.Option("--html", help="write the report as one HTML page, too")]
-_FORCES = "fx, fy or mz (repeat for more; default: fit one, diagnose all of the file)"
-Forces = Annotated[Texts, option("", _FORCES, "--force")]
+Force = StrEnum("Force", "fx fy mz")
+_FORCES = "force to use (repeat for more; default: fit one, diagnose all of the file)"
+Forces = Annotated[list[Force] | None, option("", _FORCES, "--force")]
 Resume = Annotated[bool, option("", "skip finished files", "--resume")]
 
 Side = StrEnum("Side", "left right")
@@ -102,16 +101,55 @@ the file states, else braking"""
 _SLIP = "definition of the slip column: sigma_x, kappa, s, slip_ratio"
 
 
+def pair(text: str) -> tuple[str, str]:
+    """The name and the value of NAME=VALUE."""
+    name, _, value = (part.strip() for part in text.partition("="))
+    if not name or not value:
+        raise typer.BadParameter(f"{text!r}: write it as NAME=VALUE")
+    return name, value
+
+
+def number(text: str) -> tuple[str, float]:
+    """The name and the value of NAME=NUMBER."""
+    name, value = pair(text)
+    with suppress(ValueError):
+        if math.isfinite(float(value)):
+            return name, float(value)
+    remedy = "give a finite value in SI units, with a point for decimals"
+    raise typer.BadParameter(f"{text}: not a valid number: {remedy}")
+
+
+def by_name(pairs: Sequence[tuple[str, Any]] | None) -> dict[str, Any]:
+    """The values of an option with pairs, by name.
+
+    Raises:
+        UsageError: a name is given twice.
+    """
+    values: dict[str, Any] = {}
+    for name, value in pairs or ():
+        if name in values:
+            reason = f"{name} is given twice: {values[name]!r} and {value!r}"
+            raise UsageError(reason, "give it once")
+        values[name] = value
+    return values
+
+
+Pairs = list[Any] | None  # of a parser: typer knows no list of pairs
+_SET = option("NAME=VALUE", "parameter of the model", "--set", parser=number)
+SetOption = Annotated[Pairs, _SET]
+_HEADER = option("NAME=HEADER", "header of a quantity, e.g. fx=Force", parser=pair)
+_UNIT = option("NAME=UNIT", "unit of a quantity, e.g. fx=kN", parser=pair)
+_GIVEN = option("NAME=VALUE", "a quantity without a column, in SI units", parser=number)
+
+
 @dataclass(frozen=True, kw_only=True)
 class DataOptions:
     """Options that describe the data files; every field is an option."""
 
     config: Annotated[File, path_option("FIT.TOML", "settings file")] = None
-    column: Annotated[Texts, option("NAME=HEADER", "header of a quantity, e.g. fx=Force")] = None
-    unit: Annotated[Texts, option("NAME=UNIT", "unit of a quantity, e.g. fx=kN")] = None
-    constant: Annotated[Texts, option("NAME=VALUE", "a quantity without a column, in SI units")] = (
-        None
-    )
+    column: Annotated[Pairs, _HEADER] = None
+    unit: Annotated[Pairs, _UNIT] = None
+    constant: Annotated[Pairs, _GIVEN] = None
     convention: Annotated[Text, option("", _CONVENTION, autocompletion=completed(*CONVENTIONS))] = (
         None
     )
@@ -127,41 +165,18 @@ def takes_data_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     They replace its parameter ``options``, which receives them as one object.
     """
-    names = [field.name for field in fields(DataOptions)]
+    signature, of_data = inspect.signature(command), inspect.signature(DataOptions).parameters
 
     @wraps(command)
     def with_options(**given: Any) -> Any:
-        options = DataOptions(**{name: given.pop(name) for name in names})
+        options = DataOptions(**{name: given.pop(name) for name in of_data})
         return command(**given, options=options)
 
-    signature = inspect.signature(command)
-    of_data = [
-        inspect.Parameter(
-            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
-        )
-        for field in fields(DataOptions)
-    ]
-    parameters = [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for parameter in signature.parameters.values()
-        if parameter.name != "options"
-    ]
-    whole = signature.replace(parameters=[*parameters, *of_data])
+    of_command = [p for p in signature.parameters.values() if p.name != "options"]
+    whole = [p.replace(kind=p.KEYWORD_ONLY) for p in (*of_command, *of_data.values())]
     # inspect.signature uses this attribute first.
-    with_options.__signature__ = whole  # type: ignore[attr-defined]
+    with_options.__signature__ = signature.replace(parameters=whole)  # type: ignore[attr-defined]
     return with_options
-
-
-def given_options() -> dict[str, str]:
-    """Arguments and options on the command line: name -> text, as "--set" or "FILE.tir"."""
-    context = CONTEXT.get()
-    return {
-        param.name: param.opts[0]
-        if param.param_type_name == "option"
-        else param.metavar.strip("[]")
-        for param in context.command.params
-        if context.get_parameter_source(param.name).name == "COMMANDLINE"
-    }
 
 
 def refuse(names: Collection[str], where: str, remedy: str) -> None:
@@ -171,123 +186,59 @@ def refuse(names: Collection[str], where: str, remedy: str) -> None:
         where: what makes them useless, as ``with --vehicle``.
 
     Raises:
-        UsageError: some of them are given; it names all of these.
+        UsageError: some of them are on the command line; it names all of these.
     """
-    if wrong := [text for name, text in given_options().items() if name in names]:
+    context = CONTEXT.get()
+    wrong = [
+        param.opts[0] if param.param_type_name == "option" else param.metavar.strip("[]")
+        for param in context.command.params
+        if param.name in names and context.get_parameter_source(param.name).name == "COMMANDLINE"
+    ]
+    if wrong:
         raise UsageError(f"{', '.join(wrong)} {where}", remedy)
 
 
-def refuse_besides(used: Collection[str]) -> None:
-    """Refuse all but these arguments and options, where the files are logs of a vehicle."""
-    remedy = "leave it out: vehicle.toml says how logs are read"
-    refuse(given_options().keys() - {*used}, "with --vehicle", remedy)
+def refuse_by_vehicle(vehicle: Path | None, used: Collection[str], only: Collection[str]) -> None:
+    """Refuse options that logs of a vehicle do not use, or that ``only`` these have.
 
-
-def refuse_of_vehicle(*names: str) -> None:
-    """Refuse options that only logs of a vehicle have."""
-    refuse(names, "without --vehicle", "name the vehicle.toml of the logs")
-
-
-def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]) -> dict[str, str]:
-    pairs: dict[str, str] = {}
-    for item in items or []:
-        name, _, value = (part.strip() for part in item.partition("="))
-        if not name or not value:
-            remedy = f"write it as {option} NAME=VALUE"
-            problems.append(InputProblem(f"{option} {item!r}", remedy))
-        elif name in pairs:
-            reason = f"{option} {name} is given twice: {pairs[name]!r} and {value!r}"
-            problems.append(InputProblem(reason, "give it once"))
-        else:
-            pairs[name] = value
-    return pairs
-
-
-def pairs(option: str, items: list[str] | None) -> dict[str, str]:
-    """NAME=VALUE options.
-
-    Raises:
-        UsageError: options that are not pairs; it lists all of them.
+    Args:
+        vehicle: of ``--vehicle``.
+        used: arguments and options for logs, those of ``only`` included.
     """
-    problems: list[InputProblem] = []
-    given = _pairs(option, items, problems)
-    UsageError.raise_for(problems)
-    return given
-
-
-def settings_of(**items: list[str] | None) -> list[dict[str, float]]:
-    """Values of several NAME=VALUE options, given by their names without the hyphens.
-
-    Raises:
-        UsageError: options that are not pairs, or without a number; it lists all of them.
-    """
-    problems: list[InputProblem] = []
-    values = [numbers(f"--{name}", texts, problems) for name, texts in items.items()]
-    UsageError.raise_for(problems)
-    return values
-
-
-def numbers(option: str, items: list[str] | None, problems: list[InputProblem]) -> dict[str, float]:
-    """Values of NAME=VALUE options; faults are added to ``problems``."""
-    value_of = {}
-    for name, value in _pairs(option, items, problems).items():
-        try:
-            value_of[name] = float(value)
-            usable = math.isfinite(value_of[name])
-        except ValueError:
-            usable = False
-        if not usable:
-            reason = f"{option} {name}={value}: not a valid number"
-            remedy = "give a finite value in SI units, with a point for decimals"
-            problems.append(InputProblem(reason, remedy))
-    return value_of
-
-
-def forces_named(force: list[str] | None) -> list[str] | None:
-    """The forces of ``--force``; None if it is not given.
-
-    Raises:
-        UsageError: of something that is not a force.
-    """
-    wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
-    if wrong:
-        raise UsageError(f"--force {wrong[0]!r} is not a force", "one of fx, fy, mz")
-    return force or None
+    if vehicle is None:
+        refuse(only, "without --vehicle", "name the vehicle.toml of the logs")
+        return
+    unused = {param.name for param in CONTEXT.get().command.params} - {*used}
+    remedy = "leave it out: logs have no such option (vehicle.toml says how they are read)"
+    refuse(unused, "with --vehicle", remedy)
 
 
 _COMMANDS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-_SOON, _NOW_AND_THEN = 5.0, 10.0
-"""Seconds until the first line of progress without a terminal, and between others."""
+"""Characters of a file that would control the terminal; they are not printed."""
 
 
-def read_options(given: DataOptions, config: "FitConfig | None") -> dict[str, Any]:
+def read_options(given: DataOptions, config: "FitConfig | None" = None) -> dict[str, Any]:
     """Arguments of ``tirefit.read``: those of fit.toml, overridden by options.
 
-    Raises:
-        UsageError: options that are not pairs, or without a number; it lists all.
+    Args:
+        config: the content of fit.toml, if it was read before.
     """
-    problems: list[InputProblem] = []
-    named = {
-        "columns": _pairs("--column", given.column, problems),
-        "units": _pairs("--unit", given.unit, problems),
-        "constants": numbers("--constant", given.constant, problems),
-    }
-    UsageError.raise_for(problems)
+    config = config or read_config(given.config)
     below = {} if config is None else config.data.model_dump()
-    single = {}
+    how: dict[str, Any] = {
+        "columns": below.get("columns", {}) | by_name(given.column),
+        "units": below.get("units", {}) | by_name(given.unit),
+        "constants": below.get("constants", {}) | by_name(given.constant),
+    }
     for name in ("convention", "slip", "rolling_radius"):
         chosen, stated = getattr(given, name), below.get(name)
-        single[name] = stated if chosen is None else chosen
+        how[name] = stated if chosen is None else chosen
         if None not in (chosen, stated) and chosen != stated:
             unused = f"[data] {name} = {stated!r} is not used"
-            option = f"--{name.replace('_', '-')} {chosen}"
             where = "" if config is None else config.source
-            complain(f"warning: {where}: {unused}: {option} is given")
-    return {
-        **{name: below.get(name, {}) | pairs for name, pairs in named.items()},
-        **single,
-        "mask_bad_rows": given.mask_bad_rows or below.get("mask_bad_rows", False),
-    }
+            warn_of([f"{unused}: --{name.replace('_', '-')} {chosen} is given"], where)
+    how["mask_bad_rows"] = given.mask_bad_rows or below.get("mask_bad_rows", False)
+    return how
 
 
 def start_jax() -> None:
@@ -308,9 +259,8 @@ def say(text: str) -> None:
     Raises:
         OSError: it cannot be written, for example to a file on a full disk.
     """
-    silence.broken()
     try:
-        typer.echo(_printable(text))
+        typer.echo(_COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text))
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -319,20 +269,14 @@ def say(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
-    silence.broken()
     with suppress(OSError):
-        typer.echo(_printable(text), err=True)
+        typer.echo(_COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text), err=True)
 
 
 def warn_of(warnings: Iterable[str], source: object = "") -> None:
     """Print warnings, after the name of the file that they are about."""
     for text in warnings:
         complain(f"warning: {source}: {text}" if source else f"warning: {text}")
-
-
-def _printable(text: str) -> str:
-    """Replace characters of a file that would control the terminal."""
-    return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 @contextmanager
@@ -370,11 +314,11 @@ def has_terminal() -> bool:
 
 
 @contextmanager
-def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, str], None]]:
+def progress_bar(title: str, soon: float = 5.0) -> Iterator[Callable[[float, str], None]]:
     """Show a bar on a terminal, else print a line from time to time.
 
     Args:
-        soon: seconds until the first line.
+        soon: seconds until the first line, without a terminal.
 
     Yields:
         A function of the share that is done, and of a note.
@@ -388,7 +332,7 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
         def tell(share: float, note: str) -> None:
             nonlocal due
             if share and time.monotonic() >= due:
-                due = time.monotonic() + _NOW_AND_THEN
+                due = time.monotonic() + 10.0  # seconds between lines
                 complain(f"{title}: {100 * share:.0f} %, {note}")
 
         yield tell
@@ -402,13 +346,13 @@ def progress_bar(title: str, soon: float = _SOON) -> Iterator[Callable[[float, s
         task = bar.add_task(title, total=1.0, note="")
 
         def show(share: float, note: str) -> None:
-            silence.broken()
             bar.update(task, completed=share, note=note)
 
         yield show
 
 
 def read_config(path: Path | None) -> "FitConfig | None":
+    """The settings in a fit.toml; None of no file."""
     if path is None:
         return None
     from tirefit.fitting.problem.config import load_config

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tirefit import __version__
-from tirefit.cli.options import CONTEXT, complain, say
+from tirefit.cli.options import CONTEXT, say
 from tirefit.door import replaced_inputs
 from tirefit.files import WRITING, remove_left, replace_together
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
@@ -31,24 +31,24 @@ def check_results(made: Collection[Path], inputs: Iterable[object] = ()) -> None
         UsageError: a folder cannot be created or written.
         DataError: a file is an input, or one that tirefit did not write.
     """
+    remedy = "choose another folder with --out"
     problems, folders = [], dict.fromkeys(path.parent for path in made)
     for directory in folders:
         there = next(p for p in (directory, *directory.absolute().parents) if _is(p))
-        reason, remedy = "", "choose another folder with --out"
+        reason = ""
         if not there.is_dir():
             what = "it is" if there == directory else f"{there} is"
             reason = f"no folder for the results: {what} a file"
         elif not os.access(there, os.W_OK | os.X_OK):
             reason = f"no permission to write into the folder {there.absolute()}"
-        if reason:
-            problems.append(InputProblem(reason, remedy, str(directory)))
+        problems += [InputProblem(reason, remedy, str(directory))] * bool(reason)
     UsageError.raise_for(problems)
     for directory in folders:
         remove_left(directory)  # a killed command may have left its result in parts
     check_inputs_kept(made, inputs)
     reason = "it would be replaced, but tirefit did not write it"
-    remedy = "choose another folder with --out, or rename the file"
     others = [path for path in made if _is(path) and _is_of_others(path, made)]
+    remedy += ", or rename the file"
     DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in others])
 
 
@@ -122,16 +122,6 @@ def _is(path: Path) -> bool:
         return path.exists()
     except OSError:  # no permission to read it
         return False
-
-
-@contextmanager
-def told_where(out: Path, work: str) -> Iterator[None]:
-    """Context manager: report, at an interrupt, the state of the folder of the results."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        complain(f"{out}: the {work} was not complete, so its files are as before")
-        raise
 
 
 @contextmanager
@@ -264,13 +254,10 @@ def done_before(
     # None is empty, as after a crash of the machine.
     if not all(path.is_file() and path.stat().st_size for path in files):
         return None
-    try:
+    with suppress(TirefitError, OSError, ValueError, LookupError, TypeError, AttributeError):
         content = json.loads(document.read_text(encoding="utf-8"))
         return record_of(document) if content["asked"] == asked else None
-    except (TirefitError, OSError, ValueError, LookupError, RecursionError):
-        return None
-    except (TypeError, AttributeError):  # parts of another type
-        return None
+    return None
 
 
 def is_page(path: Path) -> bool:

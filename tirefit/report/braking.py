@@ -8,23 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.params import check_names
-from tirefit.report.canvas import (
-    COLORS,
-    DARK,
-    WIDE,
-    Panel,
-    Picture,
-    axes_panel,
-    boxed,
-    dots,
-    together,
-)
+from tirefit.report import canvas
 from tirefit.report.numbers import format_number
 from tirefit.report.page import Rows, Section, report_text
 from tirefit.sim.brake import Log
 from tirefit.sim.brake_request import tire_curve
 from tirefit.sim.brake_result import LOCKED_SLIP, UNITS, Braking, Stop
-from tirefit.sim.brake_vehicle import road_of
 
 _SHORT = {
     "stopping_distance": "distance",
@@ -36,33 +25,22 @@ _SHORT = {
 """Numbers shown in the terminal."""
 
 
-def _scaled(name: str) -> tuple[float, str]:
-    unit = UNITS[name]
-    return (1e-6, "MPa") if unit == "Pa" else (1.0, unit)
-
-
-def _asked(result: Braking) -> dict[str, str]:
-    """Number -> heading; without a recovery time if the road does not change."""
-    jumps = road_of(result.request.road).jumps
-    return {k: v for k, v in _SHORT.items() if jumps or k != "recovery_time"}
-
-
 def _rows(result: Braking) -> Rows:
     """One row for each controller: its numbers, with intervals over many seeds."""
-    asked, many = _asked(result), result.table()
-    heads = ((text, _scaled(name)[1]) for name, text in asked.items())
-    rows = [["controller", *(t if unit == "-" else f"{t} [{unit}]" for t, unit in heads)]]
+    many = result.table()
+    scales = {key: 1e-6 if UNITS[key] == "Pa" else 1.0 for key in _SHORT}
+    units = {key: "MPa" if UNITS[key] == "Pa" else UNITS[key] for key in _SHORT}
+    heads = (text + f" [{units[key]}]" * (units[key] != "-") for key, text in _SHORT.items())
+    rows = [["controller", *heads]]
     for name, stop in result.stops.items():
-        row = [name]
-        for key in asked:
-            scale, half = _scaled(key)[0], None
-            value = float(getattr(stop.summary, key))
-            if many:
-                value = many[name][key]["mean"]
-                half = (many[name][key]["high"] - value) * scale
+        cells = []
+        for key, scale in scales.items():
+            value = float(many[name][key]["mean"] if many else getattr(stop.summary, key))
             text = format_number(value * scale)
-            row.append(text if half is None or text == "-" else f"{text} ± {half:.2g}")
-        rows.append(row)
+            if many and text != "-":
+                text += f" ± {(many[name][key]['high'] - value) * scale:.2g}"
+            cells.append(text)
+        rows.append([name, *cells])
     return rows
 
 
@@ -88,12 +66,11 @@ def _head(result: Braking) -> str:
 
 def braking_text(result: Braking) -> str:
     """The report for the terminal: numbers by controller, and why each stop ended."""
-    right = range(1, len(_asked(result)) + 1)
-    section = Section("", _notes(result), _rows(result), right=right)
+    section = Section("", _notes(result), _rows(result), right=range(1, len(_SHORT) + 1))
     return f"BRAKING {_head(result)}\n{report_text([section])}"
 
 
-def plot_braking(result: Braking, what: str = "stop") -> Picture:
+def plot_braking(result: Braking, what: str = "stop") -> canvas.Picture:
     """The ``stop`` of every controller over time, or their paths of ``slip``.
 
     Raises:
@@ -104,15 +81,14 @@ def plot_braking(result: Braking, what: str = "stop") -> Picture:
     return figures[what](result)
 
 
-def _together(panels: Sequence[Panel], result: Braking) -> Picture:
-    """The panels with the distance and the friction used of each controller."""
+def _together(panels: Sequence[canvas.Panel], result: Braking) -> canvas.Picture:
     ends = []
     for name, stop in result.stops.items():
         distance, used = stop.summary.stopping_distance, stop.summary.mean_friction_used
         end = f"{distance:.1f} m" if np.isfinite(distance) else "no stop"
         ends.append(f"{name}: {end}, {100 * float(used):.0f} % of the friction")
     foot = f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
-    return together(panels, f"Braking: {_head(result)}", "; ".join(ends), foot)
+    return canvas.together(panels, f"Braking: {_head(result)}", "; ".join(ends), foot)
 
 
 Series = Callable[[Log], Any]
@@ -144,7 +120,7 @@ def draw_series(axes: Any, result: Braking, title: str) -> None:
     """
     _, wheels, beside = _SERIES[title]
     highest = []
-    for color, (name, stop) in zip(COLORS, result.stops.items(), strict=False):
+    for color, (name, stop) in zip(canvas.COLORS, result.stops.items(), strict=False):
         log = stop.log
         if "xbs" not in log.info and title.startswith("Stiffness"):
             continue
@@ -159,14 +135,14 @@ def draw_series(axes: Any, result: Braking, title: str) -> None:
     axes.set_ylim((-0.4 if title.startswith("Stiffness") else -0.1) * top, top)
 
 
-def stop_figure(result: Braking) -> Picture:
+def stop_figure(result: Braking) -> canvas.Picture:
     """Speed, pressure, friction in use and slip over time, and the extended braking stiffness if
     a controller estimates it, as O Figures 8-9 and 12-13."""
     estimates = any("xbs" in stop.log.info for stop in result.stops.values())
     panels = [
-        axes_panel(
+        canvas.axes_panel(
             partial(draw_series, result=result, title=title), title, "time [s]", f"[{unit}]"
-        )._replace(size=(WIDE, 2.1))
+        )._replace(size=(canvas.WIDE, 2.1))
         for title, (unit, *_) in _SERIES.items()
         if estimates or not title.startswith("Stiffness")
     ]
@@ -174,8 +150,7 @@ def stop_figure(result: Braking) -> Picture:
 
 
 def _slowest_shown(stop: Stop) -> float:
-    """Speed [m/s] below which the slip of a wheel is not shown."""
-    # Speed [m/s] above which a path of slip is shown; below, controllers switch off.
+    """Speed [m/s] below which the slip is not shown: there controllers switch off."""
     return min(2.0, 0.5 * float(stop.log.motion.v_x[0]))
 
 
@@ -197,41 +172,31 @@ def path_of(stop: Stop, wheel: int = 0) -> Path:
     return Path(kappa, force, (float(kappa.mean()), float(force.mean())))
 
 
-def paths_figure(result: Braking) -> Picture:
-    """Slip and friction of each controller on the curve of the tire, and their mean, O Figure 10.
-
-    Below: the share of time that it spent at each slip, locked wheels at the right end.
-    """
+def paths_figure(result: Braking) -> canvas.Picture:
+    """Slip and friction of each controller on the tire's curve, and their mean, O Figure 10."""
     peak = max(float(np.max(s.log.reading.truth.peak)) for s in result.stops.values())
     limit = min(8.0 * peak, 1.0)  # largest slip shown, over that of the highest peak
     paths = {name: path_of(stop) for name, stop in result.stops.items()}
 
     def on_curve(axes: Any) -> None:
         for mu, (kappa, force) in tire_curve(result.request, limit).items():
-            axes.plot(kappa, force, color=DARK, linewidth=1.1, zorder=3)
-            place = kappa[-1], force[-1] + 0.02
-            boxed(axes, *place, f"tire at mu = {mu:g}", 7.5, ha="right", va="bottom")
-        for color, (name, path) in zip(COLORS, paths.items(), strict=False):
-            dots(axes, path.kappa, path.force, 2, color, 0.35)
-            beyond = path.mean[0] > limit
-            label = f"{name}: mean" + f", at κ = {path.mean[0]:.2f}" * beyond
+            axes.plot(kappa, force, color=canvas.DARK, linewidth=1.1, zorder=3)
+            place = kappa[len(kappa) // 2], force[len(kappa) // 2] - 0.02  # below the line
+            canvas.boxed(axes, *place, f"tire at mu = {mu:g}", 7.5, ha="center", va="top")
+        for color, (name, path) in zip(canvas.COLORS, paths.items(), strict=False):
+            canvas.dots(axes, path.kappa, path.force, 2, color, 0.35)
             marker = {"markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 4}
-            place = min(path.mean[0], limit), path.mean[1]
-            axes.plot(*place, ">" if beyond else "o", color=color, label=label, **marker)
+            place, label = (
+                (min(path.mean[0], limit), path.mean[1]),
+                f"{name}: mean κ {path.mean[0]:.2g}",
+            )
+            axes.plot(*place, "o", color=color, label=label, **marker)
         axes.set_xlim(-0.02 * limit, limit)
         axes.set_ylim(bottom=0.0)
 
-    def shares(axes: Any) -> None:
-        edges = np.linspace(0.0, limit, 41)
-        for color, path in zip(COLORS, paths.values(), strict=False):
-            counts, _ = np.histogram(np.clip(path.kappa, 0.0, limit), edges)
-            axes.stairs(100 * counts / max(len(path.kappa), 1), edges, color=color, linewidth=1.1)
-        axes.set_xlim(-0.02 * limit, limit)
-
     slowest = min(map(_slowest_shown, result.stops.values()))
     note = f"line: the tire at its static load; dots: every sample above {slowest:.2g} m/s"
-    slip = "slip κ [–]"
     title = "Slip and friction of the first wheel"
-    below = axes_panel(shares, "Time at each slip; the last bar: larger ones", slip, "[%]")
-    above = axes_panel(on_curve, title, slip, "$F_x/F_z$ [–]", note)
-    return _together([above, below._replace(size=(WIDE, 2.1))], result)
+    return _together(
+        [canvas.axes_panel(on_curve, title, "slip κ [–]", "$F_x/F_z$ [–]", note)], result
+    )

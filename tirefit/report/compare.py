@@ -12,7 +12,7 @@ from tirefit.report.diagnosis.words import name_of, readable_unit
 from tirefit.report.fit.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit.tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number, plain_text
-from tirefit.report.page import Rows, Section, fragment, image_of, page, report_text, verdict_of
+from tirefit.report.page import Rows, Section, fragment, page, report_text, verdict_of
 from tirefit.results import UsageError
 
 _NAMED = 6  # largest number of parameters that do not differ and are named
@@ -22,10 +22,8 @@ _JUDGING = "diagnosis", "description"  # kinds of sources that name effects
 def answer(result: Comparison) -> list[str]:
     """What differs, and what does not: parameters, forces, effects."""
     lines = [*result.meanings, *_on_numbers(result)]
-    for force in result.forces:
-        lines += [
-            _on_force(force, name, x) for name, x in force.curves.items() if x.slip is not None
-        ]
+    for gap in result.forces:
+        lines += [_on_force(gap, name, x) for name, x in gap.curves.items() if x.slip is not None]
     lines += _on_effects(result)
     lines.sort(key=lambda text: " not differ" in text)  # what differs is told first
     return lines or ["the sources have nothing in common to compare"]
@@ -37,13 +35,12 @@ def _by(value: float, std: float, unit: str, errors: float) -> str:
 
 
 def _on_numbers(result: Comparison) -> Iterator[str]:
-    tested = [number for number in result.numbers if number.p is not None]
-    yield from (
-        f"{number.name} differs: {_difference(number)}" for number in tested if number.differs
-    )
-    same = [
-        f"{number.name} ({number.errors:.1f} errors)" for number in tested if not number.differs
-    ]
+    same = []
+    for number in (number for number in result.numbers if number.p is not None):
+        if number.differs:
+            yield f"{number.name} differs: {_difference(number)}"
+        else:
+            same.append(f"{number.name} ({number.errors:.1f} errors)")
     if same:
         more = f" and {len(same) - _NAMED} more" if len(same) > _NAMED else ""
         verb = "does" if len(same) == 1 else "do"
@@ -177,26 +174,19 @@ def _ranking(result: Comparison) -> Section:
     force = result.sources[0].content["forces"][0]
     head = ("model", "k", f"RMSE [{FORCE_UNIT[force]}]", "AICc", "Δ AICc", "Δ BIC", "n_eff")
     rows: list[Sequence[str]] = [(*head, "verdict")]
+    notes = []
     for model in result.models:
         off = f"{model.aicc:.1f}", f"{model.aicc - first.aicc:.1f}", f"{model.bic - least:.1f}"
         size = str(model.unknowns), format_number(model.rmse)
         rows.append((model.model, *size, *off, f"{model.n_effective:.0f}", model.status))
-    notes = []
-    for model in result.models:
-        source = next(x for x in result.sources if x.model == model.model)
+        numbers = next(x for x in result.sources if x.model == model.model).numbers.items()
         values = (
             f"{name} = {'not identified' if x.std is None else format_estimate(x.value, x.std)}"
             + f" {x.unit}" * (x.unit != "-")
-            for name, x in source.numbers.items()
+            for name, x in numbers
         )
         notes.append(f"{model.model}: {', '.join(values)}")
-    effective = [model.n_effective for model in result.models]
-    if max(effective) > 1.1 * min(effective):
-        best = min(result.models, key=lambda model: model.rmse)
-        notes.append(
-            "AICc and BIC count the rows of every model as"
-            f" {best.n_effective:.0f}, the effective number of the closest fit"
-        )
+    notes.append("AICc and BIC count the rows as the effective number of the closest fit")
     return Section("", notes, rows, right=range(1, len(rows[0]) - 1))
 
 
@@ -237,21 +227,17 @@ def plot_comparison(result: Comparison) -> Picture:
     return together(panels, _title(result), "; ".join(answer(result)), "braking positive, SI")
 
 
-def comparison_page(result: Comparison) -> str:
+def comparison_page(result: Comparison, form: str = "page.html") -> str:
     """The comparison as one HTML document with its pictures."""
-    sections = [
-        Section("", pictures=images_of(map(_force_panel, result.forces))),
-        *sections_of(result),
-    ]
+    pictures = images_of(map(_force_panel, result.forces))
+    sections = [Section("", pictures=pictures), *sections_of(result)]
     first, *more = answer(result)
-    return page(_title(result), sections, verdict_of(first, more, True), record=result.to_json())
+    record = result.to_json() if form == "page.html" else ""
+    return page(_title(result), sections, verdict_of(first, more, True), "", record, form)
 
 
 def comparison_fragment(result: Comparison) -> str:
-    """The tables, with the figure, for notebooks."""
+    """The tables, with the figures, for notebooks."""
     if result.models:
         return fragment("", sections_of(result))
-    pictures = [image_of(plot_comparison(result), _title(result))] if result.forces else []
-    first, *more = answer(result)
-    sections = [Section("", pictures=pictures), *sections_of(result)]
-    return fragment(_title(result), sections, verdict_of(first, more, True))
+    return comparison_page(result, "fragment.html")

@@ -1,6 +1,7 @@
 """Report of online estimates: text and figure."""
 
 from functools import partial
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -42,50 +43,27 @@ def estimates_text(result: Estimates) -> str:
     return f"{head}\n{report_text([Section('', _notes(result), _rows(result), right=(2,))])}"
 
 
-def shaded_spans(result: Estimates) -> list[tuple[float, float]]:
-    """Spans [s] in which every method flags the rows, without detections of a change."""
-    flags = [(m.flag > 0) & (m.flag != code(Flag.CHANGED)) for m in result.methods.values()]
-    bad = np.all(flags, axis=0) & np.isfinite(result.time)
-    edges = np.flatnonzero(np.diff(np.r_[False, bad, False].astype(int)))
-    last = len(result.time) - 1
-    return [
-        (float(result.time[begin]), float(result.time[min(end, last)]))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True)
-    ]
-
-
-def _limits(result: Estimates, parameter: str) -> tuple[float, float] | None:
-    """Range of the supported estimates of a parameter with a margin; of all if none is."""
-    values = []
-    for method in result.methods.values():
-        if parameter in method.parameters:
-            series, good = method[parameter], method.flag == 0
-            values.append(series[good] if good.any() else series)
-    known = np.concatenate(values)
-    known = known[np.isfinite(known)]
-    if not len(known):
-        return None
-    low, high = np.percentile(known, [0.5, 99.5])
-    # Margin of an axis, over the range of the estimates.
-    room = 0.15 * max(high - low, 0.2 * abs(high))
-    return max(low - room, 0.0), high + room
-
-
 def _draw(axes: Any, result: Estimates, parameter: str) -> None:
-    """One parameter by all methods that estimate it: line, band, flagged rows."""
+    """One parameter by all methods that estimate it: line, band, changes, flagged rows."""
+    values, time = [], result.time
     for color, (name, method) in zip(COLORS, result.methods.items(), strict=False):
-        if parameter in method.parameters:
-            value, std = method[parameter], method.std_of(parameter)
-            axes.plot(result.time, value, color=color, linewidth=1.1, label=name)
-            low, high = value - std, value + std
-            axes.fill_between(result.time, low, high, color=color, alpha=0.2, linewidth=0)
-            for change in changes(result.time, method):
-                if change.parameter == parameter:
-                    axes.axvline(change.time, color=color, linewidth=0.8, linestyle=":")
-    if (limits := _limits(result, parameter)) is not None:
-        axes.set_ylim(*limits)
-    for begin, end in shaded_spans(result):
-        axes.axvspan(begin, end, color=GREY, alpha=0.15, linewidth=0)
+        if parameter not in method.parameters:
+            continue
+        value, std, is_good = method[parameter], method.std_of(parameter), method.flag == 0
+        axes.plot(time, value, color=color, linewidth=1.1, label=name)
+        axes.fill_between(time, value - std, value + std, color=color, alpha=0.2, linewidth=0)
+        for change in changes(time, method):
+            if change.parameter == parameter:
+                axes.axvline(change.time, color=color, linewidth=0.8, linestyle=":")
+        values.append(value[is_good] if is_good.any() else value)
+    known = np.concatenate(values)
+    if len(known := known[np.isfinite(known)]):  # the axis ends at the supported estimates
+        low, high = np.percentile(known, [0.5, 99.5])
+        room = 0.15 * max(high - low, 0.2 * abs(high))
+        axes.set_ylim(max(low - room, 0.0), high + room)
+    flags = [(m.flag > 0) & (m.flag != code(Flag.CHANGED)) for m in result.methods.values()]
+    grey = {"transform": axes.get_xaxis_transform(), "color": GREY, "alpha": 0.15, "linewidth": 0}
+    axes.fill_between(time, 0, 1, where=np.all(flags, axis=0), **grey)
 
 
 def estimates_figure(result: Estimates) -> Picture:
@@ -100,11 +78,7 @@ def estimates_figure(result: Estimates) -> Picture:
         draw = partial(_draw, result=result, parameter=name)
         panels.append(axes_panel(draw, name, "time [s]", label))
     if result.use is not None:
-        use = result.use
-
-        def draw_use(axes: Any) -> None:
-            axes.plot(result.time, use, color=DARK, linewidth=0.5)
-
+        draw_use = methodcaller("plot", result.time, result.use, color=DARK, linewidth=0.5)
         panels.append(axes_panel(draw_use, "used friction", "time [s]", "$F_x / F_z$ [–]"))
     foot = f"tirefit {result.version} · braking positive, SI"
     text = "band: one standard deviation; grey: rows that every method flags"

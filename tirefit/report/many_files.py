@@ -10,18 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit import __version__
-from tirefit.data.merged import merged
 from tirefit.data.records import FAILED, FileRecord, dates_of
 from tirefit.data.run_names import run_names
 from tirefit.files import write_texts
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import record_of_fit
-from tirefit.fitting.uncertainty.derived import quantity_of
 from tirefit.fitting.verdict.across_files import AcrossFiles, across_files
 from tirefit.report.canvas import images_of
 from tirefit.report.fit.values import Points, points_panel
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.page import Rows, Section, page, table_parts, verdict_of
+from tirefit.report.page import Rows, Section, first_of, page, table_parts, verdict_of
 from tirefit.results import Outcome, UsageError
 
 _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
@@ -51,12 +49,6 @@ class Quantity(NamedTuple):
     @property
     def title(self) -> str:
         return f"{self.name} [{self.unit}]" if self.unit not in ("", "-") else self.name
-
-    @property
-    def whole(self) -> bool:
-        """Whether it counts something, such as rows."""
-        values = self.value[self.known]
-        return self.kind == "statistic" and np.array_equal(values, np.round(values))
 
 
 class Files(NamedTuple):
@@ -108,11 +100,6 @@ def summary_table(fits: Sequence[FileRecord]) -> str:
     return "\n".join(["", f"SUMMARY{of}", *table_parts(_table_of_files(files))])
 
 
-def _cell(value: float | None, std: float | None) -> str:
-    """A value with its standard deviation; ``-`` if the data do not determine it."""
-    return "-" if value is None or np.isnan(value) else format_estimate(value, std or None)
-
-
 def _main(files: Files) -> list[Quantity]:
     """Parameters, effects, gaps and the misfit, from which the other quantities follow."""
     return [q for q in files.quantities if q.kind in _KINDS[:3] or q.name == "rmse"]
@@ -123,86 +110,83 @@ def _table_of_files(files: Files) -> Rows:
     shown = _main(files)
     rows = [["file", *(q.title for q in shown), "verdict"]]
     for k, (name, record) in enumerate(zip(files.names, files.records, strict=True)):
-        cells = [_cell(q.value[k], q.std[k]) if q.known[k] else "-" for q in shown]
+        cells = [format_estimate(q.value[k], q.std[k]) if q.known[k] else "-" for q in shown]
         rows.append([name, *cells, record.status])
     return rows
 
 
 def _quantities(files: Files) -> Rows:
-    head = ("quantity", "unit", "files", "not determined", "middle", "scatter between files",
-            "a file's own std", "change, first to last", "differ")  # fmt: skip
-    rows: list[Sequence[str]] = [head]
+    head = "quantity", "unit", "files", "not determined", "middle", "scatter between files"
+    rows = [[*head, "a file's own std", "change, first to last", "differ"]]
     for quantity in files.quantities:
-        across, std = quantity.across, quantity.std[quantity.known]
+        across, std, count = quantity.across, quantity.std[quantity.known], quantity.known.sum()
+        middle = format_number(across.middle), format_number(across.scatter, 2)
         change = "too few files"
         if across.change_std > 0:
-            change = format_estimate(across.change, across.change_std)
-            change += ": drifts" * across.drifts
-        rows.append(
-            (
-                quantity.name,
-                quantity.unit,
-                str(quantity.known.sum()),
-                str(len(quantity.known) - quantity.known.sum()),
-                format_number(across.middle),
-                format_number(across.scatter, 2),
-                format_number(float(np.median(std))) if std.any() else "-",
-                change,
-                str(int(across.outlier.sum())),
-            )
-        )
+            change = format_estimate(across.change, across.change_std) + ": drifts" * across.drifts
+        typical = format_number(float(np.median(std))) if std.any() else "-"
+        counts = str(count), str(len(quantity.known) - count)
+        more = typical, change, str(int(across.outlier.sum()))
+        rows.append([quantity.name, quantity.unit, *counts, *middle, *more])
     return rows
 
 
 def _different(files: Files) -> Rows:
     """The files that differ most in any quantity."""
-    outliers: list[tuple[float, Quantity, int]] = [
-        (float(pull), quantity, int(k))
-        for quantity in files.quantities
-        for k, pull, is_far in zip(
-            np.flatnonzero(quantity.known),
-            quantity.across.pulls,
-            quantity.across.outlier,
-            strict=True,
-        )
-        if is_far
-    ]
+    outliers = []
+    for q in files.quantities:
+        places, pulls = np.flatnonzero(q.known)[q.across.outlier], q.across.pulls[q.across.outlier]
+        outliers += [(pull, q, k) for pull, k in zip(pulls, places, strict=True)]
     outliers.sort(key=lambda item: -abs(item[0]))
     rows = [("file", "quantity", "value ± std", "unit", "distance in std")]
-    for pull, quantity, k in outliers[:_LISTED]:
-        text = _cell(quantity.value[k], quantity.std[k])
-        rows.append((files.records[k].file, quantity.name, text, quantity.unit, f"{pull:+.1f}"))
+    for pull, q, k in outliers[:_LISTED]:
+        text = format_estimate(q.value[k], q.std[k])
+        rows.append((files.records[k].file, q.name, text, q.unit, f"{pull:+.1f}"))
     return rows
 
 
 def points_of(files: Files, quantity: Quantity) -> Points:
     """A quantity over the dates or the names of the files, with its line over time."""
-    count, known, across = len(quantity.known), quantity.known, quantity.across
-    when = np.arange(float(count))
+    known, across, value = quantity.known, quantity.across, quantity.value
+    when = np.arange(float(len(known)))
     if files.dates is not None:
         when = files.dates.astype(float) / 86400  # days, as Matplotlib counts them
     at = when[known]
-    share = (at - at.mean()) / (np.ptp(at) or 1.0)
-    outlier = np.zeros(count, bool)
+    line = across.middle + across.change * (when - at.mean()) / (np.ptp(at) or 1.0)
+    outlier = np.zeros(len(known), bool)
     outlier[known] = across.outlier
-    line = at, across.middle + across.change * share, across.scatter
-    return Points(
-        quantity.title,
-        () if files.dates is not None else files.names,
-        when,
-        quantity.value,
-        quantity.value - quantity.std,
-        quantity.value + quantity.std,
-        known,
-        outlier,
-        line,
-        quantity.whole,
-    )
+    names, bars = () if files.dates is not None else files.names, quantity.std
+    ends, line_of = (value - bars, value + bars), (line, across.scatter)
+    return Points(quantity.title, names, when, value, *ends, known, outlier, line_of)
 
 
-def _pictures(files: Files) -> list[dict[str, Any]]:
+def _verdict(files: Files) -> dict[str, Any]:
+    """How many files have each status, and the problems of single ones."""
+    status = [record.status for record in files.records]
+    counts = [f"{count} {name}" for name, count in Counter(status).most_common(_LISTED)]
+    lines = [f"{x.file}: {x.status}: {x.problem}" for x in files.records if x.problem]
+    sentence = f"Verdict: of {len(status)} files: {', '.join(counts)}"
+    return verdict_of(sentence, first_of(lines, _LISTED), set(status) == {Outcome.OK})
+
+
+def _settings(files: Files) -> Iterator[str]:
+    names = {"model": "model", "convention": "convention of the files", "seed": "seed"}
+    for column, label in (names | {"version": "version"}).items():
+        given = (getattr(record, column) for record in files.records)
+        count = Counter(str(value) for value in given if value not in ("", None)).most_common()
+        texts = [name + f" ({times} files)" * (len(count) > 1) for name, times in count[:4]]
+        yield f"{label}: {', '.join(texts)}" + f" and {len(count) - 4} others" * (len(count) > 4)
+    dated = "the dates in the files' names"
+    without = "the order of the files: their names do not all have a date"
+    yield f"time: {without if files.dates is None else dated}; page by {__version__}"
+
+
+def files_page(files: Files, title: str) -> str:
+    """Results of several files as one HTML document, without script or external resource."""
+    none = ["no quantity of three files or more"] * (not files.quantities)
+    first = f"the first {_LISTED}" * (len(files.names) > _LISTED)
     note = "± standard deviation; grey: scatter of files {}"
-    return images_of(
+    pictures = images_of(
         points_panel(
             points_of(files, quantity),
             f"{quantity.name} over the files",
@@ -210,56 +194,12 @@ def _pictures(files: Files) -> list[dict[str, Any]]:
         )
         for quantity in _main(files)[:_PICTURES]
     )
-
-
-def _verdict(files: Files) -> dict[str, Any]:
-    """How many files have each status, and the problems of single ones."""
-    status = [record.status for record in files.records]
-    counts = [f"{count} {name}" for name, count in Counter(status).most_common(_LISTED)]
-    lines = [
-        f"{record.file}: {record.status}: {record.problem}"
-        for record in files.records
-        if record.problem
-    ]
-    more = [f"and {len(lines) - _LISTED} more"] * (len(lines) > _LISTED)
-    sentence = f"Verdict: of {len(status)} files: {', '.join(counts)}"
-    return verdict_of(sentence, [*lines[:_LISTED], *more], set(status) == {Outcome.OK})
-
-
-def _settings(files: Files, notes: Sequence[str]) -> Iterator[str]:
-    def each(column: str) -> str:
-        given = (getattr(record, column) for record in files.records)
-        values = [str(value) for value in given if value not in ("", None)]
-        count = Counter(values).most_common(4)
-        more = len(set(values)) - len(count)
-        texts = [f"{name} ({times} files)" if len(count) > 1 else name for name, times in count]
-        return ", ".join(texts) + f" and {more} others" * bool(more)
-
-    yield f"model: {each('model')}"
-    yield f"convention of the files: {each('convention')}"
-    yield f"seed: {each('seed')}"
-    yield f"version: {each('version')}, page by {__version__}"
-    if files.dates is None:
-        yield "time: the order of the files: their names do not all have a date"
-    else:
-        yield "time: the dates in the files' names"
-    yield from notes
-
-
-def files_page(files: Files, title: str, notes: Sequence[str] = ()) -> str:
-    """Results of several files as one HTML document, without script or external resource.
-
-    Args:
-        notes: assumptions on the files.
-    """
-    none = ["no quantity of three files or more"] * (not files.quantities)
-    first = f"the first {_LISTED}" * (len(files.names) > _LISTED)
     sections = [
         Section("Files", (), _table_of_files(files)[: _LISTED + 1], note=first),
-        Section("Quantities over the files", none, _quantities(files), _pictures(files)),
+        Section("Quantities over the files", none, _quantities(files), pictures),
         Section("Files that differ", (), _different(files), note=_DISTANCE),
-        Section("Data and settings", list(_settings(files, notes))),
-    ]  # fmt: skip
+        Section("Data and settings", list(_settings(files))),
+    ]
     subtitle = "; ".join(filter(None, [files.pattern, "braking positive, SI"]))
     return page(title, sections, _verdict(files), subtitle)
 
@@ -271,37 +211,23 @@ def write_fleet_page(records: Sequence[FileRecord], path: Path, command: str) ->
     write_texts({path: files_page(files, title)})
 
 
-def fits_page(fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None) -> str:
+def fits_page(fits: Mapping[str, FitResult]) -> str:
     """Several fits as one HTML document; arguments as :func:`write_fits_page`."""
     if not fits:
         raise UsageError("no fit for the page", "give fits by name: {'dry': fit, ...}")
-    records = []
-    for name, result in fits.items():
-        problem = result.warnings[0] if result.outcomes else ""
-        record = record_of_fit(result.to_dict(), name)
-        # Parameters per run are on the page of each fit.
-        rows = tuple(row for row in record.rows if row.name == quantity_of(row.name))
-        records.append(replace(record, file=name, problem=problem, rows=rows))
-    records += [
-        FileRecord(name, "", "", FAILED, problem=text) for name, text in (failed or {}).items()
+    records = [
+        replace(record_of_fit(result.to_dict(), name), file=name) for name, result in fits.items()
     ]
-    files = files_of(records)
-    notes = merged((name, result.data["assumptions"]) for name, result in fits.items())
     models = ", ".join(dict.fromkeys(result.model for result in fits.values()))
-    return files_page(files, f"{models} fitted to {len(fits)} files", notes)
+    return files_page(files_of(records), f"{models} fitted to {len(fits)} files")
 
 
-def write_fits_page(
-    fits: Mapping[str, FitResult],
-    path: str | os.PathLike[str],
-    failed: Mapping[str, str] | None = None,
-) -> None:
+def write_fits_page(fits: Mapping[str, FitResult], path: str | os.PathLike[str]) -> None:
     """Write the page of several fits, completely or not at all.
 
     Args:
         fits: file (or any other name) -> its fit, in the order of the page.
         path: of the page, such as ``fits.html``.
-        failed: file -> reason why it could not be fitted.
 
     Raises:
         UsageError: there is no fit.
@@ -312,4 +238,4 @@ def write_fits_page(
         >>> fits = {name: fit(samples / f"{name}.csv") for name in names}
         >>> write_fits_page(fits, folder / "fits.html")
     """
-    write_texts({path: fits_page(fits, failed)})
+    write_texts({path: fits_page(fits)})

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
 from tirefit.models import AbstractTire
 from tirefit.online.base import PARAMETERS, AbstractEstimator
@@ -11,29 +10,16 @@ from tirefit.report.numbers import format_number
 from tirefit.report.page import table, wrapped
 
 _LETTERS = re.compile(r"d?m?(ns?|hs?)?")
-
-
-def _spelled(name: str, models: Mapping[str, AbstractTire]) -> str:
-    """The family that a name is spelled from, empty for a name of its own."""
-    family, _, letters = name.partition("-")
-    return family if letters and family in models and _LETTERS.fullmatch(letters) else ""
-
-
-def _parameters(model: AbstractTire) -> str:
-    declared = specs(model)
-    return ", ".join(name if spec.free else f"({name})" for name, spec in declared.items())
+"""Letters with which the name of a model of a family ends."""
 
 
 def _parameter_rows(models: Mapping[str, AbstractTire]) -> list[list[str]]:
-    known: dict[str, Spec] = {}
+    rows = {"": ["parameter", "unit", "bounds", "start", "source", "meaning"]}
     for model in models.values():
         for name, spec in specs(model).items():
-            known.setdefault(name, spec)
-    rows = [["parameter", "unit", "bounds", "start", "source", "meaning"]]
-    for name, spec in known.items():
-        *numbers, meaning = _row(name, spec)
-        rows.append([*numbers, spec.source, meaning])
-    return rows
+            *numbers, meaning = _row(name, spec)
+            rows.setdefault(name, [*numbers, spec.source, meaning])
+    return [*rows.values()]
 
 
 def _row(label: str, spec: Spec) -> list[str]:
@@ -57,9 +43,13 @@ def models_table(models: Mapping[str, AbstractTire]) -> str:
     """Models by name, every parameter once, then the spelled combinations."""
     families: dict[str, list[str]] = {}
     for name in models:
-        families.setdefault(_spelled(name, models), []).append(name)
+        family, _, letters = name.partition("-")
+        is_spelled = letters and family in models and _LETTERS.fullmatch(letters)
+        families.setdefault(family if is_spelled else "", []).append(name)
     rows = [["model", "parameters"]]
-    rows += [[name, _parameters(models[name])] for name in families.pop("", [])]
+    for name in families.pop("", []):
+        declared = specs(models[name]).items()
+        rows.append([name, ", ".join(key if spec.free else f"({key})" for key, spec in declared)])
     lines = ["MODELS (in brackets: fixed unless freed)", *_folded(rows), ""]
     lines += ["PARAMETERS", *_folded(_parameter_rows(models)), ""]
     if families:
@@ -82,28 +72,17 @@ _MEANING = {
 def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
     """Every method with inputs, estimates, valid range of used friction, source, settings."""
     lines = ["METHODS of `tirefit estimate`"]
-    known: dict[str, dict[tuple[Any, ...], list[tuple[str, Spec]]]] = {}
+    rows = [["setting", "unit", "bounds", "default", "meaning"]]
     for name, kind in methods.items():
-        method = kind.method
+        method, settings = kind.method, specs(kind())
         estimates = (f"{p} [{PARAMETERS[p].unit}]" for p in method.parameters)
-        settings = specs(kind())
-        for key, spec in settings.items():
-            alike = (spec.unit, spec.bounds, spec.default)
-            known.setdefault(key, {}).setdefault(alike, []).append((name, spec))
         lines += ["", f"  {name}: {method.meaning}, {method.source}"]
         items = {
             "inputs": f"time, {', '.join(method.inputs)}",
             "estimates": ", ".join(estimates),
             "valid": method.valid,
-            "settings": ", ".join(settings),
         }
         for head, text in items.items():
             lines += wrapped(text, f"    {head:<10}", " " * 14)
-    rows = [["setting", "unit", "bounds", "default", "meaning"]]
-    for key, kinds in known.items():
-        # The value that most methods have, then the exceptions by name.
-        usual, *others = sorted(kinds.values(), key=len, reverse=True)
-        rows.append(_row(key, usual[0][1]))
-        for takers in others:
-            rows += [_row(f"  {name}.{key}", spec) for name, spec in takers]
+        rows += [_row(f"{name}.{key}", spec) for key, spec in settings.items()]
     return "\n".join([*lines, "", "SETTINGS (--set METHOD.NAME=VALUE)", *table(rows)])

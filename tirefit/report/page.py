@@ -4,7 +4,7 @@ import base64
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,6 @@ from tirefit.results import UsageError
 
 WIDTH = 88
 """Largest number of columns of a text report."""
-_NAME = 13  # columns of the name of a line
 _HANGING = 6  # indentation of the further lines of a sentence
 
 GOOD, OPEN = "#009E73", "#D55E00"
@@ -104,15 +103,10 @@ def wrapped(text: str, first: str = "", more: str = "") -> list[str]:
     )
 
 
-def indented(text: str) -> list[str]:
-    """A sentence as lines of a section."""
-    return wrapped(f"  {text}", "", " " * _HANGING)
-
-
-def named(name: str, text: str) -> list[str]:
-    """Lines of a text beside its name."""
-    lead = f"  {name:<{_NAME}}"
-    return wrapped(text, lead, " " * len(lead)) or [lead.rstrip()]
+def first_of(lines: Sequence[str], most: int, where: str = "") -> list[str]:
+    """At most this many lines, then how many more there are, and where."""
+    rest = len(lines) - most
+    return [*lines[:most], *[f"and {rest} more{where}"] * (rest > 0)]
 
 
 def named_lines(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
@@ -131,9 +125,10 @@ def section_text(section: Section) -> Iterator[str]:
         yield from table_parts(section.table, section.right)
     for line in section.lines:
         if isinstance(line, str):
-            yield from indented(line)
+            yield from wrapped(f"  {line}", "", " " * _HANGING)
         else:
-            yield from named(*line)
+            lead = f"  {line[0]:<13}"
+            yield from wrapped(line[1], lead, " " * len(lead)) or [lead.rstrip()]
 
 
 def report_text(sections: Sequence[Section], apart: bool = False) -> str:
@@ -174,24 +169,20 @@ def page(
     verdict: Mapping[str, Any] | None = None,
     subtitle: str = "",
     record: str = "",
+    form: str = "page.html",
 ) -> str:
     """One HTML document, without script or external resource; every value is escaped.
 
     Args:
         verdict: of :func:`verdict_of`.
         record: the whole result as JSON.
+        form: name of the template.
     """
-    return template("page.html").render(vars())
+    return template(form).render(vars())
 
 
-def fragment(
-    title: str,
-    sections: Sequence[Section],
-    verdict: Mapping[str, Any] | None = None,
-    subtitle: str = "",
-) -> str:
-    """The same as a part of a document, for notebooks."""
-    return template("fragment.html").render(vars())
+fragment = partial(page, form="fragment.html")
+"""The same as a part of a document, for notebooks."""
 
 
 def verdict_of(sentence: str, lines: Sequence[str], is_good: bool) -> dict[str, Any]:
@@ -223,15 +214,12 @@ def _whole(record: Record) -> Section:
     return Section("", text=record.summary(), pictures=pictures)
 
 
-def _range_row(data: TireData, name: str) -> tuple[str, ...]:
-    values = np.asarray(data.usable(name), float)
-    values = values[np.isfinite(values)]
-    unit = CANONICAL.get(name.removesuffix("_std"), ("", ""))[0]
-    header = data.source.columns.get(name, "")
-    if len(values) == 0:
-        return (name, header, unit, "-", "-", "-")
-    spread = (np.min(values), np.median(values), np.max(values))
-    return (name, header, unit, *(format_number(float(v)) for v in spread))
+def spread(values: Any) -> list[str]:
+    """The smallest, the median and the largest of finite values, as cells of a table."""
+    values = np.asarray(values, float)
+    known = values[np.isfinite(values)]
+    ends = np.quantile(known, (0, 0.5, 1)) if len(known) else [np.nan] * 3
+    return [format_number(float(x)) for x in ends]
 
 
 def data_fragment(data: TireData) -> str:
@@ -239,7 +227,9 @@ def data_fragment(data: TireData) -> str:
     source, masked = data.source, len(data) - data.n
     used = f"{data.n} rows" + f" ({masked} more masked)" * bool(masked)
     used += f", {len(data.runs)} runs" * (len(data.runs) > 1)
-    rows: list[tuple[str, ...]] = [("column", "in the file", "unit", "min", "median", "max")]
-    rows += [_range_row(data, name) for name in data.columns]
+    rows = [["column", "in the file", "unit", "min", "median", "max"]]
+    for name in data.columns:
+        unit = CANONICAL.get(name.removesuffix("_std"), ("", ""))[0]
+        rows.append([name, source.columns.get(name, ""), unit, *spread(data.usable(name))])
     notes = [*source.notes, *(str(problem) for problem in source.masked[:5])]
     return fragment(data.file, [Section("", notes, rows)], subtitle=used)

@@ -1,5 +1,6 @@
 """Figure of a whole rig test: channels, segments and kept rows."""
 
+from collections import Counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,82 +60,53 @@ class Strip(NamedTuple):
         return {"facecolor": _COLOR[self.kind], "alpha": 0.45 if self.is_kept else 0.22}
 
 
-def _is_telling(name: str, prepared: Prepared, settings: int) -> bool:
-    """Whether a channel changed by more than noise about one value."""
-    size = swept_range(prepared.columns[name])
-    if name in LEAST:
-        return size >= LEAST[name]
-    if name in ("fx", "fy") and "fz" in prepared.columns:
-        # Smallest range of a force that has a panel, over the largest load.
-        return size >= 0.1 * float(np.max(prepared.columns["fz"]))
-    return name not in ("gamma", "pressure", "v") or settings != 1
-
-
 def panels_of(prepared: Prepared) -> list[Panel]:
     """The channels that changed by more than noise about one value."""
-    panels = []
-    for name, label in _PANELS.items():
-        if name not in prepared.columns:
+    panels, columns = [], prepared.columns
+    # Smallest range of a force that has a panel: a tenth of the largest load.
+    least = LEAST | dict.fromkeys(("fx", "fy"), 0.1 * float(np.max(columns.get("fz", 0.0))))
+    for name in (name for name in _PANELS if name in columns):
+        value, settings = columns[name], prepared.settings.get(name)
+        held = settings.center if settings is not None and settings.is_held else np.zeros(0)
+        is_one = name in ("gamma", "pressure", "v") and len(held) == 1
+        if swept_range(value) < least[name] if name in least else is_one:
             continue
-        value = prepared.columns[name]
-        settings = prepared.settings.get(name)
         scale, unit = (SHOWN | _ALSO)[name]
         if name == "sigma_x":
             value = slip_from_sigma(value, "slip_ratio")
         if unit == "N" and np.max(np.abs(value)) > 2000.0:  # forces above this [N] are shown in kN
             scale, unit = 1e-3, "kN"
-        held = settings is not None and settings.is_held
-        center = settings.center if settings is not None and held else np.zeros(0)
-        if not _is_telling(name, prepared, len(center)):
-            continue
-        center = scale * center if name not in ("alpha", "sigma_x") else np.zeros(0)
-        panels.append(Panel(name, f"{label}\n[{unit}]", scale * value, center))
+        held = held[:0] if name in ("alpha", "sigma_x") else scale * held
+        panels.append(Panel(name, f"{_PANELS[name]}\n[{unit}]", scale * value, held))
     return panels
 
 
 def strips_of(prepared: Prepared) -> list[Strip]:
     """The segments of each kind."""
-    time, step = prepared.series.time, 1.0
-    if prepared.series.rate is not None:
-        step = 1 / prepared.series.rate
-    strips: dict[str, Strip] = {}
+    time, rate = prepared.series.time, prepared.series.rate
+    step = 1.0 if rate is None else 1 / rate
+    parts: dict[str, list[Any]] = {kind: [] for kind in _COLOR}
     for part in prepared.segments:
-        kind = f"{part.kind} {part.direction}" if part.kind == "sweep" else part.kind
-        begin = float(time[part.begin])
-        width = float(time[part.end - 1]) + step - begin
-        there = strips.get(kind, Strip(kind, [], 0, part.kind in prepared.config.keep))
-        rows = there.rows + part.end - part.begin
-        strips[kind] = there._replace(spans=[*there.spans, (begin, width)], rows=rows)
-    order = list(_COLOR)
-    return sorted(strips.values(), key=lambda strip: order.index(strip.kind))
+        parts[f"{part.kind} {part.direction}" if part.kind == "sweep" else part.kind].append(part)
+    return [
+        Strip(
+            kind,
+            [(float(time[p.begin]), float(time[p.end - 1] - time[p.begin]) + step) for p in each],
+            sum(p.end - p.begin for p in each),
+            each[0].kind in prepared.config.keep,
+        )
+        for kind, each in parts.items()
+        if each
+    ]
 
 
 def title_of(prepared: Prepared) -> str:
     """The numbers of sweeps, steady states and bins, and the share of rows kept."""
-    kept, total = int(prepared.kept.sum()), len(prepared.data)
-    sweeps, states = (
-        sum(part.kind == kind for part in prepared.segments) for kind in ("sweep", "steady")
-    )
+    share = prepared.kept.sum() / len(prepared.data)
+    counts = Counter(part.kind for part in prepared.segments)
     bins = {p.bin for p in prepared.segments if p.kind in prepared.config.keep}
-    what = [
-        f"{count} {word}{'s' if count > 1 else ''}"
-        for count, word in ((sweeps, "sweep"), (states, "steady state"))
-        if count
-    ]
-    title = f"{prepared.data.name}: {' and '.join(what) or 'no sweep'} in {len(bins)}"
-    title += f" bin{'s' if len(bins) > 1 else ''}, {kept / total:.0%} of the rows kept"
-    return title
-
-
-def _draw(axes: Any, panel: Panel, time: np.ndarray, strips: list[Strip]) -> None:
-    whole = {"transform": axes.get_xaxis_transform(), "linewidth": 0, "zorder": 0}
-    for strip in strips:
-        axes.broken_barh(strip.spans, (0, 1), **strip.style, **whole)
-    for setting in panel.settings:
-        axes.axhline(setting, color=DARK, linewidth=0.5, linestyle=":", zorder=1)
-    axes.plot(time, panel.value, color=DARK, linewidth=0.6, zorder=2)
-    tidy(axes, "", panel.label, 8)
-    axes.margins(x=0)
+    what = f"{counts['sweep']} sweeps and {counts['steady']} steady states in {len(bins)} bins"
+    return f"{prepared.data.name}: {what}, {share:.0%} of the rows kept"
 
 
 def prepared_figure(prepared: Prepared) -> Picture:
@@ -149,7 +121,14 @@ def prepared_figure(prepared: Prepared) -> Picture:
     body: Any = picture.subfigures(1, 1)  # whose legend is below the title
     all_axes = body.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(all_axes, panels, strict=True):
-        _draw(axes, panel, series.time, strips)
+        whole = {"transform": axes.get_xaxis_transform(), "linewidth": 0, "zorder": 0}
+        for strip in strips:
+            axes.broken_barh(strip.spans, (0, 1), **strip.style, **whole)
+        for setting in panel.settings:
+            axes.axhline(setting, color=DARK, linewidth=0.5, linestyle=":", zorder=1)
+        axes.plot(series.time, panel.value, color=DARK, linewidth=0.6, zorder=2)
+        tidy(axes, "", panel.label, 8)
+        axes.margins(x=0)
     clock = "row" if series.rate is None else "time [s]"
     all_axes[-1].set_xlabel(clock, fontsize=8, color=DARK)
     body.align_ylabels(all_axes)

@@ -10,18 +10,13 @@ import numpy as np
 from tirefit.data.table import CANONICAL
 from tirefit.fitting.solve.batch import BatchFit
 from tirefit.report.canvas import BLUE, GREY, Picture, axes_panel, drawn, together
-from tirefit.report.numbers import format_number
-from tirefit.report.page import table
+from tirefit.report.page import spread, table
 from tirefit.sim.braking import SimulatedLog
 
 
 def _quantiles(values: Mapping[str, np.ndarray], first: str) -> list[str]:
-    rows = [[first, "lowest", "median", "largest"]]
-    for name, each in values.items():
-        known = each[np.isfinite(each)]
-        ends = np.quantile(known, (0, 0.5, 1)) if len(known) else [np.nan] * 3
-        rows.append([name, *(format_number(float(x)) for x in ends)])
-    return table(rows, right=(1, 2, 3))
+    rows = [[name, *spread(each)] for name, each in values.items()]
+    return table([[first, "lowest", "median", "largest"], *rows], right=(1, 2, 3))
 
 
 def batch_text(fits: BatchFit) -> str:

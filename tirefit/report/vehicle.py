@@ -1,7 +1,6 @@
 """Reports of a car: of a replay with what its errors say of tires, effects and steering, and of
 a fit by trajectory."""
 
-from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -9,23 +8,10 @@ import numpy as np
 
 from tirefit.diagnosis.summary.result import UNITS
 from tirefit.models import TireInputs, forces
-from tirefit.report.canvas import (
-    BLUE,
-    DARK,
-    GREEN,
-    GREY,
-    ORANGE,
-    RED,
-    Panel,
-    Picture,
-    axes_panel,
-    dots,
-    images_of,
-    together,
-)
+from tirefit.report import canvas
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, page, report_text, verdict_of
-from tirefit.vehicle.errors import FEWEST, QUANTITIES, Fans
+from tirefit.vehicle.errors import FEWEST, QUANTITIES
 from tirefit.vehicle.replay import Replay
 from tirefit.vehicle.start import UNKNOWNS
 from tirefit.vehicle.trajectory import TrajectoryFit
@@ -38,11 +24,11 @@ _NAMES = {
     "lateral": "lateral position",
 }
 _MODELS = {
-    "tire": ("these tires", BLUE),
-    "linear tire": ("linear tires", ORANGE),
-    "no slip": ("no slip", GREY),
-    "floor": ("noise floor", GREEN),
-    "with the effects": ("with effects", RED),
+    "tire": ("these tires", canvas.BLUE),
+    "linear tire": ("linear tires", canvas.ORANGE),
+    "no slip": ("no slip", canvas.GREY),
+    "floor": ("noise floor", canvas.GREEN),
+    "with the effects": ("with effects", canvas.RED),
 }
 """Compared car -> its label and colour."""
 _SHOWN = 40  # largest number of windows that are drawn: about ten seconds of driving
@@ -129,10 +115,11 @@ def _sections(result: Replay) -> list[Section]:
             what = f"{_NAMES[name]} [{unit}]" if model == "tire" else ""
             rows.append([what, _MODELS[model][0], *cells])
     rows.append(["starts", "", *map(str, result.windows)])
-    known = {name: share for name, (share, *_) in result.held.items() if share is not None}
-    each = ", ".join(f"{_NAMES[name]} {share:.0%}" for name, share in known.items())
+    each = (
+        f"{_NAMES[k]} {share:.0%}" for k, (share, *_) in result.held.items() if share is not None
+    )
     held = "share of the measured values within the 95 % band of the tires' parameters"
-    held += f" {result.horizons[0]:g} s ahead: {each}; the uncertainty of the"
+    held += f" {result.horizons[0]:g} s ahead: {', '.join(each)}; the uncertainty of the"
     held += " parameters explains no more of the error"
     fitted = [name for name, is_fitted in result.logs.items() if is_fitted]
     others = [name for name, is_fitted in result.logs.items() if not is_fitted]
@@ -159,24 +146,27 @@ def _head(result: Replay) -> str:
     return f"REPLAY of {logs}, {result.windows[0]} starts"
 
 
-def plotted(result: Replay, what: str = "path") -> Picture:
+def plotted(result: Replay, what: str = "path") -> canvas.Picture:
     """Error over the horizon and the ``path``; or the ``series`` of yaw rate and
     lateral acceleration."""
-    panels = {"path": _path_panels, "series": _series_panels}[what](result)
-    return together(panels, _head(result), answer(result), "braking positive, SI")
+    panels = _panels(result)[what]
+    return canvas.together(panels, _head(result), answer(result), "braking positive, SI")
 
 
 def replay_page(result: Replay) -> str:
     """The replay as one HTML document with its pictures, no script or resource."""
-    panels = [*_path_panels(result), *_series_panels(result)]
-    sections = [Section("", pictures=images_of(panels)), *_sections(result)]
+    panels = [panel for panels in _panels(result).values() for panel in panels]
+    sections = [Section("", pictures=canvas.images_of(panels)), *_sections(result)]
     verdict = verdict_of(answer(result), (), not result.outcomes)
     return page(_head(result), sections, verdict, record=result.to_json())
 
 
-def _path_panels(result: Replay) -> list[Panel]:
-    """Errors over the horizon, and a stretch of the path with its predictions."""
-    name, fans = _longest(result)
+def _panels(result: Replay) -> dict[str, list[canvas.Panel]]:
+    """Figure -> its panels: errors over the horizon with a stretch of the longest log's path and
+    its predictions; yaw rate and lateral acceleration of the same stretch."""
+    name, fans = max(result.fans.items(), key=lambda item: len(item[1].time))
+    first = max((len(fans.time) - _SHOWN) // 2, 0)  # from the middle of the log
+    rows = range(first, min(first + _SHOWN, len(fans.time)))
 
     def errors_of(axes: Any, quantity: str) -> None:
         for model, errors in result.models.items():
@@ -187,60 +177,36 @@ def _path_panels(result: Replay) -> list[Panel]:
         axes.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
         axes.minorticks_off()
 
-    def draw(axes: Any) -> None:
-        _draw_stretch(axes, fans, lambda of, row: (of["x"][row], of["y"][row]))
-        axes.set_aspect("equal", "datalim")
+    def stretch(axes: Any, x: str, y: str) -> None:
+        time = {"time": fans.time}
+        measured = fans.measured, canvas.DARK, 1.4, "measured"
+        for row in rows:
+            near = fans.time[row] <= fans.time[row][0] + _FAN
+            for of, color, width, label in (
+                measured,
+                (fans.predicted, canvas.BLUE, 0.9, _PREDICTED),
+            ):
+                across, up = (time | dict(of))[x][row], of[y][row]
+                label *= row == first
+                axes.plot(across[near], up[near], color=color, lw=width, label=label)
+        if x == "time":
+            starts = fans.time[rows, 0], fans.predicted[y][rows, 0]
+            axes.plot(*starts, ".", color=canvas.BLUE, ms=4)
+        else:
+            axes.set_aspect("equal", "datalim")
 
-    x_label = "time after the start [s]"
-    panels = []
+    path, axes_panel = [], canvas.axes_panel
     for key in ("lateral", "yaw_rate"):
         title = f"Error of the {_NAMES[key]} over the horizon"
-        y_label = f"rms error of the {_NAMES[key]} [{QUANTITIES[key]}]"
-        panels.append(axes_panel(partial(errors_of, quantity=key), title, x_label, y_label))
-    return [*panels, axes_panel(draw, f"A stretch of {name}, with predictions", "x [m]", "y [m]")]
-
-
-def _series_panels(result: Replay) -> list[Panel]:
-    """Yaw rate and lateral acceleration of the same stretch, measured and predicted."""
-    name, fans = _longest(result)
-    rows = _stretch(fans)
-
-    def draw(axes: Any, key: str) -> None:
-        _draw_stretch(axes, fans, lambda of, row: (fans.time[row], of[key][row]))
-        axes.plot(fans.time[rows, 0], fans.predicted[key][rows, 0], ".", color=BLUE, ms=4)
-
-    title, note = f"The same stretch of {name}", "dots: starts of a prediction"
-    units = {"yaw_rate": "rad/s", "a_y": "m/s²"}
-    return [
-        axes_panel(partial(draw, key=key), title, "time [s]", f"{_NAMES[key]} [{unit}]", note)
-        for key, unit in units.items()
-    ]
-
-
-def _draw_stretch(
-    axes: Any, fans: Fans, series: Callable[[Mapping[str, Any], int], tuple[Any, ...]]
-) -> None:
-    """Draw the first second of every window of a stretch, measured and predicted.
-
-    Args:
-        series: x and y of the line of one window.
-    """
-    styles = (fans.measured, DARK, 1.4, "measured"), (fans.predicted, BLUE, 0.9, _PREDICTED)
-    for k, row in enumerate(_stretch(fans)):
-        near = fans.time[row] <= fans.time[row][0] + _FAN
-        for of, color, width, label in styles:
-            x, y = series(of, row)
-            axes.plot(x[near], y[near], color=color, lw=width, label=label * (k == 0))
-
-
-def _longest(result: Replay) -> tuple[str, Fans]:
-    return max(result.fans.items(), key=lambda item: len(item[1].time))
-
-
-def _stretch(fans: Fans) -> np.ndarray:
-    """Numbers of the windows that are drawn, from the middle of the log."""
-    first = max((len(fans.time) - _SHOWN) // 2, 0)
-    return np.arange(first, min(first + _SHOWN, len(fans.time)))
+        labels = "time after the start [s]", f"rms error of the {_NAMES[key]} [{QUANTITIES[key]}]"
+        path.append(axes_panel(partial(errors_of, quantity=key), title, *labels))
+    title = f"A stretch of {name}, with predictions"
+    path.append(axes_panel(partial(stretch, x="x", y="y"), title, "x [m]", "y [m]"))
+    title, note, series = f"The same stretch of {name}", "dots: starts of a prediction", []
+    for key, unit in {"yaw_rate": "rad/s", "a_y": "m/s²"}.items():
+        labels = "time [s]", f"{_NAMES[key]} [{unit}]"
+        series.append(axes_panel(partial(stretch, x="time", y=key), title, *labels, note))
+    return {"path": path, "series": series}
 
 
 def _trajectory_head(fit: TrajectoryFit) -> str:
@@ -273,7 +239,7 @@ def trajectory_text(fit: TrajectoryFit) -> str:
     return f"{_trajectory_head(fit)}\n{report_text(sections)}"
 
 
-def trajectory_figure(fit: TrajectoryFit) -> Picture:
+def trajectory_figure(fit: TrajectoryFit) -> canvas.Picture:
     """Lateral force of both axles with its 95 % band, over the points that ``derive``
     gives, with the steering as late as the yaw rate shows."""
     generator, panels = np.random.default_rng(0), []
@@ -282,16 +248,23 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
     def draw(axes: Any, axle: str) -> None:
         tire, rows = fit.axles[axle], fit.rows[axle]
         some = generator.permutation(len(rows))[:1500]
-        dots(axes, rows["alpha"][some], rows["fy"][some], 1.4, GREY, label="derived from the log")
+        canvas.dots(
+            axes,
+            rows["alpha"][some],
+            rows["fy"][some],
+            1.4,
+            canvas.GREY,
+            label="derived from the log",
+        )
         reach = np.percentile(np.abs(rows["alpha"]), 99.5)
         alpha = np.linspace(-reach, reach, 121)
         at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
         drawn = [np.asarray(forces(sample, at).fy) for sample in tire.drawn(generator, 60)]
         low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
-        axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
-        axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)
+        axes.fill_between(alpha, low, high, color=canvas.BLUE, alpha=0.3, lw=0, label="95 %")
+        axes.plot(alpha, forces(tire.tire, at).fy, color=canvas.BLUE, lw=1.4, label=tire.name)
 
     for axle in fit.axles:
         title = f"{axle.capitalize()} axle, by trajectory"
-        panels.append(axes_panel(partial(draw, axle=axle), title, *labels))
-    return together(panels, _trajectory_head(fit), _noise(fit), "braking positive, SI")
+        panels.append(canvas.axes_panel(partial(draw, axle=axle), title, *labels))
+    return canvas.together(panels, _trajectory_head(fit), _noise(fit), "braking positive, SI")

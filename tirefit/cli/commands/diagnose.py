@@ -1,6 +1,5 @@
 """``tirefit diagnose``: find the effects that a model lacks, and the gap without them."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -8,37 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tirefit.cli import options as cli
 from tirefit.cli.commands.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.notes import merged_notes, warn
-from tirefit.cli.options import (
-    DataOptions,
-    File,
-    Files,
-    Folder,
-    Forces,
-    Full,
-    Resume,
-    Seed,
-    SideOption,
-    SignsOption,
-    Text,
-    Texts,
-    complain,
-    completed,
-    forces_named,
-    numbers,
-    option,
-    progress_bar,
-    read_config,
-    read_options,
-    refuse,
-    refuse_besides,
-    refuse_of_vehicle,
-    say,
-    start_jax,
-    takes_data_options,
-)
 from tirefit.cli.output import (
     check_results,
     claimed,
@@ -46,7 +18,6 @@ from tirefit.cli.output import (
     done_before,
     is_page,
     names_of,
-    told_where,
     write_result,
 )
 from tirefit.data.readers.remote import expanded
@@ -64,6 +35,7 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
 _MODEL = """\
 model to fit first (default: brush), or a file: a simulator's tire, used unchanged; with --sim: \
 the model that describes the measured forces beside the simulator's"""
+_SET = cli.option("NAME=VALUE", "use MODEL unchanged, with this value", "--set", parser=cli.number)
 _SIM = "FILE has the forces of the simulator: fx_sim, fy_sim, mz_sim"
 _SIM_LOG = """\
 --vehicle: states that your simulator predicted for the inputs of FILE (one for each FILE): what \
@@ -71,8 +43,15 @@ it has wrong of the car"""
 
 
 TireOption = Annotated[
-    Text, option("FIT.json|FILE.tir|MODEL", "--vehicle: tire of this axle (default: brush)")
+    cli.Text, cli.option("FIT.json|FILE.tir|MODEL", "--vehicle: tire of this axle (default: brush)")
 ]
+
+
+_MODELS_LIKE = cli.completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES)
+
+
+def _effects_like(incomplete: str) -> list[str]:
+    return cli.completed(*effect_names())(incomplete)
 
 
 def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
@@ -81,84 +60,88 @@ def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
     return [f"{name}.json", f"{name}.rows.csv"], drawn if figures else []
 
 
-@takes_data_options
+@cli.takes_data_options
 def diagnose(
-    files: Files,
-    options: DataOptions,
-    out: Folder,
+    files: cli.Files,
+    options: cli.DataOptions,
+    out: cli.Folder,
     model: Annotated[
-        Text,
-        option(
-            "MODEL|FIT.json|FILE.tir",
-            _MODEL,
-            autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
-        ),
+        cli.Text, cli.option("MODEL|FIT.json|FILE.tir", _MODEL, autocompletion=_MODELS_LIKE)
     ] = None,
-    parameter: Annotated[
-        Texts, option("NAME=VALUE", "use MODEL unchanged, with this value", "--set")
-    ] = None,
-    sim: Annotated[bool, option("", _SIM, "--sim")] = False,
-    side: SideOption = None,
-    signs: SignsOption = None,
+    parameter: Annotated[cli.Pairs, _SET] = None,
+    sim: Annotated[bool, cli.option("", _SIM, "--sim")] = False,
+    side: cli.SideOption = None,
+    signs: cli.SignsOption = None,
     combination: CombinationOption = None,
-    force: Forces = None,
-    rig: Annotated[File, option("RIG.TOML", "known noise and properties of the rig")] = None,
+    force: cli.Forces = None,
+    rig: Annotated[
+        cli.File, cli.option("RIG.TOML", "known noise and properties of the rig")
+    ] = None,
     holdout: Annotated[
         list[Path] | None,
-        option("FILE", "file that is only used to check the result (repeat for more)"),
+        cli.option("FILE", "file that is only used to check the result (repeat for more)"),
     ] = None,
     without: Annotated[
-        Texts,
-        option(
-            "ID",
-            "do not search for this effect",
-            autocompletion=lambda incomplete: completed(*effect_names())(incomplete),
-        ),
+        cli.Texts, cli.option("ID", "do not search for this effect", autocompletion=_effects_like)
     ] = None,
     vehicle: Annotated[
-        File,
-        option("VEHICLE.TOML", "FILE are logs of this car: find the effects that its model lacks"),
+        cli.File,
+        cli.option(
+            "VEHICLE.TOML", "FILE are logs of this car: find the effects that its model lacks"
+        ),
     ] = None,
     front: TireOption = None,
     rear: TireOption = None,
-    sim_log: Annotated[list[Path] | None, option("SIM.CSV", _SIM_LOG)] = None,
+    sim_log: Annotated[list[Path] | None, cli.option("SIM.CSV", _SIM_LOG)] = None,
     figures: Annotated[
-        bool, option("", "write NAME.png and NAME.html", "--figures", "--html")
+        bool, cli.option("", "write NAME.png and NAME.html", "--figures", "--html")
     ] = False,
-    full: Full = False,
-    resume: Resume = False,
+    full: cli.Full = False,
+    resume: cli.Resume = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
-    seed: Seed = 0,
+    seed: cli.Seed = 0,
 ) -> None:
     """Find the effects that explain the gap between a model or simulator and data."""
     sharing, files = Sharing(jobs, scheduler), expanded(files)
+    cli.refuse_by_vehicle(vehicle, _OF_VEHICLE, ("front", "rear", "sim_log"))
     if vehicle is not None:
-        refuse_besides([*_OF_VEHICLE, "sim_log"])
         if sim_log:
-            refuse(_NOT_COMPARED, "with --sim-log", "leave it out: the car itself is not diagnosed")
-        return _diagnose_car(
-            files, vehicle, (front, rear), out, sim_log or [], holdout=holdout or (),
-            without=without or (), figures=figures, full=full, seed=seed,
-        )  # fmt: skip
-    refuse_of_vehicle("front", "rear", "sim_log")
+            cli.refuse(
+                _NOT_COMPARED, "with --sim-log", "leave it out: the car itself is not diagnosed"
+            )
+        of_car = {"without": without or (), "holdout": holdout or (), "seed": seed}
+        tires = front or "brush", rear or "brush"
+        return _diagnose_car(files, vehicle, tires, out, sim_log or [], figures, full, of_car)
     names = names_of(files, "rename one: their results would overwrite each other")
     parts = [part for name in names for part in _written(name, figures)]
     made = [out / file for part in parts for file in part]
-    check_results([*made, *sharing.files(out, made)], files)
-    config = read_config(options.config)
-    how, plain = read_options(options, config), _PLAIN if model is None else model
+    check_results([*made, *sharing.files(out)], files)
+    config = cli.read_config(options.config)
+    how, plain = cli.read_options(options, config), _PLAIN if model is None else model
+    forces = [name.value for name in force or ()]
     if config is not None:
-        force = force or ([*config.force] if config.force else None)
+        forces = forces or [*(config.force or ())]
         if unused := sorted(config.model_fields_set - {"data", "force", "source"}):
             text = f"{', '.join(unused)}: used only by `tirefit fit`, not by diagnose"
-            complain(f"warning: {config.source}: {text}")
-    start_jax()
-    base = model if sim else plain
-    settings = _settings(base, rig, without, how)
-    settings["forces"] = forces_named(force)
+            cli.warn_of([text], config.source)
+    cli.start_jax()
+    from tirefit.diagnosis.rows.rig import load_rig
+    from tirefit.fitting.problem.build import find_model
+
+    base, known = model if sim else plain, load_rig(rig)
+    if base and not tire_kind(base) and base not in MAGIC_FORMULA_NAMES:
+        find_model(base)
+    if how["rolling_radius"] is None:
+        how["rolling_radius"] = known.rolling_radius
+    settings = {
+        "model": base,
+        "rig": known,
+        "without": tuple(without or ()),
+        "forces": forces or None,
+    }
     of_tir = {"side": side, "signs": signs, "combination": combination}
-    settings |= _simulator(base, parameter, sim, how, of_tir)
+    settings |= _simulator(base, cli.by_name(parameter), sim, how, of_tir)
     with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
         kept = [_read(path, how) for path in holdout or []]
         written = {"figures": figures, "resume": resume, "full": full}
@@ -167,11 +150,11 @@ def diagnose(
         codes = [outcome.code for outcome in run_pieces("diagnose", pieces, work, sharing, out)]
         if len(pieces) > 1:
             done = codes.count(ExitCode.OK)
-            say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
+            cli.say(f"{done} of {len(pieces)} files diagnosed, results in {out}")
     raise typer.Exit(worst_of(codes))
 
 
-_OF_VEHICLE = "files vehicle front rear out holdout without figures full seed".split()
+_OF_VEHICLE = "files vehicle front rear sim_log out holdout without figures full seed".split()
 """Arguments and options that ``--vehicle`` uses."""
 _NOT_COMPARED = "holdout", "full", "seed"
 """Those that ``--sim-log`` does not use."""
@@ -186,24 +169,9 @@ def _read(path: Path, how: dict[str, Any], rig: "Rig | None" = None) -> "TireDat
     return table
 
 
-def _settings(
-    model: str | None, rig: Path | None, without: list[str] | None, how: dict[str, Any]
-) -> dict[str, Any]:
-    """Arguments of ``tirefit.diagnose`` that all files share."""
-    from tirefit.diagnosis.rows.rig import load_rig
-    from tirefit.fitting.problem.build import find_model
-
-    if model and not tire_kind(model) and model not in MAGIC_FORMULA_NAMES:
-        find_model(model)
-    known = load_rig(rig)
-    if how["rolling_radius"] is None and known.rolling_radius is not None:
-        how["rolling_radius"] = known.rolling_radius
-    return {"model": model, "rig": known, "without": tuple(without or [])}
-
-
 def _simulator(
     model: str | None,
-    parameter: list[str] | None,
+    values: dict[str, float],
     sim: bool,
     how: dict[str, Any],
     of_tir: dict[str, Any],
@@ -215,7 +183,6 @@ def _simulator(
         of_tir: ``side``, ``signs`` and ``combination`` of a ``.tir`` file.
     """
     problems: list[InputProblem] = []
-    values = numbers("--set", parameter, problems)
     kind = tire_kind(model) if model else ""
     if sim and (values or kind):
         other = "--set" if values else f"--model {model}"
@@ -272,7 +239,7 @@ def _one(
     document = out / f"{name}.json"
     files = [out / part for part in (always + drawn if figures else always)]
     if written["resume"] and (record := done_before(files, document, asked, record_of_document)):
-        say(f"{file}: done before, kept: {document}")
+        cli.say(f"{file}: done before, kept: {document}")
         return ExitCode.OK, record
     result = replace(study(table, holdout=kept, seed=seed, **settings), asked=asked)
     pictures, page = ({drawn[0]: ""}, drawn[1]) if figures else ({}, "")
@@ -291,39 +258,35 @@ _COMPARED_FILES = ("comparison.json", "comparison.png", "comparison.html")
 def _diagnose_car(
     logs: list[Path],
     vehicle: Path,
-    tires: tuple[str | None, str | None],
+    tires: tuple[str, str],
     out: Path,
     sim_logs: list[Path],
-    *,
-    holdout: Sequence[Path],
-    without: Sequence[str],
     figures: bool,
     full: bool,
-    seed: int,
+    how: dict[str, Any],
 ) -> None:
     """Diagnose the car, or compare it with its simulator; print the report, write the files.
 
     Args:
-        tires: of the front and of the rear axle; None: brush.
+        tires: of the front and of the rear axle.
         sim_logs: what the simulator predicted for each log; empty: diagnose the car itself.
+        how: ``without``, ``holdout`` and ``seed``.
     """
     names = _COMPARED_FILES if sim_logs else _CAR_FILES
-    front, rear = (tire or "brush" for tire in tires)
     check_results([out / name for name in names], [*logs, *sim_logs])
     # The first line of progress at once, as JAX takes seconds to load and to compile.
     with claimed(out):
-        with told_where(out, "diagnosis"), progress_bar("diagnose", soon=0.0) as progress:
+        with cli.progress_bar("diagnose", soon=0.0) as progress:
             progress(0.01, "loading")
-            start_jax()
+            cli.start_jax()
             from tirefit.vehicle.diagnose import diagnose_vehicle
             from tirefit.vehicle.simulated import compare_with_simulator
 
-            how: dict[str, Any] = {"without": without, "progress": progress}
             if sim_logs:
-                result: Record = compare_with_simulator(logs, sim_logs, vehicle, front, rear, **how)
+                of_both = {"without": how["without"], "progress": progress}
+                result: Record = compare_with_simulator(logs, sim_logs, vehicle, *tires, **of_both)
             else:
-                how |= {"holdout": holdout, "seed": seed}
-                result = diagnose_vehicle(logs, vehicle, front, rear, **how)
+                result = diagnose_vehicle(logs, vehicle, *tires, **how, progress=progress)
         drawn, page = ({names[1]: ""}, names[2]) if figures else ({}, "")
         text = result.summary() if sim_logs else result.summary(full=full)
         write_result(result, out, names, drawn, page, text=text)

@@ -6,17 +6,8 @@ from urllib.parse import quote
 
 import typer
 
+from tirefit.cli import options as cli
 from tirefit.cli.commands.fit_one import PAGE
-from tirefit.cli.options import (
-    DataOptions,
-    path_option,
-    read_config,
-    read_options,
-    say,
-    start_jax,
-    takes_data_options,
-    warn_of,
-)
 from tirefit.cli.output import check_results, is_page
 from tirefit.data.write import output_problems
 from tirefit.files import write_texts
@@ -25,14 +16,14 @@ from tirefit.results import UsageError
 _TIRES = "fits, .tir files, names of models, or folders of them; several over each other"
 
 
-@takes_data_options
+@cli.takes_data_options
 def explore(
     tires: Annotated[list[str], typer.Argument(metavar="FIT.json|FILE.tir|FOLDER...", help=_TIRES)],
-    options: DataOptions,
+    options: cli.DataOptions,
     data: Annotated[
-        Path | None, path_option("DATA.csv", "measured rows to show beside the curves")
+        Path | None, cli.path_option("DATA.csv", "measured rows to show beside the curves")
     ] = None,
-    out: Annotated[Path, path_option("FILE.html", "page to write")] = Path("explore.html"),
+    out: Annotated[Path, cli.path_option("FILE.html", "page to write")] = Path("explore.html"),
 ) -> None:
     """Write a page with sliders: forces, friction ellipse, stiffness and peak of tires.
 
@@ -42,16 +33,16 @@ def explore(
     """
     UsageError.raise_for(output_problems(out, ".html"))
     check_results([out])
-    how = read_options(options, read_config(options.config))
-    start_jax()
+    how = cli.read_options(options)
+    cli.start_jax()
     from tirefit.report.fit.report import EXPLORE
     from tirefit.targets.explore import explore
 
     explored = explore(tires, data, **how)
-    warn_of(explored.warnings)
+    cli.warn_of(explored.warnings)
     explored.save(out)
-    say(explored.summary())
-    say(f"wrote {out}: open it in a browser")
+    cli.say(explored.summary())
+    cli.say(f"wrote {out}: open it in a browser")
     # The page of this fit, if it is in the same folder, gets a link.
     page = out.parent / PAGE
     paths_of_fit = {page.parent.resolve(), page.with_suffix(".json").resolve()}
@@ -60,4 +51,4 @@ def explore(
         link = f'<a href="{quote(out.name)}">{EXPLORE.partition(":")[0]}</a>'
         if EXPLORE in text:
             write_texts({page: text.replace(EXPLORE, link)})
-            say(f"linked from {page}")
+            cli.say(f"linked from {page}")

@@ -1,6 +1,6 @@
 """``tirefit fit``: fit files and write folders of results."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -8,36 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tirefit.cli.commands.fit_one import Also, FitTask, fit_files, fit_one
+from tirefit.cli import options as cli
+from tirefit.cli.commands.fit_one import Also, fit_files, fit_one
 from tirefit.cli.commands.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
-from tirefit.cli.options import (
-    DataOptions,
-    File,
-    Files,
-    Forces,
-    Full,
-    Html,
-    Number,
-    Resume,
-    SeedOrNone,
-    Text,
-    Texts,
-    complain,
-    completed,
-    forces_named,
-    option,
-    path_option,
-    progress_bar,
-    read_config,
-    read_options,
-    refuse_besides,
-    refuse_of_vehicle,
-    say,
-    start_jax,
-    takes_data_options,
-)
-from tirefit.cli.output import check_results, claimed, is_page, names_of, told_where, write_result
+from tirefit.cli.output import check_results, claimed, is_page, names_of, write_result
 from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
@@ -80,40 +55,41 @@ def _output_directories(files: list[Path], out: Path | None, joint: bool) -> lis
     return [(out or Path()) / f"{name}{end}" for name, end in zip(names, ends, strict=False)]
 
 
-@takes_data_options
+@cli.takes_data_options
 def fit(
-    files: Files,
-    options: DataOptions,
+    files: cli.Files,
+    options: cli.DataOptions,
     model: Annotated[
-        Text, option("", _MODEL, autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES))
+        cli.Text,
+        cli.option("", _MODEL, autocompletion=cli.completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES)),
     ] = None,
     posterior: Annotated[
-        bool, option("", "sample the posterior", "--posterior/--no-posterior")
+        bool, cli.option("", "sample the posterior", "--posterior/--no-posterior")
     ] = True,
     solver: Annotated[
-        Solver | None, option("", "least-squares solver; jaxopt is no longer maintained")
+        Solver | None, cli.option("", "least-squares solver; jaxopt is no longer maintained")
     ] = None,
-    sampler: Annotated[Sampler | None, option("", "posterior sampler")] = None,
-    seed: SeedOrNone = None,
-    out: Annotated[File, path_option("FOLDER", "folder of the results")] = None,
-    force: Forces = None,
-    part: Annotated[Text, option("fx|fy|mz|all", _PART)] = None,
-    like: Annotated[File, option("OTHER.tir", _LIKE)] = None,
-    leave_out: Annotated[Text, option("three|load|none", _LEAVE_OUT)] = None,
-    vehicle: Annotated[File, option("VEHICLE.toml", _VEHICLE)] = None,
-    unknown: Annotated[Texts, option("NAME", _UNKNOWN)] = None,
+    sampler: Annotated[Sampler | None, cli.option("", "posterior sampler")] = None,
+    seed: cli.SeedOrNone = None,
+    out: Annotated[cli.File, cli.path_option("FOLDER", "folder of the results")] = None,
+    force: cli.Forces = None,
+    part: Annotated[cli.Text, cli.option("fx|fy|mz|all", _PART)] = None,
+    like: Annotated[cli.File, cli.option("OTHER.tir", _LIKE)] = None,
+    leave_out: Annotated[cli.Text, cli.option("three|load|none", _LEAVE_OUT)] = None,
+    vehicle: Annotated[cli.File, cli.option("VEHICLE.toml", _VEHICLE)] = None,
+    unknown: Annotated[cli.Texts, cli.option("NAME", _UNKNOWN)] = None,
     window: Annotated[
-        Number, option("", "--vehicle: length of a window [s] (default: 0.5)", min=0.05)
+        cli.Number, cli.option("", "--vehicle: length of a window [s] (default: 0.5)", min=0.05)
     ] = None,
     joint: Annotated[
-        bool, option("", "fit all files together, each file as a run", "--joint")
+        bool, cli.option("", "fit all files together, each file as a run", "--joint")
     ] = False,
     strict: Annotated[
-        bool, option("", "exit 5 if a parameter is not identified", "--strict")
+        bool, cli.option("", "exit 5 if a parameter is not identified", "--strict")
     ] = False,
-    resume: Resume = False,
-    html: Html = False,
-    full: Full = False,
+    resume: cli.Resume = False,
+    html: cli.Html = False,
+    full: cli.Full = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
@@ -121,17 +97,16 @@ def fit(
     sharing, files = Sharing(jobs, scheduler), expanded(files)
     from tirefit.fitting.problem.config import FitConfig
 
+    cli.refuse_by_vehicle(vehicle, _OF_VEHICLE, ("unknown", "window"))
     if vehicle is not None:
-        refuse_besides(_OF_VEHICLE)
         car = {"unknowns": unknown, "window": window}
-        raise typer.Exit(_fit_vehicle(files, vehicle, model, out, **car))
-    refuse_of_vehicle("unknown", "window")
-    base = read_config(options.config) or FitConfig()
-    how = read_options(options, base)
+        raise typer.Exit(_fit_vehicle(files, vehicle, model, out, html, **car))
+    base = cli.read_config(options.config) or FitConfig()
+    how = cli.read_options(options, base)
     changes = {
         "model": model,
         "seed": seed,
-        "force": forces_named(force),
+        "force": [name.value for name in force or ()] or None,
         "solver": solver.value if solver else None,
     }
     settings = base.model_copy(update={k: v for k, v in changes.items() if v is not None})
@@ -146,43 +121,33 @@ def fit(
         code = fit_whole(files, directory, settings, how, whole, strict, also)
         raise typer.Exit(code)
     directories = _output_directories(files, out, joint)
-    start_jax()
+    cli.start_jax()
     from tirefit.fitting.problem.build import find_model
 
     find_model(settings.model or "brush")
-    # The page of several fits needs all of them, also those done before.
-    apart = sharing.apart and not joint
+    sharing = Sharing() if joint else sharing
     made = [file for directory in directories for file in fit_files(directory)]
     made += [directories[0].parent / PAGE_OF_ALL] if len(directories) > 1 else []
-    made += sharing.files(out or Path(), directories) if apart else []
-    check_results(made, files)
-    keep = resume and (apart or not html or len(files) == 1)
-    task = FitTask(settings, how, posterior, keep, also)
+    check_results([*made, *sharing.files(out or Path())], files)
+    work = partial(_fit_piece, strict, (settings, how, posterior, resume, also))
     groups: list[Any] = [files] if joint else files
     pieces = [Piece(*pair) for pair in zip(groups, directories, strict=True)]
-    fits: dict[str, Any] | None = {} if html and not apart else None
-    work = partial(_fit_piece, task, strict, fits)
-    here = sharing if apart else Sharing()
-    done = _done(run_pieces("fit", pieces, work, here, out or Path()), pieces)
-    _report_all(done, pieces, fits or {})
+    done = _done(run_pieces("fit", pieces, work, sharing, out or Path()), pieces)
+    if len(pieces) > 1:
+        _report_all([outcome.record for outcome in done], directories[0].parent / PAGE_OF_ALL, html)
     raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
-_OF_VEHICLE = ("files", "vehicle", "model", "out", "unknown", "window", "posterior", "full")
+_OF_VEHICLE = "files vehicle model out unknown window posterior full html".split()
 """What ``--vehicle`` uses, or may be given with it."""
 _OF_WHOLE = ("part", "like", "leave_out")
 _NOT_OF_WHOLE = ("solver", "sampler", "force", "resume", "jobs", "scheduler")
 """Options of a whole Magic Formula only, and of other models only."""
 
 
-def _fit_piece(
-    task: FitTask, strict: bool, fits: dict[str, Any] | None, piece: Piece
-) -> tuple[ExitCode, "FileRecord"]:
-    """Fit a piece; add the fit to ``fits``, if given, for a page of all."""
+def _fit_piece(strict: bool, task: tuple[Any, ...], piece: Piece) -> tuple[ExitCode, "FileRecord"]:
     files = piece.file if isinstance(piece.file, list) else [piece.file]
-    record, result = fit_one(files, piece.to, task)
-    if fits is not None and result is not None:
-        fits[piece.to.name] = result
+    record = fit_one(files, piece.to, *task)
     return exit_code([Verdict[name.upper()] for name in record.outcomes], strict), record
 
 
@@ -192,33 +157,27 @@ def _done(outcomes: Iterator[Outcome], pieces: list[Piece]) -> list[Outcome]:
     for outcome in outcomes:
         done.append(outcome)
         if "interrupted" in outcome.record.outcomes and (left := len(pieces) - len(done)):
-            complain(f"interrupted: the last {left} of {len(pieces)} not fitted")
+            cli.complain(f"interrupted: the last {left} of {len(pieces)} not fitted")
             break
     return done
 
 
-def _report_all(done: list[Outcome], pieces: list[Piece], fits: dict[str, Any]) -> None:
-    """Of several fits, print the summary and write the page, or remove an earlier one."""
-    if len(pieces) > 1:
-        from tirefit.report.many_files import summary_table
+def _report_all(records: Sequence["FileRecord"], page: Path, html: bool) -> None:
+    """Print the summary of several fits and write their page, or remove an earlier one."""
+    from tirefit.report.many_files import summary_table, write_fleet_page
 
-        records = [outcome.record for outcome in done]
-        say(summary_table([record for record in records if record.rows]))
-        failed = {record.file: record.problem for record in records if not record.rows}
-        page = pieces[0].to.parent / PAGE_OF_ALL
-        if fits:
-            from tirefit.report.many_files import write_fits_page
-
-            write_fits_page(fits, page, failed)
-            say(f"wrote {page}")
-        elif is_page(page):  # of an earlier command
-            page.unlink()
+    cli.say(summary_table([record for record in records if record.rows]))
+    if html and any(record.rows for record in records):
+        write_fleet_page(records, page, "fit")
+        cli.say(f"wrote {page}")
+    elif is_page(page):  # of an earlier command
+        page.unlink()
 
 
 # --- logs of a vehicle ---------------------------------------------------------------
 
-_TRAJECTORY = "trajectory.png"
-_OF_TRAJECTORY = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", _TRAJECTORY)
+_DRAWN, _PAGE = "trajectory.png", "trajectory.html"
+_OF_TRAJECTORY = ("trajectory.json", "front.json", "rear.json", "vehicle.toml", _DRAWN, _PAGE)
 
 
 def _models_of(text: str | None) -> dict[str, Any]:
@@ -233,7 +192,7 @@ def _models_of(text: str | None) -> dict[str, Any]:
 
 
 def _fit_vehicle(
-    logs: list[Path], vehicle: Path, model: str | None, out: Path | None, **how: Any
+    logs: list[Path], vehicle: Path, model: str | None, out: Path | None, html: bool, **how: Any
 ) -> ExitCode:
     """Fit the car, print the report and write the files.
 
@@ -244,11 +203,11 @@ def _fit_vehicle(
     check_results([out / name for name in _OF_TRAJECTORY], logs)
     how = {k: v for k, v in how.items() if v is not None}
     with claimed(out):
-        with told_where(out, "fit"), progress_bar("fit", soon=0.0) as progress:
+        with cli.progress_bar("fit", soon=0.0) as progress:
             progress(0.01, "loading")
-            start_jax()
+            cli.start_jax()
             from tirefit.vehicle.trajectory import fit_trajectory
 
             result = fit_trajectory(logs, vehicle, progress=progress, **(models | how))
-        write_result(result, out, _OF_TRAJECTORY, {_TRAJECTORY: ""})
+        write_result(result, out, _OF_TRAJECTORY, {_DRAWN: ""}, _PAGE if html else "")
     return exit_code(result.outcomes)

@@ -1,7 +1,7 @@
 """Fit one file, or files that are fitted together, for ``tirefit fit``."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -33,47 +33,45 @@ class Also(NamedTuple):
     full: bool = False  # the report with all details
 
 
-@dataclass(frozen=True)
-class FitTask:
-    """Settings that all files of a command share."""
-
-    settings: Any  # of the fit
-    how: dict[str, Any]  # arguments of ``tirefit.read``
-    posterior: bool
-    keep: bool  # skip fits that are done
-    also: Also
-
-
 def fit_one(
-    files: Sequence[Any], directory: Path, task: FitTask
-) -> tuple["FileRecord", "FitResult | None"]:
-    """The record of the fit, and the fit itself if it was not done before."""
+    files: Sequence[Any],
+    directory: Path,
+    settings: Any,
+    how: dict[str, Any],
+    posterior: bool,
+    resume: bool,
+    also: Also,
+) -> "FileRecord":
+    """Fit the files unless it was done before; the record of the fit.
+
+    Args:
+        settings: of the fit; how: arguments of ``tirefit.read``.
+    """
     from tirefit.data.read import read
     from tirefit.data.table import join
     from tirefit.fitting.store import record_of_fit
 
-    tables = [read(file, **task.how) for file in files]
+    tables = [read(file, **how) for file in files]
     warn(*tables, assumed=tables[0].source.assumptions)
     # Everything that the result of a fit of these tables depends on.
     sources = [table.source.sha256 for table in tables]
-    asked = digest(task.settings.model_dump(mode="json"), task.how, task.posterior, sources)
-    before = _done(directory, asked, task) if task.keep else None
-    if before is not None:
+    asked = digest(settings.model_dump(mode="json"), how, posterior, sources)
+    if resume and (before := _done(directory, asked, posterior, also.html)) is not None:
         say(f"{files[0]}: done before, kept: {directory}")
-        return before, None
+        return before
     data = tables[0] if len(tables) == 1 else join(tables)
-    result = fit_into(directory, data, task.settings, task.posterior, task.also, asked)
-    return record_of_fit(result.to_dict(), str(directory)), result
+    result = fit_into(directory, data, settings, posterior, also, asked)
+    return record_of_fit(result.to_dict(), str(directory))
 
 
-def _done(directory: Path, asked: str, task: FitTask) -> "FileRecord | None":
+def _done(directory: Path, asked: str, posterior: bool, html: bool) -> "FileRecord | None":
     """The record of an existing ``fit.json`` for the same data and options, with all its
     files; else None."""
     from tirefit.door import read_record
     from tirefit.fitting.result import SCHEMA
     from tirefit.fitting.store import record_of_fit
 
-    names = ["fit.json", "fit.png", *["posterior.nc"] * task.posterior, *[PAGE] * task.also.html]
+    names = ["fit.json", "fit.png", *["posterior.nc"] * posterior, *[PAGE] * html]
     files = [directory / name for name in names]
 
     def record_of(path: Path) -> "FileRecord":

@@ -8,19 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit import __version__
+from tirefit.cli import options as cli
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.notes import warn
-from tirefit.cli.options import (
-    DataOptions,
-    Folder,
-    Number,
-    Texts,
-    completed,
-    option,
-    read_config,
-    read_options,
-    takes_data_options,
-)
 from tirefit.cli.output import check_results, claimed, names_of, write_result
 from tirefit.data.readers.remote import expanded, file_at
 from tirefit.results import ExitCode
@@ -33,23 +23,25 @@ _KEPT = ("sweep", "steady", "warm-up")
 _KEEP = f"kind of segment to write (repeat for more): {', '.join(_KEPT)}; default: sweep and steady"
 
 
-@takes_data_options
+@cli.takes_data_options
 def prepare(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig")
     ],
     *,
-    out: Folder,
-    options: DataOptions,
+    out: cli.Folder,
+    options: cli.DataOptions,
     bandwidth: Annotated[
-        Number, option("HZ", "-3 dB bandwidth of the filter (default: by the sweeps)")
+        cli.Number, cli.option("HZ", "-3 dB bandwidth of the filter (default: by the sweeps)")
     ] = None,
-    unfiltered: Annotated[bool, option("", "do not filter", "--no-filter")] = False,
-    rate: Annotated[Number, option("HZ", "sample rate of a file without time")] = None,
+    unfiltered: Annotated[bool, cli.option("", "do not filter", "--no-filter")] = False,
+    rate: Annotated[cli.Number, cli.option("HZ", "sample rate of a file without time")] = None,
     warm_up: Annotated[
-        Number, option("S", "duration of the warm-up [s] (default: found in the data)")
+        cli.Number, cli.option("S", "duration of the warm-up [s] (default: found in the data)")
     ] = None,
-    keep: Annotated[Texts, option("KIND", _KEEP, autocompletion=completed(*_KEPT))] = None,
+    keep: Annotated[
+        cli.Texts, cli.option("KIND", _KEEP, autocompletion=cli.completed(*_KEPT))
+    ] = None,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
@@ -67,8 +59,8 @@ def prepare(
         "keep": keep,
     }
     changes = {key: value for key, value in changes.items() if value is not None}
-    base = read_config(options.config)
-    how = read_options(options, base)
+    base = cli.read_config(options.config)
+    how = cli.read_options(options, base)
     from tirefit.data.rig.settings import PrepareConfig
     from tirefit.settings import parse_settings
 
@@ -77,7 +69,7 @@ def prepare(
     names = names_of(files, "prepare them into different --out")
     ends = (".csv", ".segments.tsv", ".png", ".prepare.json")
     made = [out / f"{name}{end}" for name in names for end in ends]
-    check_results([*made, *sharing.files(out, made)], files)
+    check_results([*made, *sharing.files(out)], files)
     pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
     with claimed(out):
         work = partial(_one, out, how, config)

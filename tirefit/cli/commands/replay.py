@@ -5,18 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.options import (
-    File,
-    Folder,
-    Html,
-    Number,
-    Seed,
-    option,
-    path_option,
-    progress_bar,
-    say,
-    start_jax,
-)
+from tirefit.cli import options as cli
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.readers.remote import file_at
 from tirefit.files import write_texts
@@ -34,21 +23,22 @@ def replay(
         list[Path] | None, typer.Argument(metavar="LOG...", parser=file_at, help="vehicle logs")
     ] = None,
     *,
-    vehicle: Annotated[Path, option("VEHICLE.toml", "vehicle.toml of the car and its log")],
-    front: Annotated[str, option(_TIRE, "tire of the front axle")],
-    rear: Annotated[str, option(_TIRE, "tire of the rear axle")],
-    out: Folder,
+    vehicle: Annotated[Path, cli.option("VEHICLE.toml", "vehicle.toml of the car and its log")],
+    front: Annotated[str, cli.option(_TIRE, "tire of the front axle")],
+    rear: Annotated[str, cli.option(_TIRE, "tire of the rear axle")],
+    out: cli.Folder,
     horizon: Annotated[
         list[float] | None,
-        option("S", "prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)"),
+        cli.option("S", "prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)"),
     ] = None,
-    effects: Annotated[File, option("VEHICLE_DIAGNOSIS.json", _EFFECTS)] = None,
+    effects: Annotated[cli.File, cli.option("VEHICLE_DIAGNOSIS.json", _EFFECTS)] = None,
     steering_delay: Annotated[
-        Number, option("S", "delay of the road wheels after the log [s]; default steering.delay")
+        cli.Number,
+        cli.option("S", "delay of the road wheels after the log [s]; default steering.delay"),
     ] = None,
-    mcap: Annotated[File, path_option("FILE.mcap", _MCAP)] = None,
-    seed: Seed = 0,
-    html: Html = False,
+    mcap: Annotated[cli.File, cli.path_option("FILE.mcap", _MCAP)] = None,
+    seed: cli.Seed = 0,
+    html: cli.Html = False,
 ) -> None:
     """Predict measured drives of a car from its tires; report the error over time.
 
@@ -62,7 +52,7 @@ def replay(
     if mcap and mcap.suffix.lower() != ".mcap":
         raise UsageError(InputProblem("the output is MCAP", "end it in .mcap", str(mcap)))
     check_results([*(out / name for name in FILES), *([mcap] if mcap else [])])
-    start_jax()
+    cli.start_jax()
     from tirefit.vehicle.mcap import writers
     from tirefit.vehicle.replay import HORIZONS
     from tirefit.vehicle.replay import replay as predicted
@@ -70,7 +60,7 @@ def replay(
     if mcap:
         writers()  # fails before the work if the library is missing
     with claimed(out):
-        with progress_bar("replay", soon=0.0) as progress:
+        with cli.progress_bar("replay", soon=0.0) as progress:
             result = predicted(
                 logs,
                 vehicle,
@@ -86,4 +76,4 @@ def replay(
         if mcap:
             mcap.parent.mkdir(parents=True, exist_ok=True)
             write_texts({mcap: result.to_mcap()})
-            say(f"wrote {mcap}")
+            cli.say(f"wrote {mcap}")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tirefit.cli.options import OutFile, errors_to_exit, numbers, path_option, say, start_jax
+from tirefit.cli import options as cli
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.settings import KINDS
@@ -21,20 +21,30 @@ simulate = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Truth = Annotated[Path | None, path_option("FILE.csv", "CSV file of the true values")]
+Truth = Annotated[Path | None, cli.path_option("FILE.csv", "CSV file of the true values")]
+
+
+def _drop(text: str) -> tuple[float, float]:
+    try:
+        time, friction = map(float, text.split("="))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not TIME=FRICTION, as in --drop 5=0.4") from None
+    return time, friction
 
 
 def _option(setting: Field[Any]) -> inspect.Parameter:
     """The option of a setting; the user gives a pair or a mapping as text."""
     kind, default, metavar = setting.type, setting.default, None
+    how: dict[str, Any] = {}
     flags = [f"--{setting.name}"] if isinstance(default, bool) else []
     if setting.name == "drop":
-        kind, metavar = str | None, "TIME=FRICTION"
+        kind, metavar, how = cli.Text, "TIME=FRICTION", {"parser": _drop}
     elif default is MISSING:
-        kind, default, flags, metavar = list[str] | None, None, ["--set"], "NAME=VALUE"
+        kind, default, flags, metavar = cli.Pairs, None, ["--set"], "NAME=VALUE"
+        how = {"parser": cli.number}
     elif isinstance(default, tuple):
         kind, default = list[float], list(default)
-    option = typer.Option(*flags, metavar=metavar, help=setting.metadata["meaning"])
+    option = typer.Option(*flags, metavar=metavar, help=setting.metadata["meaning"], **how)
     return inspect.Parameter(
         setting.name,
         inspect.Parameter.KEYWORD_ONLY,
@@ -46,30 +56,28 @@ def _option(setting: Field[Any]) -> inspect.Parameter:
 def _command(kind: str) -> Callable[..., Any]:
     """The command of one kind of simulation, with its settings as options."""
 
-    def run(*, out: OutFile, truth: Truth = None, **given: Any) -> None:
+    def run(*, out: cli.OutFile, truth: Truth = None, **given: Any) -> None:
         from tirefit.data.write import csv_text, output_problems
 
         problems: list[InputProblem] = []
         if "values" in given:
-            given["values"] = numbers("--set", given["values"], problems)
-        if "drop" in given:
-            given["drop"] = _drop(given["drop"])
+            given["values"] = cli.by_name(given["values"])
         for path in filter(None, (out, truth)):
             problems += output_problems(path, ".csv")
         if truth is not None and truth.absolute() == out.absolute():
             reason = "--truth is the same file as --out"
             problems.append(InputProblem(reason, "give another name"))
         UsageError.raise_for(problems + KINDS[kind](**given).problems())
-        start_jax()
+        cli.start_jax()
         from tirefit.sim.simulate import simulate as simulated
 
         made = simulated(kind, **given)
         tables = {out: made.columns} | ({} if truth is None else {truth: made.truth})
         write_texts({path: csv_text(table) for path, table in tables.items()})
         columns = f"{len(made.columns['time'])} rows, {', '.join(made.columns)}"
-        say(f"wrote {out}: {columns} (braking positive, SI), seed {given['seed']}")
+        cli.say(f"wrote {out}: {columns} (braking positive, SI), seed {given['seed']}")
         if truth is not None:
-            say(f"wrote {truth}: the true values without noise, {', '.join(made.truth)}")
+            cli.say(f"wrote {truth}: the true values without noise, {', '.join(made.truth)}")
 
     fixed = list(inspect.signature(run).parameters.values())[:2]
     parameters = [*fixed, *map(_option, fields(KINDS[kind]))]
@@ -79,16 +87,4 @@ def _command(kind: str) -> Callable[..., Any]:
 
 
 for _kind in KINDS:
-    simulate.command(_kind)(errors_to_exit()(_command(_kind)))
-
-
-def _drop(text: str | None) -> tuple[float, float] | None:
-    """Parse ``TIME=FRICTION``."""
-    if text is None:
-        return None
-    try:
-        time, friction = map(float, text.split("="))
-    except ValueError:
-        reason = f"--drop {text!r} is not TIME=FRICTION"
-        raise UsageError(reason, "as in --drop 5=0.4") from None
-    return time, friction
+    simulate.command(_kind)(cli.errors_to_exit()(_command(_kind)))

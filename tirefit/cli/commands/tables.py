@@ -10,29 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tirefit import __version__
+from tirefit.cli import options as cli
 from tirefit.cli.commands.magic_formula import CombinationOption
 from tirefit.cli.fleet import Piece, Sharing, run_pieces, worst_of
 from tirefit.cli.notes import warn
-from tirefit.cli.options import (
-    DataOptions,
-    Files,
-    OutFile,
-    SetOption,
-    SideOption,
-    SignsOption,
-    Texts,
-    model_names,
-    numbers,
-    option,
-    pairs,
-    path_option,
-    read_config,
-    read_options,
-    say,
-    start_jax,
-    takes_data_options,
-    warn_of,
-)
 from tirefit.cli.output import check_inputs_kept, check_results
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
@@ -63,7 +44,7 @@ def models() -> None:
     from tirefit.models import MODELS
     from tirefit.report.model_tables import models_table
 
-    say(models_table(MODELS))
+    cli.say(models_table(MODELS))
 
 
 def methods() -> None:
@@ -71,18 +52,19 @@ def methods() -> None:
     from tirefit.online.methods import METHODS
     from tirefit.report.model_tables import methods_table
 
-    say(methods_table(METHODS))
+    cli.say(methods_table(METHODS))
 
 
-@takes_data_options
+@cli.takes_data_options
 def inspect(
-    files: Files,
-    options: DataOptions,
-    model: Annotated[Texts, option("", _MODEL, autocompletion=model_names)] = None,
+    files: cli.Files,
+    options: cli.DataOptions,
+    model: Annotated[cli.Texts, cli.option("", _MODEL, autocompletion=cli.model_names)] = None,
     gate: Annotated[
-        bool, option("", "compute how well the file determines the parameters", "--gate/--no-gate")
+        bool,
+        cli.option("", "compute how well the file determines the parameters", "--gate/--no-gate"),
     ] = True,
-    json: Annotated[bool, option("", "print JSON", "--json")] = False,
+    json: Annotated[bool, cli.option("", "print JSON", "--json")] = False,
 ) -> None:
     """Show how a file was read, and how well it determines the parameters of models."""
     from tirefit.data.inspect import inspect as look
@@ -93,7 +75,7 @@ def inspect(
         inspection = look(data)
         identified = None
         if gate:
-            start_jax()
+            cli.start_jax()
             from tirefit.fitting.verdict.identifiability import identifiability
 
             identified = identifiability(data, model)
@@ -103,50 +85,49 @@ def inspect(
             warn(data, assumed=data.source.assumptions)
             inspection = replace(inspection, warnings=(), assumptions=())
         text = inspection.summary() + (identified.summary() if identified else "")
-        say(dumps(json_safe(content), indent=1) if json else text)
+        cli.say(dumps(json_safe(content), indent=1) if json else text)
         return ExitCode.OK, None
 
-    how, files = read_options(options, read_config(options.config)), expanded(files)
+    how, files = cli.read_options(options), expanded(files)
     pieces = [Piece(file, "") for file in files]
     done = run_pieces("inspect", pieces, show, Sharing(), Path())
     raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 def derive(
-    files: Files,
-    vehicle: Annotated[Path, path_option("VEHICLE.TOML", _VEHICLE)],
-    out: OutFile,
-    axle: Annotated[Axle, option("", "axle to derive")] = Axle.rear,
-    unit: Annotated[Texts, option("NAME=UNIT", _UNIT)] = None,
+    files: cli.Files,
+    vehicle: Annotated[Path, cli.path_option("VEHICLE.TOML", _VEHICLE)],
+    out: cli.OutFile,
+    axle: Annotated[Axle, cli.option("", "axle to derive")] = Axle.rear,
+    unit: Annotated[cli.Pairs, cli.option("NAME=UNIT", _UNIT, parser=cli.pair)] = None,
     believe: Annotated[
-        bool, option("", "only warn if channels contradict each other", "--believe")
+        bool, cli.option("", "only warn if channels contradict each other", "--believe")
     ] = False,
 ) -> None:
     """Compute slip angle and lateral force of an axle from vehicle logs."""
     from tirefit.data.vehicle.derive import derive_files
 
-    units = pairs("--unit", unit)
     if out.parent.is_dir() and not out.is_dir():  # others are refused with the CSV
         check_results([out, out.with_name(f"{out.stem}.derive.json")])
-    written = derive_files(files, vehicle, out, axle.value, units, believe)
-    say(written.summary())
+    written = derive_files(files, vehicle, out, axle.value, cli.by_name(unit), believe)
+    cli.say(written.summary())
 
 
-@takes_data_options
+@cli.takes_data_options
 def predict(
     source: Annotated[str, typer.Argument(metavar="FIT.json|FILE.tir|MODEL", help="the tire")],
     data: Annotated[Path, typer.Argument(metavar="DATA.csv", help="rows with slips and load")],
-    out: OutFile,
-    options: DataOptions,
-    parameter: SetOption = None,
-    starred_angles: Annotated[bool, option("", _STARRED, "--starred-angles")] = False,
-    side: SideOption = None,
-    signs: SignsOption = None,
+    out: cli.OutFile,
+    options: cli.DataOptions,
+    parameter: cli.SetOption = None,
+    starred_angles: Annotated[bool, cli.option("", _STARRED, "--starred-angles")] = False,
+    side: cli.SideOption = None,
+    signs: cli.SignsOption = None,
     combination: CombinationOption = None,
-    beside: Annotated[bool, option("", _BESIDE, "--beside")] = False,
+    beside: Annotated[bool, cli.option("", _BESIDE, "--beside")] = False,
 ) -> None:
     """Compute the forces of a fit or a model for each row of a data file."""
-    how = read_options(options, read_config(options.config))
+    how, values = cli.read_options(options), cli.by_name(parameter)
     of_file: dict[str, Any] = {"side": side, "signs": signs, "combination": combination}
     of_file["starred"] = starred_angles
     kind = tire_kind(source)
@@ -158,19 +139,20 @@ def predict(
     from tirefit.data.write import output_problems
 
     problems = output_problems(out, ".csv")
-    values = numbers("--set", parameter, problems)
     if kind == "fit" and values:
         problems.append(InputProblem("--set with a fit.json", "use it with a model name"))
     UsageError.raise_for(problems)
     check_inputs_kept([out])
 
     tir = read_tir(source) if kind == "tir" else None
-    start_jax()
+    cli.start_jax()
     from tirefit.data.read import read
     from tirefit.fitting import tir as of_tir
     from tirefit.fitting.predict import outside_fit
     from tirefit.fitting.predict import predict as forces_of
     from tirefit.fitting.store import load_fit
+    from tirefit.models import MODELS
+    from tirefit.params import parameter_values
 
     tire: Any = source
     if tir is not None:
@@ -184,12 +166,17 @@ def predict(
     noted = outside_fit(tire, table) if kind == "fit" else []
     if tir is not None:
         noted = of_tir.remarks(tir, tire, table, signs)
-    warn_of(noted, source)
+    cli.warn_of(noted, source)
     forces = forces_of(tire, table, values)
     if tir is not None:
-        say(_tir_text(source, tir, of_file, values))
+        cli.say(_tir_text(source, tir, of_file, values))
     elif kind != "fit":
-        say(f"{source} with {_values_text(source, values)}")
+        everything = parameter_values(MODELS[source])
+        texts = (
+            f"{key} = {values.get(key, value):g}" + " (default)" * (key not in values)
+            for key, value in everything.items()
+        )
+        cli.say(f"{source} with {', '.join(texts)}")
     _write(out, table, forces, source, beside)
 
 
@@ -206,9 +193,9 @@ def _write(
     columns = (simulated_table if beside else prediction_table)(table, forces)
     first = f"# tirefit {__version__}: {source} beside, {convention}\n"
     write_texts({out: (first if beside else "") + csv_text(columns)})
-    warn_of(f"excluded, no force: {row}" for row in table.first_masked())
+    cli.warn_of(f"excluded, no force: {row}" for row in table.first_masked())
     signs = f"({convention}, {table.source.convention_from})"
-    say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
+    cli.say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
 
 def _tir_text(
@@ -221,13 +208,3 @@ def _tir_text(
     parts += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
     parts += [f"{key} = {value:g}" for key, value in values.items()]
     return ", ".join(parts)
-
-
-def _values_text(name: str, values: dict[str, float]) -> str:
-    """Every parameter value of a named model, including defaults."""
-    from tirefit.models import MODELS
-    from tirefit.params import parameter_values
-
-    everything = parameter_values(MODELS[name]) | values
-    marks = {key: "" if key in values else " (default)" for key in everything}
-    return ", ".join(f"{k} = {v:g}{marks[k]}" for k, v in everything.items())

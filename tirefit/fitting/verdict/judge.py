@@ -278,7 +278,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     at_bound = [label for label in statistics.at_bound if result.least_squares[label].identified]
     if at_bound:
         names = ", ".join(_short(result, label) for label in at_bound)
-        text = f"at its bound: {names}; the interval is one-sided"
+        text = f"the interval of {names} is one-sided"
         findings.append((Outcome.AT_BOUND, text))
     summary = result.posterior
     if summary is not None and summary.outcome is not Outcome.CONVERGED:

@@ -205,9 +205,8 @@ def _of_readings(result: Diagnosis, readings: Readings, changed: str) -> str:
         changed: the answer that the simulator with its parameters and effects changed gives.
     """
     unit = result.unit
-    rms, of_it = (
-        format_number(x, 3) for x in (readings.measured.rms_left_out, readings.rms_changed)
-    )
+    rms = format_number(readings.measured.rms_left_out, 3)
+    of_it = format_number(readings.rms_changed, 3)
     parts = [
         f"The simulator's {words.channel_name(s.channel)} shows that {s.means}. To do: {s.remedy}."
         for s in readings.structure
@@ -223,10 +222,8 @@ def _of_readings(result: Diagnosis, readings: Readings, changed: str) -> str:
                 f"The measured forces do not show {words.listing(surplus, 'or')}: take it out of"
                 " the simulator."
             )
-    fitted = (
-        f"A {readings.model} with effects, fitted to the measured rows, predicts rows left out to"
-    )
-    fitted += f" {rms} {unit}"
+    fitted = f"A {readings.model} with effects, fitted to the measured rows, predicts rows left out"
+    fitted += f" to {rms} {unit}"
     if readings.first == "changed":
         parts.append(changed)
         if rms != of_it:
@@ -263,7 +260,7 @@ def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
         yield f"The simulator has {words.listing(wrong)}."
     if there is None:
         values = [
-            f"{_SHORT.get(k, k)} {_cell(x)}{_spaced(x.unit)} ({k})"
+            f"{_SHORT.get(k, k)} {words.amount_text(x.value, x.std or None, x.unit)} ({k})"
             for k, x in here.parameters.items()
             if k != SLOPE
         ]
@@ -278,11 +275,6 @@ def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
         yield f"The measured forces act like {words.listing(lacks)}."
 
 
-def _spaced(unit: str) -> str:
-    unit = words.readable_unit(unit)[1]
-    return "" if unit in ("", "-") else f" {unit}"
-
-
 def _simulated(readings: Readings, name: str) -> Estimate | None:
     if readings.simulator is not None:
         return readings.simulator.parameters[name]
@@ -294,25 +286,19 @@ def readings_section(readings: Readings, unit: str) -> Section:
     """Both described by one model: parameters, effects that help, error on data left out."""
     table: list[tuple[str, ...]] = [(f"{readings.model} with effects", "simulator", "measured")]
     sides = [dict(side.effects) if side else {} for side in (readings.simulator, readings.measured)]
-    pairs: dict[str, tuple[Estimate | None, ...]] = {}
-    pairs |= {
+    pairs: dict[str, tuple[Estimate | None, ...]] = {
         name: (_simulated(readings, name), x) for name, x in readings.measured.parameters.items()
     }
     pairs |= {words.name_of(k): tuple(x.get(k) for x in sides) for k in sides[0] | sides[1]}
     for name, pair in pairs.items():
         said = words.readable_unit(next(filter(None, pair[::-1])).unit)[1]
         table.append((f"{name} [{said}]" if said not in ("", "-") else name, *map(_cell, pair)))
-    left = (
-        format_number(s.rms_left_out, 3) if s else "-"
-        for s in (readings.simulator, readings.measured)
-    )
+    both = readings.simulator, readings.measured
+    left = (format_number(side.rms_left_out, 3) if side else "-" for side in both)
     table.append((f"rms left out [{unit}]", *left))
-    lines = []
-    if any(sides):
-        lines += ["in brackets: probability of an effect to be the cause"]
-        lines += [
-            f"parameters: of the {readings.model} without effects whose forces are nearest to these"
-        ]
+    nearest = f"of the {readings.model} without effects whose forces are nearest to these"
+    lines = ["in brackets: probability of an effect to be the cause", f"parameters: {nearest}"]
+    lines *= any(sides)
     for feature in readings.structure:
         lines += [f"{words.channel_name(feature.channel)} of the simulator: {feature.means}"]
         lines += [f"    to do: {feature.remedy}"]

@@ -13,31 +13,16 @@ from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis
 from tirefit.diagnosis.summary.views import SIGNIFICANT, Comparison
 from tirefit.params import check_names
-from tirefit.report.canvas import (
-    BLUE,
-    COLORS,
-    DARK,
-    GREY,
-    ORANGE,
-    WIDE,
-    Panel,
-    Picture,
-    alone,
-    boxed,
-    dots,
-    panel_title,
-    tidy,
-    together,
-)
+from tirefit.report import canvas
 from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import answer
 from tirefit.report.diagnosis.sections import foot_line, step_label, subject
 from tirefit.report.fit.curves import slip_axis
 from tirefit.report.numbers import format_number
 
-_SIZE = (WIDE, 3.5)
+_SIZE = (canvas.WIDE, 3.5)
 _SHOWN = 3  # number of panels of the figure beside the page
-_KIND = {"base": GREY, "effect": BLUE, "smooth": ORANGE, "noise": "#bbbbbb"}
+_KIND = {"base": canvas.GREY, "effect": canvas.BLUE, "smooth": canvas.ORANGE, "noise": "#bbbbbb"}
 """Colours of the bars by their kind."""
 
 
@@ -80,23 +65,19 @@ def draw_bars(figure: Any, bars: Sequence[Bar], x_label: str, title: str, note: 
     for place, bar in zip(range(len(bars))[::-1], bars, strict=True):
         axes.barh(place, bar.length, 0.34, color=_KIND[bar.kind])
         if bar.error:
-            axes.errorbar(bar.length, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2)
+            axes.errorbar(
+                bar.length, place, xerr=bar.error, fmt="none", ecolor=canvas.DARK, capsize=2
+            )
         if bar.mark is not None:
-            axes.plot(bar.mark, place, "D", ms=6, mfc="white", mec=DARK)
+            axes.plot(bar.mark, place, "D", ms=6, mfc="white", mec=canvas.DARK)
         if bar.kind in ("smooth", "noise"):
             axes.axvline(bar.length, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
-        boxed(axes, 0.01 * reach, place + 0.28, f"{bar.label}: {bar.text}", 9)
-    tidy(axes, x_label, size=9.5)
+        canvas.boxed(axes, 0.01 * reach, place + 0.28, f"{bar.label}: {bar.text}", 9)
+    canvas.tidy(axes, x_label, size=9.5)
     axes.set_xlim(0, reach)
     axes.set_ylim(-0.4, len(bars) - 0.3)
     axes.set_yticks([])
-    panel_title(axes, title, note)
-
-
-def _range(low: float, high: float) -> str:
-    if low == high:
-        return format_number(float(low))
-    return f"{format_number(float(low), 3)}-{format_number(float(high), 3)}"
+    canvas.panel_title(axes, title, note)
 
 
 def where_bars(result: Diagnosis) -> list[Bar]:
@@ -128,33 +109,34 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
     top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
     axis = slip_axis(panel.slip_name, np.concatenate([curve.slip for curve in panel.curves]))
     dashed, handles = dict[str, Any](lw=1.2, ls=(0, (4, 2))), list[Line2D | Patch]()
-    for curve, color in zip(panel.curves, COLORS, strict=False):
+    for curve, color in zip(panel.curves, canvas.COLORS, strict=False):
         center = axis.shown(curve.center)
-        dots(top, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)
+        canvas.dots(top, axis.shown(curve.slip), curve.force, 1.8, color, 0.4)
         top.fill_between(center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1)
         top.plot(center, curve.base, color=color, zorder=3, **dashed)
         top.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
-        load = f"$F_z$ = {_range(*curve.load)} N"
+        ends = dict.fromkeys(format_number(float(x), 3) for x in curve.load)
+        load = f"$F_z$ = {'-'.join(ends)} N"
         handles.append(Line2D([], [], ls="none", marker="o", ms=3, color=color, label=load))
     force = f"${words.channel_name(panel.channel)}$ [{UNITS[panel.channel]}]"
-    tidy(top, f"{axis.label} [{axis.unit}]", force)
+    canvas.tidy(top, f"{axis.label} [{axis.unit}]", force)
     handles += [
-        Line2D([], [], color=GREY, label=base, **dashed),
-        Line2D([], [], color=GREY, lw=1.4, label="after"),
-        Patch(color=GREY, alpha=0.3, lw=0, label="80 % of rows"),
+        Line2D([], [], color=canvas.GREY, label=base, **dashed),
+        Line2D([], [], color=canvas.GREY, lw=1.4, label="after"),
+        Patch(color=canvas.GREY, alpha=0.3, lw=0, label="80 % of rows"),
     ]
     beside = {"fontsize": 7, "frameon": False, "loc": "upper left", "bbox_to_anchor": (1.0, 1.04)}
     top.legend(handles=handles, **beside)
-    panel_title(top, "Before and after", f"after: {after}")
+    canvas.panel_title(top, "Before and after", f"after: {after}")
     points = {"marker": "o", "ms": 2.5}
-    bottom.plot(panel.center, panel.before, color=DARK, label=base, **points, **dashed)
-    bottom.plot(panel.center, panel.after, color=BLUE, label="after", **points)
+    bottom.plot(panel.center, panel.before, color=canvas.DARK, label=base, **points, **dashed)
+    bottom.plot(panel.center, panel.after, color=canvas.BLUE, label="after", **points)
     bottom.set_ylim(bottom=0)
-    tidy(bottom, "slip / slip of full sliding", "rms residual [N]")
+    canvas.tidy(bottom, "slip / slip of full sliding", "rms residual [N]")
     bottom.legend(**beside)
 
 
-def panels_of(result: Diagnosis) -> dict[str, Panel]:
+def panels_of(result: Diagnosis) -> dict[str, canvas.Panel]:
     """Name of a panel -> the panel."""
     base = "simulator" if result.simulator else "base fit"
     after, on = after_label(result), result.ladder.on
@@ -165,27 +147,27 @@ def panels_of(result: Diagnosis) -> dict[str, Panel]:
     x_label = f"rms on {'data left out' if on else 'the rows fitted'} [{result.unit}]"
     titles = {"x_label": x_label, "title": "How far the gap shrinks", "note": note}
     text = "Rms on data left out, step by step, down to the noise"
-    panels = {"ladder": Panel(partial(draw_bars, bars=bars, **titles), text, _SIZE)}
+    panels = {"ladder": canvas.Panel(partial(draw_bars, bars=bars, **titles), text, _SIZE)}
     if (compared := result.comparison) is not None:
         text = "Force over slip and residuals, of the base fit and after it"
         draw = partial(draw_comparison, panel=compared, after=after, base=base)
-        panels["before and after"] = Panel(draw, text, (WIDE, 4.4))
+        panels["before and after"] = canvas.Panel(draw, text, (canvas.WIDE, 4.4))
     if regions := where_bars(result):
         titles = {"x_label": "share of the gap's energy [%]", "title": "Where the gap lies"}
         titles |= {"note": f"measured minus {base}: regions beyond the noise (5 % false)"}
         text = "Regions of load, speed, slip or time with their shares of the gap"
-        panels["where"] = Panel(partial(draw_bars, bars=regions, **titles), text, _SIZE)
+        panels["where"] = canvas.Panel(partial(draw_bars, bars=regions, **titles), text, _SIZE)
     return panels
 
 
-def diagnosis_figure(result: Diagnosis) -> Picture:
+def diagnosis_figure(result: Diagnosis) -> canvas.Picture:
     """The first panels one below the other, below the answer; the page has all."""
     panels = list(panels_of(result).values())[:_SHOWN]
     foot = f"{foot_line(result)} · {format_number(result.n)} rows"
-    return together(panels, subject(result), answer(result), foot)
+    return canvas.together(panels, subject(result), answer(result), foot)
 
 
-def plot_diagnosis(result: Diagnosis, panel: str | None = None) -> Picture:
+def plot_diagnosis(result: Diagnosis, panel: str | None = None) -> canvas.Picture:
     """The figure of a diagnosis: ladder, before and after, location of the gap.
 
     ``result.plot().savefig("why.pdf")`` saves it.
@@ -200,4 +182,4 @@ def plot_diagnosis(result: Diagnosis, panel: str | None = None) -> Picture:
     if panel is None:
         return diagnosis_figure(result)
     check_names("panel", [panel], panels := panels_of(result))
-    return alone(panels[panel])
+    return canvas.alone(panels[panel])

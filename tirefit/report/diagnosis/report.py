@@ -5,26 +5,15 @@ from collections.abc import Iterator
 from typing import Any
 
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.effects.measurement import RELATIVE
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.extended import SCHEMA
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.diagnosis import words
+from tirefit.report.diagnosis import sections, words
 from tirefit.report.diagnosis.answer import answer
-from tirefit.report.diagnosis.sections import (
-    both_described,
-    first_screen,
-    foot_line,
-    gap_line,
-    head_lines,
-    missing_lines,
-    of_effects,
-    subject,
-)
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.page import Section, fragment, image_of, page, report_text, verdict_of, wrapped
+from tirefit.report.page import Section, fragment, page, report_text, verdict_of, wrapped
 
 _LEAST = 0.005  # smallest probability of a candidate that is listed
 
@@ -35,43 +24,39 @@ def diagnosis_text(result: Diagnosis, full: bool = False) -> str:
     Args:
         full: with where the gap lies, all candidates, forecast, noise and settings.
     """
-    sections = first_screen(result) + (_details(result) if full else [])
+    parts = sections.first_screen(result) + (_details(result) if full else [])
     more = "" if full else "; details: --full, or the JSON document"
-    first = Section("Answer", [answer(result), *head_lines(result)])
-    head = wrapped(f"DIAGNOSIS of {subject(result)}", "", " " * 6)
-    foot = wrapped(foot_line(result) + more, "", " " * 6)
-    return "\n".join([*head, report_text([first, *sections]), *foot])
-
-
-def _verdict(result: Diagnosis) -> dict[str, Any]:
-    is_closed = result.verdict.status in (Status.NONE, Status.NAMED)
-    return verdict_of(answer(result), list(head_lines(result)), is_closed)
+    first = Section("Answer", [answer(result), *sections.head_lines(result)])
+    head = wrapped(f"DIAGNOSIS of {sections.subject(result)}", "", " " * 6)
+    foot = wrapped(sections.foot_line(result) + more, "", " " * 6)
+    return "\n".join([*head, report_text([first, *parts]), *foot])
 
 
 def diagnosis_page(result: Diagnosis) -> str:
     """The whole diagnosis as one HTML document, without script or external files: the answer,
     the figures, the tables, the settings."""
-    from tirefit.report.canvas import images_of  # Matplotlib
-    from tirefit.report.diagnosis.figures import panels_of
-
-    sections = [
-        Section("", pictures=images_of(panels_of(result).values())),
-        *first_screen(result),
-        *(section._replace(folded=True) for section in _details(result)),
-        Section("", [foot_line(result)]),
-    ]
-    return page(subject(result), sections, _verdict(result), record=result.to_json())
+    details = [section._replace(folded=True) for section in _details(result)]
+    parts = [*_first(result), *details, Section("", [sections.foot_line(result)])]
+    return page(sections.subject(result), parts, _verdict(result), record=result.to_json())
 
 
 def diagnosis_fragment(result: Diagnosis) -> str:
-    """The answer, the first screen and the figure for a notebook."""
-    from tirefit.report.diagnosis.figures import diagnosis_figure, panels_of  # Matplotlib
+    """The answer, the figures and the first screen for a notebook."""
+    title = f"{sections.subject(result)}, {result.n} rows"
+    return fragment(title, _first(result), _verdict(result))
 
-    picture = diagnosis_figure(result)
-    picture.set_dpi(90)
-    image = image_of(picture, "; ".join(panel.alternative for panel in panels_of(result).values()))
-    sections = [Section("", pictures=[image]), *first_screen(result)]
-    return fragment(f"{subject(result)}, {result.n} rows", sections, _verdict(result))
+
+def _verdict(result: Diagnosis) -> dict[str, Any]:
+    is_closed = result.verdict.status in (Status.NONE, Status.NAMED)
+    return verdict_of(answer(result), list(sections.head_lines(result)), is_closed)
+
+
+def _first(result: Diagnosis) -> list[Section]:
+    from tirefit.report.canvas import images_of  # Matplotlib
+    from tirefit.report.diagnosis.figures import panels_of
+
+    pictures = images_of(panels_of(result).values())
+    return [Section("", pictures=pictures), *sections.first_screen(result)]
 
 
 # --- details --------------------------------------------------------------------------
@@ -79,19 +64,13 @@ def diagnosis_fragment(result: Diagnosis) -> str:
 
 def _details(result: Diagnosis) -> list[Section]:
     """Sections on the gap, where it lies, all candidates, forecast, noise, settings."""
-    gaps = [gap_line(result, result.gap, f"the {result.n} rows fitted")]
-    of_changed = "The simulator, changed: " if both_described(result) else ""
-    changed = of_effects(result) if of_changed else []
+    gaps = [sections.gap_line(result, result.gap, f"the {result.n} rows fitted")]
+    of_changed = "The simulator, changed: " if sections.both_described(result) else ""
+    changed = sections.of_effects(result) if of_changed else []
     where = [("quantity", "range", "share of energy", "p of noise")]
-    where += [
-        (
-            words.covariate_text(region.covariate),
-            words.range_text(region),
-            words.share_text(region.share),
-            words.p_text(region.p_value),
-        )
-        for region in result.where
-    ]
+    for region in result.where:
+        place = words.covariate_text(region.covariate), words.range_text(region)
+        where.append((*place, words.share_text(region.share), words.p_text(region.p_value)))
     candidates = []
     for item in (x for x in result.candidates if x.probability >= _LEAST):
         names = {name.partition(": ")[0]: size for name, size in item.parameters.items()}
@@ -102,34 +81,12 @@ def _details(result: Diagnosis) -> list[Section]:
     return [
         *(item._replace(title=f"{of_changed}{item.title}") for item in changed),
         Section("Gap on the rows fitted", gaps),
-        Section("Runs (each fitted with its own offset)", list(_run_lines(result))),
         Section("Where the gap lies", (), where),
         Section(title, candidates),
         Section(f"{of_changed}Parameters", (), _parameters(result)),
-        Section("Also not testable", missing_lines(result)[1]),
+        Section("Also not testable", sections.missing_lines(result)[1]),
         Section("Data and settings", list(_settings(result))),
     ]
-
-
-def _run_lines(result: Diagnosis) -> Iterator[str]:
-    """Differences between the runs of the file, one line for each kind of offset."""
-    for kind, runs in result.runs.items():
-        factor, unit = words.readable_unit(runs.unit)
-        common = f"{words.amount_text(runs.common, runs.std, runs.unit)} for all "
-        if runs.unit == RELATIVE:  # what is common is the tire's own parameter
-            common = ""
-        spread = words.amount_text(runs.spread, None, runs.unit, 2)
-        low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
-        each_run = (
-            f"{name} {format_estimate(factor * value, factor * std)}"
-            for name, (value, std) in runs.values.items()
-        )
-        yield (
-            f"{words.name_of(kind)}: {common}{len(runs.values)} runs, standard"
-            f" deviation between runs {spread} [{low}, {high}], p"
-            f" {words.p_text(runs.p_value)} of none;"
-            f" each run{f' [{unit}]' * bool(unit)}: {', '.join(each_run)}"
-        )
 
 
 def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:

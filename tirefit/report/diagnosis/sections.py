@@ -94,22 +94,17 @@ def _percent(share: float, std: float | None) -> str:
 def _ladder(result: Diagnosis) -> Section:
     ladder, unit, held_out = result.ladder, result.unit, bool(result.settings.holdout)
     on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
-    head: tuple[str, ...] = ("model", f"rms left out [{unit}]", "closed", f"held out [{unit}]")
-    table = [head] if ladder.steps else []
+    table = [("model", f"rms left out [{unit}]", "closed", f"held out [{unit}]")[: 3 + held_out]]
     for k, step in enumerate(ladder.steps):
-        rms, closed = step.rms_held_out, step.closed_held_out
-        there = (
-            "-" if rms is None else format_number(rms, 3) + f" ({closed or 0:.0%})" * bool(closed)
-        )
+        rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
         share = _percent(step.closed, step.closed_std or None) if k else "-"
-        table.append((step_label(result, k), format_number(step.rms_left_out, 3), share, there))
+        row = step_label(result, k), format_number(step.rms_left_out, 3), share
+        table.append((*row, *[rms + f" ({closed or 0:.0%})" * bool(closed)] * held_out))
     lines = ["closed: removed share of the first row's rms beyond the noise, ± std"]
     if not ladder.steps:
         lines = ["no part of these rows can be left out"]
         lines += [gap_line(result, result.gap, "the rows fitted")]
-    if not held_out:
-        table = [row[:3] for row in table]
-    elif ladder.steps:
+    elif held_out:
         lines[0] += "; held out: rms on those files (share closed there)"
     for k in worse_steps(result):
         old, new = (format_number(ladder.steps[i].rms_held_out, 3) for i in (k - 1, k))

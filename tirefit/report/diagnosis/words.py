@@ -230,10 +230,10 @@ def share_text(share: float | None, ends: tuple[float | None, float | None] | No
     """``95 % [80 %, 96 %]``; ``-`` for an unknown share."""
     if share is None:
         return "-"
-    if ends is None or ends[0] is None:
-        return f"{100 * share:.0f} %"
-    tail = "{:.0%}, {:.0%}".format(*ends).replace("%", " %")
-    return f"{100 * share:.0f} % [{tail}]"
+    text = f"{100 * share:.0f} %"
+    if ends is not None and ends[0] is not None:
+        text += " [{:.0%}, {:.0%}]".format(*ends).replace("%", " %")
+    return text
 
 
 def closed_text(closed: float, ends: tuple[float | None, float | None]) -> str:

@@ -135,13 +135,13 @@ def _level_label(name: str, values: np.ndarray, runs: Sequence[str] = ()) -> str
         return plain_text(str(runs[int(values[0])]))
     middle = float(np.median(values))
     sign = "=" if np.ptp(values) <= 0.1 * abs(middle) + 1e-3 else "≈"
-    text = {
-        "fz": lambda: f"$F_z$ {sign} {middle:.0f} N",
-        "v": lambda: f"$v$ {sign} {middle:.3g} m/s",
-        "alpha": lambda: rf"$\alpha$ {sign} {np.degrees(middle):.2g}°",
-        "sigma_x": lambda: rf"$\sigma_x$ {sign} {middle:.2g}",
-    }
-    return text[name]()
+    symbol, shown, form, unit = {
+        "fz": ("$F_z$", middle, ".0f", " N"),
+        "v": ("$v$", middle, ".3g", " m/s"),
+        "alpha": (r"$\alpha$", np.degrees(middle), ".2g", "°"),
+        "sigma_x": (r"$\sigma_x$", middle, ".2g", ""),
+    }[name]
+    return f"{symbol} {sign} {shown:{form}}{unit}"
 
 
 def _members(result: FitResult, keys: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
@@ -236,11 +236,6 @@ def _ends(values: np.ndarray, axis: SlipAxis) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _slips(result: FitResult, channel: str) -> np.ndarray:
-    problem = result.problem
-    return problem.used(getattr(problem.rows.inputs, CHANNEL_SLIP[channel]))
-
-
 def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     """Measured points and fitted curves of one force over its slip.
 
@@ -254,7 +249,8 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     """
     problem = result.problem
     channel = channel or problem.channels[0].name
-    slip, values = CHANNEL_SLIP[channel], _slips(result, channel)
+    slip = CHANNEL_SLIP[channel]
+    values = problem.used(getattr(problem.rows.inputs, slip))
     axis, keys = slip_axis(slip, values), _keys(result, slip)
     members, other = _members(result, keys), _OTHER[slip]
     conditions = [_conditions(result, rows, slip, other in keys) for _, rows in members]

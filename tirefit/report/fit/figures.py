@@ -13,23 +13,6 @@ from tirefit.data.run_names import clipped
 from tirefit.fitting.result import Estimate, FitResult
 from tirefit.params import check_names
 from tirefit.report import canvas
-from tirefit.report.canvas import (
-    DARK,
-    GREY,
-    RED,
-    WIDE,
-    Panel,
-    Picture,
-    colors_of,
-    dots,
-    drawn,
-    images_of,
-    legend_below,
-    panel_title,
-    save_pictures,
-    tidy,
-    together,
-)
 from tirefit.report.fit.curves import FitCurve, fit_curve
 from tirefit.report.fit.posterior import corner_panels, has_trace, profile_panels, trace_panels
 from tirefit.report.fit.report import verdict_line
@@ -48,29 +31,29 @@ def draw_fit(axes: Any, curve: FitCurve) -> list[Line2D | Patch]:
     Returns:
         the entries of its legend.
     """
-    colors = colors_of(len(curve.groups))
+    colors = canvas.colors_of(len(curve.groups))
     single = len(curve.curves) == 1
     count = sum(len(group.slip) for group in curve.groups)
     size = float(np.clip(60 / np.sqrt(max(count, 1)), 1.2, 4.5))
     for group, color in zip(curve.groups, colors, strict=True):
-        some = drawn(group.force, count)
-        dots(axes, group.slip[some], group.force[some], size, color, 0.45)
+        some = canvas.drawn(group.force, count)
+        canvas.dots(axes, group.slip[some], group.force[some], size, color, 0.45)
         if group.low is not None:
             axes.vlines(group.slip, group.low, group.high, color, lw=0.8, alpha=0.6)
-    for fitted, color in zip(curve.curves, [DARK] if single else colors, strict=True):
+    for fitted, color in zip(curve.curves, [canvas.DARK] if single else colors, strict=True):
         for low, high, alpha, order in (
             (fitted.noise_low, fitted.noise_high, _LIGHT, 1),
             (fitted.low, fitted.high, _DENSE, 3),
         ):
             axes.fill_between(fitted.slip, low, high, color=color, alpha=alpha, lw=0, zorder=order)
         axes.plot(fitted.slip, fitted.force, color=color, lw=1.4, zorder=4)
-    axes.axhline(0, color=GREY, lw=0.5, zorder=0)
-    tidy(axes, curve.x_label, curve.y_label, 9.5)
+    axes.axhline(0, color=canvas.GREY, lw=0.5, zorder=0)
+    canvas.tidy(axes, curve.x_label, curve.y_label, 9.5)
     slips = [*(part.slip for part in curve.groups), *(part.slip for part in curve.curves)]
     x = [slip for slip in slips if len(slip)]
     axes.set_xlim(min(v.min() for v in x), max(v.max() for v in x))
     if curve.title:
-        panel_title(axes, curve.title, curve.note)
+        canvas.panel_title(axes, curve.title, curve.note)
     if curve.ticks:
         axes.set_xticks(*zip(*curve.ticks, strict=True))
     return _handles(curve, colors)
@@ -85,24 +68,29 @@ def _handles(curve: FitCurve, colors: Sequence[Any]) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = list(named)
     if len(named) > _MOST_NAMED:
         handles = [named[0], named[-1]]
-    handles.append(Line2D([], [], color=DARK, lw=1.4, label="fit"))
+    handles.append(Line2D([], [], color=canvas.DARK, lw=1.4, label="fit"))
     fitted = any(np.any(c.high > c.low) for c in curve.curves)
     noisy = any(np.any(c.noise_high > c.noise_low) for c in curve.curves)
     bands = ((fitted, _DENSE, "95 % band of the fit"), (noisy, _LIGHT, "95 % of measurements"))
-    return handles + [Patch(color=DARK, alpha=a, lw=0, label=t) for on, a, t in bands if on]
+    return handles + [Patch(color=canvas.DARK, alpha=a, lw=0, label=t) for on, a, t in bands if on]
 
 
-def curve_panel(curve: FitCurve, alternative: str) -> Panel:
+def curve_panel(curve: FitCurve, alternative: str) -> canvas.Panel:
     """A force over its slip, with its legend below."""
 
     def draw(figure: Any) -> None:
         handles = draw_fit(figure.subplots(), curve)
-        legend_below(figure, handles, "" if curve.title else curve.note)
+        style = {"loc": "outside lower left", "ncols": 2, "fontsize": 8, "frameon": False}
+        if curve.note and not curve.title:
+            style |= {"title": curve.note, "title_fontsize": 8, "alignment": "left"}
+        figure.legend(handles=handles, **style)
 
-    return Panel(draw, alternative, (WIDE, 3.3 + 0.1 * min(len(curve.groups), _MOST_NAMED)))
+    return canvas.Panel(
+        draw, alternative, (canvas.WIDE, 3.3 + 0.1 * min(len(curve.groups), _MOST_NAMED))
+    )
 
 
-def _curve_panels(result: FitResult) -> list[Panel]:
+def _curve_panels(result: FitResult) -> list[canvas.Panel]:
     """Points, curve and bands of every fitted force."""
     text = "Measured points and fitted curve of {} over slip, with bands"
     return [curve_panel(fit_curve(result, name), text.format(name)) for name in result.forces]
@@ -125,7 +113,7 @@ def run_points(result: FitResult) -> list[Points]:
     return points
 
 
-def _run_panels(result: FitResult) -> list[Panel]:
+def _run_panels(result: FitResult) -> list[canvas.Panel]:
     """Every parameter that differs by run."""
     panels = []
     for points in run_points(result):
@@ -135,7 +123,7 @@ def _run_panels(result: FitResult) -> list[Panel]:
     return panels
 
 
-PANELS: Mapping[str, Callable[..., list[Panel]]] = {
+PANELS: Mapping[str, Callable[..., list[canvas.Panel]]] = {
     "fit": _curve_panels,
     "residuals": residual_panels,
     "runs": _run_panels,
@@ -167,10 +155,10 @@ def missing_of(result: FitResult) -> dict[str, str]:
 def page_pictures(result: FitResult) -> dict[str, list[dict[str, Any]]]:
     """Name of a figure -> its pictures for a page, as far as the fit has the content."""
     missing = missing_of(result)
-    return {n: images_of(panels(result)) for n, panels in PANELS.items() if n not in missing}
+    return {n: canvas.images_of(panels(result)) for n, panels in PANELS.items() if n not in missing}
 
 
-def figure_of(result: FitResult, name: str, **how: Any) -> Picture:
+def figure_of(result: FitResult, name: str, **how: Any) -> canvas.Picture:
     """The figure of this name with title and footnote.
 
     Args:
@@ -181,8 +169,8 @@ def figure_of(result: FitResult, name: str, **how: Any) -> Picture:
     if count > canvas.MOST_DRAWN:
         foot += f", {canvas.MOST_DRAWN} of them drawn"
     title = f"{result.model} fitted to {fit_files(result, 68)}"
-    panels, color = PANELS[name](result, **how), RED if result.outcomes else DARK
-    return together(panels, title, verdict_line(result), foot, color)
+    panels, color = PANELS[name](result, **how), canvas.RED if result.outcomes else canvas.DARK
+    return canvas.together(panels, title, verdict_line(result), foot, color)
 
 
 def plot_fit(result: FitResult, what: str = "fit", ax: Any = None, **how: Any) -> Any:
@@ -223,7 +211,7 @@ def save_figures(result: FitResult, directory: str | os.PathLike[str]) -> list[P
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     names = [name for name in PANELS if name not in missing_of(result)]
-    written = save_pictures(((name, figure_of(result, name)) for name in names), directory)
+    written = canvas.save_pictures(((name, figure_of(result, name)) for name in names), directory)
     # Remove figures of an earlier fit, which would be mistaken for new ones.
     for name in FIGURE_FILES:
         if directory / name not in written:

@@ -78,9 +78,13 @@ def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...
     return tuple(k for k, names in known.items() if names & set(parameters))
 
 
-def _chosen(result: FitResult, rank: Sequence[float]) -> tuple[tuple[str, ...], str]:
-    """At most ten labels, in order, and a note on them: those not identified first, then by
-    rank."""
+def _chosen(
+    result: FitResult, rank: Sequence[float], asked: Sequence[str] | None = None
+) -> tuple[tuple[str, ...], str]:
+    """The labels ``asked`` for, or at most ten, in order, and a note on them: those not
+    identified first, then by rank."""
+    if asked is not None:
+        return named_labels(result, asked), ""
     if len(result.labels) <= _MOST:
         return result.labels, ""
     known = np.array([result.least_squares[k].identified for k in result.labels])
@@ -97,9 +101,7 @@ def corner_panels(result: FitResult, parameters: Sequence[str] | None = None) ->
     """
     strength = np.abs(np.nan_to_num(np.asarray(result.correlation, float)))
     np.fill_diagonal(strength, 0.0)
-    labels, note = _chosen(result, strength.max(axis=1, initial=0.0))
-    if parameters is not None:
-        labels, note = named_labels(result, parameters), ""
+    labels, note = _chosen(result, strength.max(axis=1, initial=0.0), parameters)
     count = len(labels)
     size = max(_CELL * count + 0.8, WIDE), _CELL * count + 0.9
     regions = "contours: 50 and 95 % of the draws; red: least squares"
@@ -152,15 +154,13 @@ def trace_panels(result: FitResult, parameters: Sequence[str] | None = None) -> 
         parameters: as in :func:`named_labels`; by default the ten of largest R-hat.
     """
     rhat = {} if result.posterior is None else result.posterior.rhat
-    labels, note = _chosen(result, [rhat.get(k, 0.0) for k in result.labels])
-    if parameters is not None:
-        labels, note = named_labels(result, parameters), ""
+    labels, note = _chosen(result, [rhat.get(k, 0.0) for k in result.labels], parameters)
     draw, size = partial(_draw_trace, result=result, labels=labels), 0.6 + 1.1 * len(labels)
     return [Panel(draw, "Draws of every ensemble in order", (WIDE, size), note)]
 
 
 def _draw_trace(figure: Any, result: FitResult, labels: Sequence[str]) -> None:
-    chains, summary = np.asarray(result.chains, float), result.posterior
+    chains = np.asarray(result.chains, float)
     length = chains.shape[1]
     some = np.linspace(0, length - 1, min(600, length)).astype(int)
     cells = figure.subplots(len(labels), 1, squeeze=False, sharex=True).ravel()
@@ -170,9 +170,6 @@ def _draw_trace(figure: Any, result: FitResult, labels: Sequence[str]) -> None:
         tidy(axes, "step of the kept chain" * (axes is cells[-1]))
         axes.set_title(symbol(result, label), fontsize=8.5, loc="left", color=DARK, pad=2)
         axes.set_xlim(0, max(length - 1, 1))
-        if summary is not None and label in summary.rhat:
-            text = f"R-hat {summary.rhat[label]:.3f}, ESS {summary.ess[label]:.0f}"
-            axes.set_title(text, fontsize=7, loc="right", color=DARK, pad=2)
 
 
 def _profile(result: FitResult, label: str) -> ProfileCurve:

@@ -5,26 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from tirefit.fitting.result import SCHEMA, FitResult
-from tirefit.report.fit.tables import (
-    FORCE_UNIT,
-    chain_rows,
-    correlation_lines,
-    derived_by_run,
-    derived_rows,
-    far_lines,
-    fit_files,
-    parameter_rows,
-    posterior_lines,
-    quality_items,
-    reference_text,
-    route_rows,
-    rows_text,
-    run_lines,
-    run_rows,
-)
+from tirefit.report.fit import tables
 from tirefit.report.numbers import format_number
 from tirefit.report.page import (
     Section,
+    first_of,
     fragment,
     image_of,
     named_lines,
@@ -37,7 +22,6 @@ from tirefit.report.page import (
 Named = list[tuple[str, str]]
 """Pairs of a name and a text."""
 
-_MASKED = 5  # masked rows that are listed one by one
 _MANY = 8  # largest number of parameters whose profiles a page shows at once
 EXPLORE = "sliders of load, camber, speed and slip: run tirefit explore fit.json in this folder"
 """Line of a page; `tirefit explore` puts a link in its place."""
@@ -51,14 +35,9 @@ def verdict_line(result: FitResult) -> str:
     """The verdict in one sentence."""
     if result.outcomes:
         return f"{result.status}: {result.warnings[0]}"
-    s, unit = result.statistics, FORCE_UNIT[result.forces[0]]
+    s, unit = result.statistics, tables.FORCE_UNIT[result.forces[0]]
     fit = f"RMSE {format_number(s.rmse, 3)} {unit}, R² {s.r2:.4f}"
     return f"{result.status}: {fit}, every free parameter identified"
-
-
-def _more(result: FitResult) -> Sequence[str]:
-    """What to know beside the verdict's sentence."""
-    return result.warnings[bool(result.outcomes) :]
 
 
 def assumption_lines(notes: Sequence[str], also: Sequence[str] = ()) -> tuple[Named, Named]:
@@ -81,17 +60,16 @@ def _data(result: FitResult, full: bool) -> Section:
     noise = [note for note in noise if full or not note.startswith("noise of")]
     columns, others = assumption_lines(data["assumptions"], noise)
     masked = [str(problem).replace("\n", " ") for problem in data["masked"]]
-    more = [f"and {len(masked) - _MASKED} more"] * (len(masked) > _MASKED)
     convention = f"braking positive, SI (file: {data['convention']}, slip"
     lines = [
-        ("rows", rows_text(result)),
-        *named_lines("runs", run_lines(result)),
+        ("rows", tables.rows_text(result)),
+        *named_lines("runs", tables.run_lines(result)),
         *columns,
         ("convention", f"{convention} {data['slip_definition']})"),
         *others,
-        *named_lines("masked", [*masked[:_MASKED], *more]),
+        *named_lines("masked", first_of(masked, 5)),
         # Outliers that the full report lists one by one.
-        *named_lines("outliers", far_lines(result, 8) if full else []),
+        *named_lines("outliers", tables.far_lines(result, 8) if full else []),
     ]
     return Section("Data and settings", lines)
 
@@ -120,32 +98,31 @@ def sections_of(result: FitResult, full: bool) -> list[Section]:
         full: with the intervals by every route, the misfit by run, the chains and the
             information criteria.
     """
-    source, at = result.source, f"at {reference_text(result)}"
+    source, at = result.source, f"at {tables.reference_text(result)}"
     many = len(result.parameters) > _MANY
     # The short report has the intervals by each route if they disagree.
-    routes = route_rows(result) if full or result.verdict.disagreements else ()
-    quality = [item for item in quality_items(result) if full or item[0] != "information"]
-    posterior = posterior_lines(result)
+    routes = tables.route_rows(result) if full or result.verdict.disagreements else ()
+    quality = [item for item in tables.quality_items(result) if full or item[0] != "information"]
+    posterior = tables.posterior_lines(result)
     if not full:
         quality += named_lines("posterior", posterior)
-    by_run = f"{at}; {source}; intervals in fit.json"
     parts = [
-        Section("Parameters", (), parameter_rows(result), note=source),
+        Section("Parameters", (), tables.parameter_rows(result), note=source),
         Section("Intervals by route", (), routes),
-        Section("Derived", (), derived_rows(result), note=f"{at}; {source}"),
-        Section("Derived, by run", (), derived_by_run(result), ("runs",), note=by_run),
+        Section("Derived", (), tables.derived_rows(result), note=f"{at}; {source}"),
+        Section("Parameters by run", (), (), ("runs",)),
         Section("Quality", quality, (), ("residuals",)),
     ]
     if full:
-        rows, right = run_rows(result), (1, 2, 3)
+        rows, right = tables.run_rows(result), (1, 2, 3)
         bias = "bias: measured - fitted"
         parts += [
             Section("By run", (), rows, note=bias, right=right),
             Section("Profile likelihood", (), (), ("profile",), folded=many),
-            Section("Posterior", posterior, chain_rows(result), ("corner",), right=right),
+            Section("Posterior", posterior, tables.chain_rows(result), ("corner",), right=right),
             Section("Chains", (), (), ("trace",), folded=True),
         ]
-    pairs = correlation_lines(result, 10)  # correlations that are listed
+    pairs = tables.correlation_lines(result, 10)  # correlations that are listed
     return [*parts, Section("Correlations above 0.9", pairs)]
 
 
@@ -157,11 +134,11 @@ def fit_report(result: FitResult, full: bool = False) -> str:
             information criteria.
     """
     several = len(result.data["runs"]) > 1 and ", " in result.data["file"]
-    files = fit_files(result) if several else result.data["file"]
+    files = tables.fit_files(result) if several else result.data["file"]
     title = f"tirefit {result.version}: {result.model} fitted to {' and '.join(result.forces)} of"
     data = report_text([_data(result, full)._replace(title="")])
     verdict = wrapped(f"VERDICT: {verdict_line(result)}", "", " " * 9)
-    for sentence in _more(result):
+    for sentence in result.warnings[bool(result.outcomes) :]:
         verdict += wrapped(sentence, "       - ", " " * 9)
     parts = report_text(sections_of(result, full), apart=True)
     return "\n".join([*wrapped(f"{title} {files}"), *verdict, data, "", parts]) + "\n"
@@ -185,22 +162,20 @@ def fit_page(result: FitResult) -> str:
     ]
     subtitle = f"{', '.join(result.forces)}, {result.statistics.n} rows; braking positive, SI;"
     subtitle += f" seed {result.seed}; tirefit {result.version}"
-    title = f"{result.model} fitted to {fit_files(result, 60)}"
+    title = f"{result.model} fitted to {tables.fit_files(result, 60)}"
     return page(title, sections, _verdict(result), subtitle, result.to_json())
 
 
 def _verdict(result: FitResult) -> dict[str, Any]:
     sentence = f"Verdict: {verdict_line(result)}"
-    return verdict_of(sentence, _more(result), not result.outcomes)
+    return verdict_of(sentence, result.warnings[bool(result.outcomes) :], not result.outcomes)
 
 
 def fit_fragment(result: FitResult) -> str:
     """Parameters, verdict and the fitted curve; no script, no external resource."""
     from tirefit.report.fit.figures import figure_of  # Matplotlib, for a fit with its data
 
-    picture = figure_of(result, "fit")
-    picture.set_dpi(90)
-    image = image_of(picture, "measured points and fitted curve")
-    sections = [Section("", table=parameter_rows(result), pictures=[image])]
-    subtitle = f"fitted to {fit_files(result)}, {result.statistics.n} rows; {result.source}"
+    image = image_of(figure_of(result, "fit"), "measured points and fitted curve")
+    sections = [Section("", table=tables.parameter_rows(result), pictures=[image])]
+    subtitle = f"fitted to {tables.fit_files(result)}, {result.statistics.n} rows; {result.source}"
     return fragment(result.model, sections, _verdict(result), subtitle)

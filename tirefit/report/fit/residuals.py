@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.data.table import TireData
-from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.verdict.residuals import means_over, standardised
 from tirefit.report.canvas import BLUE, DARK, ORANGE, Panel, dots, drawn, tidy
@@ -34,20 +33,6 @@ class Scatter(NamedTuple):
     half: np.ndarray  # half-width of the 95 % interval of a bin's mean
 
 
-def _fitted_rows(problem: FitProblem, data: TireData | None) -> np.ndarray | None:
-    """The rows (len(data),) bool of the table that the fit used, None if unknown.
-
-    A fit may be limited to an interval of slip, found from its smallest and largest slip.
-    """
-    if data is None:
-        return None
-    name = problem.slip_name
-    slip = problem.used(getattr(problem.rows.inputs, name))
-    with np.errstate(invalid="ignore"):
-        rows = data.used & (data[name] >= slip.min()) & (data[name] <= slip.max())
-    return rows if np.count_nonzero(rows) == problem.n else None
-
-
 def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     """Input -> (label, values as drawn (n,)) of every input that varies."""
     problem = result.problem
@@ -57,9 +42,14 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
         axis = slip_axis(name, values)
         shown[name] = (f"{axis.label} [{axis.unit}]", axis.shown(values))
     columns = {"fz": problem.used(inputs.fz), "v": problem.used(inputs.v)}
-    rows = _fitted_rows(problem, result.table)
-    if rows is not None:
-        columns |= {name: result.table[name][rows] for name in _LABEL if name in result.table}
+    if (table := result.table) is not None:
+        # A fit may be limited to an interval of slip.
+        ends = problem.used(getattr(inputs, problem.slip_name))
+        with np.errstate(invalid="ignore"):
+            inside = np.clip(table[problem.slip_name], ends.min(), ends.max())
+            rows = table.used & (inside == table[problem.slip_name])
+        if np.count_nonzero(rows) == problem.n:
+            columns |= {name: table[name][rows] for name in _LABEL if name in table}
     for name in (name for name in _LABEL if name in columns):
         label, unit = _LABEL[name]
         shown[name] = (f"{label} [{unit}]", columns[name] * _SHOWN.get(name, 1.0))

@@ -13,7 +13,7 @@ from tirefit.fitting.problem.likelihood import row_moments
 from tirefit.fitting.result import Estimate, FitResult
 from tirefit.fitting.uncertainty.derived import derived_channel, quantities, quantity_of
 from tirefit.report.numbers import format_estimate, format_interval, format_number
-from tirefit.report.page import Rows
+from tirefit.report.page import Rows, first_of
 
 if TYPE_CHECKING:  # which imports much that other fits do not need
     from tirefit.fitting.mf.result import MagicFormulaFit
@@ -63,31 +63,21 @@ def value_text(estimate: Estimate) -> str:
     return format_estimate(estimate.value, estimate.std)
 
 
-def note_on(result: FitResult, name: str) -> str:
-    """Warnings on one parameter (at its bound, routes differ); usually empty."""
-    estimate = result.parameters[name]
-    notes = []
-    if name in result.statistics.at_bound:
-        notes.append("at its bound")
-    if not estimate.identified and np.isfinite(estimate.value):
-        notes.append(f"best {format_number(estimate.value)}")
-    if name in result.verdict.disagreements:
-        notes.append("routes differ")
-    return ", ".join(notes)
-
-
 def _row(name: str, value: str, estimate: Estimate, note: str) -> list[str]:
     interval = format_interval(estimate.ci95, estimate.std)
     return [name, value, estimate.unit, interval, note]
 
 
 def parameter_rows(result: FitResult) -> Rows:
-    """Every parameter, including fixed and tied ones."""
+    """Every parameter, including fixed and tied ones, with warnings on it."""
     rows = [["parameter", "value ± std", "unit", "95 % interval", ""]]
     for name, estimate in result.parameters.items():
-        rows.append(
-            _row(short_label(result, name), value_text(estimate), estimate, note_on(result, name))
-        )
+        notes = ["at its bound"] if name in result.statistics.at_bound else []
+        if not estimate.identified and np.isfinite(estimate.value):
+            notes.append(f"best {format_number(estimate.value)}")
+        notes += ["routes differ"] if name in result.verdict.disagreements else []
+        label, note = short_label(result, name), ", ".join(notes)
+        rows.append(_row(label, value_text(estimate), estimate, note))
     return rows
 
 
@@ -115,10 +105,6 @@ def reference_text(result: FitResult) -> str:
     return at
 
 
-def _derived_value(estimate: Estimate) -> str:
-    return value_text(estimate) if np.isfinite(estimate.value) else "not defined"
-
-
 def derived_rows(result: FitResult) -> Rows:
     """The derived quantities that are the same for all runs."""
     channel = derived_channel(result.forces)
@@ -129,24 +115,8 @@ def derived_rows(result: FitResult) -> Rows:
     meanings = quantities(channel, at_peak is None or bool(np.isfinite(at_peak.value)))
     for name, estimate in result.derived.items():
         if name == quantity_of(name):
-            rows.append(_row(name, _derived_value(estimate), estimate, meanings[name][1]))
-    return rows
-
-
-def derived_by_run(result: FitResult) -> Rows:
-    """Derived quantities that differ by run: a row per run, a column per quantity, and
-    the load and speed of the run where these differ."""
-    by_run = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
-    names = {quantity_of(k): v.unit for k, v in by_run.items()}
-    head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
-    at = result.reference
-    titles = {"fz": "at F_z [N]", "v": "at v [m/s]"}
-    moved = [n for n in titles if any(key.startswith(f"{n}[") for key in at)]
-    rows = [["run", *(titles[n] for n in moved), *head]]
-    for run in result.data["runs"] if by_run else ():
-        points = (format_number(at.get(f"{n}[{run}]", at[n])) for n in moved)
-        cells = (_derived_value(by_run[f"{name}[{run}]"]) for name in names)
-        rows.append([short_run(result, str(run)), *points, *cells])
+            text = value_text(estimate) if np.isfinite(estimate.value) else "not defined"
+            rows.append(_row(name, text, estimate, meanings[name][1]))
     return rows
 
 
@@ -275,22 +245,14 @@ def far_lines(result: FitResult, most: int = 20) -> list[str]:
     lines = [
         f"{'excluded' if row.set_aside else 'kept'}: {row.file}, row {row.row}, column"
         f" {row.column!r}: {row.reason}"
-        for row in result.far_rows[:most]
+        for row in result.far_rows
     ]
-    rest = len(result.far_rows) - most
-    return [*lines, f"and {rest} more: far_rows in fit.json"] if rest > 0 else lines
+    return first_of(lines, most, ": far_rows in fit.json")
 
 
 def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
     """The pairs correlated above 0.9, the strongest first."""
-    matrix, labels = np.asarray(result.correlation), result.labels
-    names = [short_label(result, label) for label in labels]
-    pairs = [
-        (abs(matrix[i, j]), f"{names[j]} and {names[i]}: {matrix[i, j]:+.3f}")
-        for i in range(len(labels))
-        for j in range(i)
-        if abs(matrix[i, j]) > 0.9
-    ]
-    pairs.sort(key=lambda pair: -pair[0])
-    lines = [text for _, text in pairs[:most]]
-    return [*lines, f"and {len(pairs) - most} more"] if len(pairs) > most else lines
+    matrix = np.tril(np.asarray(result.correlation, float), -1)
+    names = [short_label(result, label) for label in result.labels]
+    pairs = sorted(np.argwhere(np.abs(matrix) > 0.9), key=lambda pair: -abs(matrix[*pair]))
+    return first_of([f"{names[j]} and {names[i]}: {matrix[i, j]:+.3f}" for i, j in pairs], most)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from tirefit.data.run_names import clipped
 from tirefit.report.canvas import BLUE, DARK, GREY, RED, WIDE, Panel, panel_title, tidy
@@ -24,8 +23,7 @@ class Points(NamedTuple):
     high: np.ndarray
     known: np.ndarray  # (n,) whether the data identify it
     outlying: np.ndarray  # (n,) whether it differs from the others
-    line: tuple[np.ndarray, np.ndarray, float] | None = None  # places, values, half-width
-    whole: bool = False  # whether it counts something
+    line: tuple[np.ndarray, float] | None = None  # values (n,), half-width
 
 
 def reach(points: Points) -> tuple[float, float]:
@@ -61,29 +59,26 @@ def draw_points(axes: Any, points: Points) -> None:
     size = float(np.clip(60 / len(at), 1.0, 5.0))
     first = np.where(np.isnan(points.low), low, np.maximum(points.low, low))
     last = np.where(np.isnan(points.high), high, np.minimum(points.high, high))
-    there, near = np.isfinite(points.value), points.known & ~points.outlying
+    there = np.isfinite(points.value)
+    value = np.where(there, np.clip(points.value, low, high), low)
+    cross = ~there | points.known & points.outlying
     for rows, color, mark, face in (
-        (near, BLUE, "o", BLUE),
-        (points.known & points.outlying, RED, "x", RED),
-        (~points.known & there, GREY, "o", "white"),
-        (~there, RED, "x", RED),
+        (points.known & ~cross, BLUE, "o", BLUE),
+        (cross, RED, "x", RED),
+        (~points.known & ~cross, GREY, "o", "white"),
     ):
-        value, bars = np.where(there, np.clip(points.value, low, high), low), rows & there
+        bars = rows & there
         axes.vlines(at[bars], first[bars], last[bars], color=color, lw=1.2)
         axes.plot(at[rows], value[rows], mark, markersize=size, color=color, markerfacecolor=face)
     if points.line is not None:
-        where, line, half = points.line
-        where = (where * 86400).astype("datetime64[s]") if dated else where
-        order = np.argsort(where)
-        axes.plot(where[order], line[order], color=DARK, lw=0.8)
-        axes.fill_between(
-            where[order], (line - half)[order], (line + half)[order], color=GREY, alpha=0.25, lw=0
-        )
+        line, half = points.line
+        order = np.argsort(at)[points.known[np.argsort(at)]]
+        axes.plot(at[order], line[order], color=DARK, lw=0.8)
+        ends = (line - half)[order], (line + half)[order]
+        axes.fill_between(at[order], *ends, color=GREY, alpha=0.25, lw=0)
     tidy(axes)
     axes.set_ylim(low, high)
     axes.grid(axis="y", color=GREY, alpha=0.25, lw=0.5)
-    if points.whole:
-        axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True, min_n_ticks=1))
     if dated:
         axes.set_xlabel("date in the file's name", fontsize=8.5)
     else:
