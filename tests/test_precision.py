@@ -6,7 +6,6 @@ import pytest
 
 import tirefit
 from tirefit.data.table import TireData
-from tirefit.fitting.predict import curve
 from tirefit.fitting.result import FitResult
 from tirefit.precision import require_x64
 from tirefit.results import UsageError
@@ -24,7 +23,6 @@ ENTRIES = {
     "fit_many": lambda: tirefit.fit_many({"sigma_x": SLIP[None], "fx": SLIP[None], "fz": 4000.0}),
     "sample": lambda: tirefit.sample(object.__new__(FitResult)),
     "predict": lambda: tirefit.predict("brush", ROWS),
-    "curve": lambda: curve("brush", "fx", SLIP, [4000.0]),
     "diagnose": lambda: tirefit.diagnose(ROWS),
 }
 

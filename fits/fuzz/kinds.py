@@ -41,7 +41,6 @@ fx = 20.0
 loss = "squares"
 [data]
 convention = "sae"
-slip_min = -0.2
 [data.constants]
 fz = 4000.0
 [parameters.mu]

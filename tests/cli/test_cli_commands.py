@@ -322,7 +322,7 @@ def test_derive_refuses_a_wrong_unit_with_a_working_remedy(run, tmp_path):
 def test_inspect_lists_identifiable_parameters(run, tmp_path):
     run("simulate", "rig", "--out", "rig.csv", "--largest", "0.004")
     said = run("inspect", "rig.csv", "--model", "brush").stdout
-    assert "fx brush" in said and "not mu: needs slips" in said
+    assert "fx brush" in said and "not mu" in said
     content = json.loads(run("inspect", "rig.csv", "--model", "brush", "--json").stdout)
     (gate,) = content["identifiability"]["gates"]
     grades = {p["name"]: p["grade"] for p in gate["parameters"]}

@@ -429,8 +429,6 @@ starts = 2
 seed = 3
 [data]
 convention = "iso-w"
-slip_max = 0.1
-slip_min = -0.1
 [noise]
 fx = 20
 [parameters.mu]

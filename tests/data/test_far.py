@@ -47,39 +47,6 @@ def test_several_outliers_are_all_found():
     assert found == {*((row, "fz") for row in range(30, 42)), (7, "fx")}
 
 
-def test_a_force_with_the_wrong_sign_is_reported():
-    columns = sweep()
-    row = int(np.argmax(columns["sigma_x"]))
-    columns["fx"][row] *= -1
-    (far,) = far_values(read_frame(columns, convention="braking"))
-    assert (far.row, far.column) == (row, "fx")
-    assert far.low == 0 and "sign of sigma_x" in far.among
-
-
-def test_a_force_far_from_those_at_similar_slips_is_reported():
-    columns = sweep(n=200)
-    row = int(np.argsort(columns["sigma_x"])[170])
-    columns["fx"][row] /= 4.448
-    (far,) = far_values(read_frame(columns))
-    assert (far.row, far.column) == (row, "fx") and "similar sigma_x" in far.among
-    assert 3500 < far.low < far.high < 4200
-
-
-def test_a_spike_in_a_log_is_reported():
-    time = np.arange(500) / 100
-    slip = 0.05 + 0.04 * np.sin(time)
-    columns = {
-        "time": time,
-        "sigma_x": slip,
-        "fx": 4e4 * slip,
-        "v": 20 - time,
-        "fz": np.full(500, 4e3),
-    }
-    assert named(columns) == set()
-    columns["v"][250] = 9.0
-    assert named(columns) == {(250, "v")}
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_noise_and_the_ends_of_a_range_are_no_outliers(seed):
     assert not named(sweep(seed))

@@ -527,7 +527,7 @@ def test_rows_without_a_simulated_force_are_masked(frame):
 
 def test_a_fit_with_parameters_per_run_is_refused(frame):
     tire = MODELS["brush"]
-    layout = Layout((FreeParameter("mu", specs(tire)["mu"], True),), (), ("a", "b"))
+    layout = Layout((FreeParameter("mu", specs(tire)["mu"], True),), ("a", "b"))
     with pytest.raises(UsageError, match="each run"):
         studied(frame, StoredFit("brush", tire, layout, np.zeros(2), np.eye(2), {}, {}))
 

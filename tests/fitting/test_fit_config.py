@@ -86,14 +86,6 @@ def of_mu(**settings):
 PRIOR = {"mean": 1.0, "std": 0.1}
 # content -> the start of every reason
 CONTRADICTIONS = {
-    "tied and free": (of_mu(tied="D", free=True), ["parameters.mu: free contradicts tied = 'D'"]),
-    "tied and all else": (
-        of_mu(tied="D", value=1, lower=0.1, upper=2, prior=PRIOR, per_run=True),
-        [
-            f"parameters.mu: {key} contradicts tied = 'D'"
-            for key in ("value", "lower", "upper", "prior", "per_run")
-        ],
-    ),
     "fixed and all else": (
         of_mu(free=False, value=1, lower=0.1, upper=2, prior=PRIOR, per_run=True),
         [
@@ -101,32 +93,23 @@ CONTRADICTIONS = {
             for key in ("lower", "upper", "prior", "per_run")
         ],
     ),
-    "factor without tied": (of_mu(factor=2), ["parameters.mu: factor without tied"]),
-    "tied by nothing": (
-        of_mu(tied="D", factor=0),
-        ["parameters.mu: factor = 0 ties it to nothing"],
-    ),
     "bounds": (of_mu(lower=2, upper=1), ["parameters.mu: lower = 2 is not below upper = 1"]),
     "noise": (
         {"noise": {"fx": 40, "fx_relative": 0.01, "fy": 40, "fy_relative": 0.01}},
         ["noise: fx contradicts fx_relative", "noise: fy contradicts fy_relative"],
     ),
-    "slips": (
-        {"data": {"slip_min": 0.3, "slip_max": 0.1}},
-        ["data: slip_min = 0.3 is not below slip_max = 0.1"],
-    ),
     "beside wrong keys": (
         {
             "noise": {"fx": 40, "fx_relative": 0.01, "loss": "l7"},
             "modle": "brush",
-            **of_mu(tied="D", lower=1, value="0.9"),
+            **of_mu(free=False, lower=1, value="0.9"),
         },
         [
             "noise.loss = ",
             "parameters.mu.value = ",
             "unknown key 'modle'",
             "noise: fx contradicts",
-            "parameters.mu: lower contradicts tied",
+            "parameters.mu: lower contradicts free",
         ],
     ),
 }
@@ -148,14 +131,12 @@ def test_compatible_settings_are_accepted():
         {
             "parameters": {
                 "mu": {"free": False, "value": 1, "per_run": False},
-                "m": {"tied": "cpa2", "factor": -2},
                 "cpa2": {"lower": 1, "upper": 2, "value": 3, "prior": PRIOR},
             },
             "noise": {"fx": 40, "fy_relative": 0.01},
-            "data": {"slip_min": -0.1},
         }
     )
-    assert config.parameters["m"].factor == -2 and config.data.slip_max is None
+    assert config.parameters["cpa2"].upper == 2
 
 
 # model, parameters -> (the start of the reason, part of the remedy) of every problem
@@ -179,18 +160,9 @@ IMPOSSIBLE = {
         "brush", {"mu": {"prior": {"mean": 0.9, "std": 1e-300}}},
         {"mu: prior std 1e-300 leaves it no room in [0.01, 5]": "value = 0.9 and free"},
     ),
-    "tied to a fixed one": (
-        "brush", {"mu": {"free": False}, "cpa2": {"tied": "mu"}},
-        {"cpa2: tied to 'mu', which is not free": "free a parameter",
-         "no free parameter": "[parameters]"},
-    ),
-    "tied to itself": (
-        "brush", {"mu": {"tied": "mu"}},
-        {"mu: tied to 'mu', itself": "tie it to one of cpa2"},
-    ),
-    "tied to a tied one": (
-        "brush-d", {"mu": {"tied": "d"}, "d": {"tied": "cpa2", "factor": 1e-9}},
-        {"mu: tied to 'd', which is not free: parameters.d is tied to 'cpa2'": "cpa2"},
+    "nothing free": (
+        "brush", {"mu": {"free": False}, "cpa2": {"free": False}},
+        {"no free parameter": "[parameters]"},
     ),
     "settings of one that is not estimated": (
         "brush-h", {"v_st": {"lower": 2, "prior": {"mean": 3, "std": 1}}},
@@ -203,9 +175,9 @@ IMPOSSIBLE = {
     ),
     "all at once": (
         "brush-d",
-        {"nu": {}, "mu": {"upper": 9, "value": 20}, "d": {"tied": "d"},
+        {"nu": {}, "mu": {"upper": 9, "value": 20},
          "cpa2": {"prior": {"mean": -1, "std": 1}}},
-        {"nu: the model": "", "mu: bounds": "", "mu: value 20": "", "d: tied": "",
+        {"nu: the model": "", "mu: bounds": "", "mu: value 20": "",
          "cpa2: prior mean -1": ""},
     ),
 }  # fmt: skip

@@ -9,7 +9,8 @@ from scipy.stats import norm
 
 from tirefit.fitting.problem.noise import autocorrelation
 from tirefit.fitting.uncertainty.bands import force_band
-from tirefit.fitting.uncertainty.marginals import (
+from tirefit.models import TireInputs
+from tirefit.report.fit.posterior import (
     bin_edges,
     dense_profile,
     enclosing,
@@ -17,8 +18,7 @@ from tirefit.fitting.uncertainty.marginals import (
     marginal_density,
     near_level,
 )
-from tirefit.fitting.verdict.residuals import means_by, means_over
-from tirefit.models import TireInputs
+from tirefit.report.fit.residuals import means_by, means_over
 
 
 def test_autocorrelation_of_a_known_series_is_right():

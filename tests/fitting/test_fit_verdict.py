@@ -22,7 +22,7 @@ from tirefit.data.read import read_frame
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
-from tirefit.fitting.verdict.judge import disagreements, judge
+from tirefit.fitting.verdict.judge import disagreements, judge, models_with
 from tirefit.report.fit.report import fit_report
 from tirefit.results import DataError, Outcome, UsageError
 
@@ -181,16 +181,6 @@ def test_noise_proportional_to_load_is_fitted():
     np.testing.assert_allclose(end.z, given.z, atol=1e-6)
 
 
-def test_slip_limits_choose_the_rows():
-    data = curve()
-    config = parse_config({"data": {"slip_min": 0.02, "slip_max": 0.1}})
-    problem = build(data, "brush", config).problem
-    slip = problem.used(problem.rows.inputs.sigma_x)
-    assert slip.min() >= 0.02 and slip.max() <= 0.1
-    inside = (data["sigma_x"] >= 0.02) & (data["sigma_x"] <= 0.1)
-    assert problem.n == np.count_nonzero(inside) < 400
-
-
 @pytest.mark.parametrize(("rows", "enough"), [(3, False), (4, True)])
 def test_as_many_unknowns_as_rows_are_refused(rows, enough):
     # cpa2, mu and the noise level
@@ -210,14 +200,8 @@ def test_as_many_unknowns_as_rows_are_refused(rows, enough):
         ({}, "brush-n", {}, "the model brush-n needs v (forward speed"),
         ({}, "brush", {"force": "fy"}, "a fit of fy needs alpha"),
         ({"sigma_x": np.full(400, 0.1)}, "brush", {}, "no force with a slip that varies"),
-        (
-            {},
-            "brush",
-            {"data": {"slip_min": 9.0}},
-            "no usable row within data.slip_min = 9 of config",
-        ),
     ],
-    ids=["speed", "force", "constant slip", "nothing inside the limits"],
+    ids=["speed", "force", "constant slip"],
 )
 def test_data_that_cannot_be_fitted_are_refused(columns, model, config, said):
     data = curve(extra=columns)
@@ -264,3 +248,30 @@ def test_a_stated_noise_that_is_right_is_rarely_doubted():
     """The test has a level of 0.1 % to each side."""
     found = [fit(curve(seed=seed, n=60), config=GIVEN) for seed in range(20)]
     assert not any("stated noise" in text for result in found for text in result.warnings)
+
+
+def test_only_a_bound_of_the_user_can_be_widened():
+    """``parameters.mu.upper`` above 5 is refused, so nobody is told to widen it to that."""
+    data = curve(reach=0.05, noise=4 * STD, seed=2)
+    ours = fit(data, "brush", config={"parameters": {"mu": {"upper": 4.0}}})
+    (said,) = [one for one in ours.warnings if one.startswith("mu is not identified")]
+    assert said.endswith("stopped at the bound 4: widen the bound in parameters.mu")
+    free = fit(data, "brush")
+    (said,) = [one for one in free.warnings if one.startswith("mu is not identified")]
+    assert said.endswith("stopped at the bound 5, that of the model")
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "models"),
+    [
+        ("brush", "v", ["brush-n", "brush-ln"]),
+        ("brush-d", "v", ["brush-dn"]),
+        ("brush-h", "v", []),
+        ("magic-formula", "v", []),
+        ("brush", "fz", ["brush-load", "mf61"]),
+        ("brush-load", "fz", ["mf61"]),
+        ("brush", "gamma", ["mf61"]),
+    ],
+)
+def test_the_models_with_an_effect_have_it_and_are_never_the_model(name, column, models):
+    assert models_with(name, column) == models

@@ -5,12 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 from recipes import brush_force, solved, table
-from scipy.optimize import curve_fit
 from scipy.signal import lfilter
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.solve.inference import deviance, minima
-from tirefit.report.fit.report import fit_report
 
 LOADS = (1500.0, 3000.0, 4500.0, 6000.0, 7500.0)
 SLIP = np.linspace(-0.2, 0.2, 60)
@@ -59,25 +57,6 @@ def test_verdict_names_the_column_that_the_residuals_depend_on(name):
     (said,) = [s for s in sentences if "how the force depends on" in s]
     assert f"depends on the {name}:" in said and CASES[name][3] in said
     assert "not identified" not in result.outcomes
-
-
-def test_intervals_of_independent_rows_are_those_of_scipy():
-    data, result = fitted("load")
-    alpha, fz = np.array(data["alpha"]), np.array(data["fz"])
-    # All rows alike: the noise of this fit is one number.
-    values, covariance = curve_fit(
-        lambda x, mu, cpa2: kinetic(x, mu, 1e4 * cpa2, fz), alpha, data["fy"], [1.0, 6.0]
-    )
-    beside = result.intervals["independent"]
-    for i, (name, unit) in enumerate({"mu": 1.0, "cpa2": 1e4}.items()):
-        low, high = beside[name]
-        np.testing.assert_allclose(result.parameters[name].value, unit * values[i], rtol=1e-3)
-        # The interval is symmetric in z, scipy's in the value itself.
-        half = 1.964 * unit * np.sqrt(covariance[i, i])
-        np.testing.assert_allclose(high - low, 2 * half, rtol=0.1)
-        wide = result.parameters[name].ci95
-        assert wide[0] < low and high < wide[1]
-    assert " independent" in fit_report(result, full=True)
 
 
 def test_the_right_model_has_no_misfit():

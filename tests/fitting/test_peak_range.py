@@ -13,13 +13,7 @@ from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.solve.multistart import solve_problem
-from tirefit.fitting.verdict.family import (
-    family_of,
-    probabilities,
-    reached,
-    shape_in_doubt,
-    solved_as,
-)
+from tirefit.fitting.verdict.family import family_of, probabilities, reached, shape_in_doubt
 from tirefit.report.fit.report import fit_report
 
 HALF = 0.5  # of full sliding, where a brush has 1 - 0.5^3 = 87.5 % of its peak
@@ -144,19 +138,6 @@ def test_share_counts_both_forces_in_combined_slip():
 def test_family_keeps_what_the_model_has_beside_its_shape(name, others):
     data = curve(extra={"v": np.full(400, 20.0)})
     assert family_of(build(data, name, parse_config({}))) == others
-
-
-def test_settings_of_the_peak_and_the_slope_go_with_it():
-    """A prior of mu is one of D, which is the same quantity; a stiffness by run is one."""
-    run = (np.arange(400) >= 200).astype(int)
-    data = table(dict(curve(reach=1.2).columns), run=run, runs=("a", "b"))
-    settings = {"mu": {"prior": {"mean": 0.9, "std": 0.01}}, "cpa2": {"per_run": True}}
-    config = parse_config({"parameters": settings})
-    other = solved_as("magic-formula", build(data, "brush", config), config)
-    priors = {p.name: p.prior for p in other.problem.layout.free}
-    assert priors["D"] == (0.9, 0.01) and priors["B"] is None
-    assert other.problem.layout.labels[:2] == ("B[a]", "B[b]")
-    assert solved_as("brush-n", build(data, "brush", config), config) is None  # no speed
 
 
 def test_doubt_on_the_shape_is_rare_for_the_right_one_and_sure_for_another():

@@ -193,13 +193,6 @@ def test_residuals_are_standardised_and_have_their_inputs(plain):
     )
 
 
-def test_residuals_of_a_fit_limited_in_slip_have_the_time():
-    limited = fit(synthetic(), "brush", config={"data": {"slip_max": 0.1}})
-    time = next(p for p in scatters_of(limited, "fx") if p.label.startswith("time"))
-    rows = limited.table.used & (limited.table["sigma_x"] <= 0.1)
-    np.testing.assert_allclose(time.x, limited.table["time"][rows])
-
-
 def test_profile_and_parabola_cross_the_level_at_the_intervals(plain):
     for panel, label in zip(profiles_of(plain)[0], plain.labels, strict=True):
         low, high = plain.intervals["profile"][label]

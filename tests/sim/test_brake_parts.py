@@ -162,10 +162,10 @@ def test_settings_of_the_plant_are_set_by_name():
 
 
 def test_a_fit_with_values_per_run_is_refused_as_a_tire():
-    layout = Layout((FreeParameter("mu", specs(MODELS["brush"])["mu"], True),), (), ("a", "b"))
+    layout = Layout((FreeParameter("mu", specs(MODELS["brush"])["mu"], True),), ("a", "b"))
     rest = (np.zeros(2), np.eye(2), {}, {})
     with pytest.raises(UsageError, match="a mu for each run"):
         StoredFit("brush", MODELS["brush"], layout, *rest).at_estimate()
-    shared = Layout((FreeParameter("mu", specs(MODELS["brush"])["mu"], False),), (), ())
+    shared = Layout((FreeParameter("mu", specs(MODELS["brush"])["mu"], False),), ())
     tire = StoredFit("brush", MODELS["brush"], shared, np.zeros(1), *rest[1:])
     assert tire.at_estimate().mu == pytest.approx(2.505)  # the middle of its bounds

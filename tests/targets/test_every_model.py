@@ -43,7 +43,7 @@ def fit_of(name, load=MIDDLE, **ranges):
         "parameters": {k: {"std": 0.01, "fixed": False} for k in parameter_values(tire)},
         "reference": {"fz": load},
     }
-    empty = Layout((), (), ())
+    empty = Layout((), ())
     return StoredFit(name, tire, empty, np.zeros(0), np.zeros((0, 0)), {}, content)
 
 

@@ -20,14 +20,12 @@ from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.derived import derived_from_profile, reference_points
 from tirefit.fitting.uncertainty.identified import (
     at_bound,
-    independent_intervals,
     minus_two_log_likelihood,
     profile_estimates,
 )
 from tirefit.fitting.uncertainty.profile import profile_all
 from tirefit.fitting.verdict.family import peak_ranges
-from tirefit.fitting.verdict.judge import effects_to_try, is_noise, judge
-from tirefit.fitting.verdict.trials import tried
+from tirefit.fitting.verdict.judge import is_noise, judge
 from tirefit.models import TireInputs
 from tirefit.params import constrain, parameter_values, specs
 from tirefit.precision import require_x64
@@ -129,7 +127,7 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
             "source": "estimated" if channel.noise_estimated else "given",
         }
         one_std = channel.noise_estimated and np.ptp(scale) == 0
-        if one_std and problem.loss == "squares" and not problem.rows.nodes:
+        if one_std and not problem.rows.nodes:
             force = np.asarray(at.mean[channel.name])
             record[channel.name] |= noise_by_row(
                 problem.used(problem.rows.observed[channel.name]) - force,
@@ -171,7 +169,7 @@ def fit(
         model: a name of ``tirefit.MODELS``; by default that of ``config``, or ``brush``.
         config: content of ``fit.toml`` as a dict or a ``FitConfig``: ``force`` (fx, fy, mz),
             ``starts``, ``parameters`` ({"mu": {...}} with value, free, lower, upper, prior,
-            per_run, tied, factor), ``noise`` ({"fx": 20.0} in N, fx_relative, sigma_x,
+            per_run), ``noise`` ({"fx": 20.0} in N, fx_relative, sigma_x,
             loss, ...) and ``posterior`` (sampler, effective_samples, ...).
         solver: ``gauss-newton``; to check it, ``optimistix``, ``jaxopt`` or a least-squares
             solver of optimistix. Profiles are by ``gauss-newton``.
@@ -223,7 +221,6 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
         intervals={
             "covariance": by_covariance,
             "profile": {label: value.ci95 for label, value in estimates.items()},
-            "independent": independent_intervals(solved),
         },
         derived=derived_from_profile(solved, profiles, list(estimates.values())),
         statistics=_statistics(solved),
@@ -250,30 +247,18 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
         },
         problem=problem,
         solved=solved,
-        table=settled.data,
+        table=task.data,
         far_rows=settled.outliers,
     )
     ranges = peak_ranges(task, solved, result.derived, config, is_noise(result))
-    trials = tried(effects_to_try(result), task, solved, config)
-    return judge(replace(result, peak_range=ranges, trials=trials))
+    return judge(replace(result, peak_range=ranges))
 
 
 def with_fixed(estimates: dict[str, Estimate], problem: FitProblem) -> dict[str, Estimate]:
-    """Estimates plus the fixed and tied parameters, in the model's order."""
+    """Estimates plus the fixed parameters, in the model's order."""
     everything, free = dict(estimates), {p.name for p in problem.layout.free}
-    ties = {tie.name: tie for tie in problem.layout.ties}
-    ends = ("", *(f"[{run}]" for run in problem.layout.runs))
     for name, spec in specs(problem.model).items():
-        if name in ties:
-            factor, of = ties[name].factor, ties[name].other
-            # One for each run, if the other one is per run.
-            for end, other in ((e, estimates[of + e]) for e in ends if of + e in estimates):
-                low, high = (None if x is None else factor * x for x in other.ci95)
-                ci95 = (low, high) if factor > 0 else (high, low)
-                std = None if other.std is None else abs(factor) * other.std
-                tied = Estimate(factor * other.value, std, spec.unit, ci95, other.identified)
-                everything[name + end] = tied
-        elif name not in free and (spec.free or name != "half_length"):
+        if name not in free and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
             everything[name] = Estimate(value, None, spec.unit, (None, None), fixed=True)
     return everything

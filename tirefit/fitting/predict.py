@@ -1,8 +1,7 @@
 """Forces that a fit or a model predicts, row by row, with standard deviations."""
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -14,14 +13,14 @@ from jaxtyping import Array, Float, Int
 from tirefit.compiled import BRIEF
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.read import require
-from tirefit.data.table import CANONICAL, Source, TireData
+from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.tir.tir import read_tir
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.result import MagicFormulaFit, TireLike, magic_formula_forces
 from tirefit.fitting.problem.build import find_model
 from tirefit.fitting.problem.layout import Layout
-from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, row_forces, row_moments
+from tirefit.fitting.problem.likelihood import row_forces
 from tirefit.fitting.problem.noise import noise_std
 from tirefit.fitting.problem.time_series import check_time_series
 from tirefit.fitting.result import FitResult
@@ -214,63 +213,3 @@ def _of_model(
         remedy = "name the column with --column, or choose another tire"
         raise DataError(reason, remedy, data.file)
     return _all_rows(data, {c: given[c] for c in channels})
-
-
-def curve(
-    tire: AbstractTire | str,
-    force: str,
-    slips: np.ndarray,
-    loads: Sequence[float],
-    *,
-    values: Mapping[str, float] | None = None,
-    v: float | None = None,
-    source: Source | None = None,
-) -> TireData:
-    """The pure-slip curve of a tire over slip and load, as if measured.
-
-    The loads are the runs and the slips of each are ascending: the misfit of another model is then
-    an autocorrelated residual, which reduces the effective number of rows.
-
-    Args:
-        tire: the tire, or the name of a model.
-        force: ``fx`` or ``fy``.
-        slips: sigma_x or alpha [rad], shape (n,), ascending.
-        loads: F_z [N].
-        values: parameter values that replace those of the tire.
-        v: forward speed [m/s]; None: the data have none.
-        source: the origin of the curve.
-
-    Returns:
-        Data of len(loads) n rows.
-
-    Raises:
-        UsageError: unknown model or parameter, value out of bounds, 32-bit floats.
-        DataError: the tire needs a speed.
-    """
-    columns = {
-        CHANNEL_SLIP[force]: np.tile(np.asarray(slips, float), len(loads)),
-        "fz": np.repeat(np.asarray(loads, float), len(slips)),
-    }
-    if v is not None:
-        columns["v"] = np.full(len(columns["fz"]), float(v))
-    rows = TireData(
-        "curve",
-        columns,
-        np.full(len(columns["fz"]), True),
-        np.repeat(np.arange(len(loads)), len(slips)),
-        tuple(f"F_z {load:g} N" for load in loads),
-        source or Source(),
-    )
-    return replace(rows, columns=columns | {force: predict(tire, rows, values)[force]})
-
-
-def misfit_by_load(result: FitResult) -> dict[float, float]:
-    """Load [N] -> rms misfit of the fitted curve [N]."""
-    problem = result.problem
-    (force,) = result.forces
-    mean, _ = row_moments(problem, result.z)
-    residual = problem.used(problem.rows.observed[force]) - mean[force]
-    fz = problem.used(problem.rows.inputs.fz)
-    return {
-        float(load): float(np.sqrt(np.mean(residual[fz == load] ** 2))) for load in np.unique(fz)
-    }

@@ -136,21 +136,6 @@ class PeakRange(NamedTuple):
     worse: tuple[str, ...]
 
 
-class Trial(NamedTuple):
-    """A model whose force depends on a further column, tried on the rows of a fit."""
-
-    column: str
-    model: str
-    against: str  # reason not to use it; empty if it is better
-    left_out: tuple[float, ...] = ()
-    """rms errors [N, N m] of the first force on left-out rows: model of the fit, this model."""
-
-    @property
-    def better(self) -> bool:
-        """Whether it is identified and predicts rows left out better."""
-        return not self.against
-
-
 class Verdict(NamedTuple):
     """What a fit is worth: its outcomes; the sentences on it, that of the gravest
     outcome first; and by label where the routes to an interval differ."""
@@ -166,9 +151,8 @@ class FitResult(Record):
 
     ``parameters`` and ``derived`` come from the posterior if it was sampled, else from
     least squares and the profile; ``source`` says which. ``intervals`` holds those of
-    all three routes (``covariance``, ``profile``, ``posterior``), and those for
-    ``independent`` rows. ``far_rows`` (``far_rows.FarRow``) are the outliers, excluded
-    or kept.
+    all three routes (``covariance``, ``profile``, ``posterior``). ``far_rows``
+    (``far_rows.FarRow``) are the outliers, excluded or kept.
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
     order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as
     (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in
@@ -207,7 +191,6 @@ class FitResult(Record):
     far_rows: tuple[FarRow, ...] = ()
     peak_range: dict[str, PeakRange] = field(default_factory=dict)
     """By label of ``derived``, of each peak that depends on the shape of the model."""
-    trials: tuple[Trial, ...] = ()
     posterior: PosteriorSummary | None = None
     asked: str = ""
     """Digest of the command's data and options, from which a rerun sees what is done."""
@@ -338,7 +321,6 @@ class FitResult(Record):
             "intervals": self.intervals,
             "derived": {k: asdict(v) for k, v in self.derived.items()},
             "peak_range": {k: v._asdict() for k, v in self.peak_range.items()},
-            "trials": [trial._asdict() for trial in self.trials],
             "reference": self.reference,
             "correlation": {"labels": list(self.labels), "matrix": self.correlation},
             "fit": asdict(self.statistics),
@@ -377,7 +359,6 @@ def layout_record(layout: Layout, model: AbstractTire) -> dict[str, Any]:
             {"name": p.name, "per_run": p.per_run, "lower": p.spec.lower, "upper": p.spec.upper}
             for p in layout.free
         ],
-        "ties": [asdict(tie) for tie in layout.ties],
         "runs": list(layout.runs),
         "fixed": {
             name: float(value)

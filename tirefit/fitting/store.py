@@ -8,28 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    NonNegativeFloat,
-    PositiveFloat,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from tirefit.data.records import FileRecord, Row
-from tirefit.data.units import SPINNING
 from tirefit.door import outrageous, read_record
 from tirefit.files import write_texts
 from tirefit.fitting.problem.build import find_model
-from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie
+from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import Values, specs, with_values
 from tirefit.results import DataError, UsageError
 from tirefit.settings import faults_in
-from tirefit.slip import CONVENTIONS, LOCKED
+from tirefit.slip import CONVENTIONS
 
 if TYPE_CHECKING:
     import xarray
@@ -75,17 +66,6 @@ _ROUNDING = 1e-9
 """Rounding: the smallest eigenvalue may be this share of the largest below zero."""
 
 
-_RANGES = {
-    "sigma_x": (SPINNING, LOCKED),
-    "alpha": (-np.pi / 2, np.pi / 2),
-    "gamma": (-np.pi / 2, np.pi / 2),
-    "fz": (0.0, np.inf),
-    "v": (0.0, np.inf),
-    "pressure": (0.0, np.inf),
-}
-"""Input -> least and largest value that read data can have, canonical."""
-
-
 class _Part(BaseModel):
     """A part of ``fit.json`` that is read and checked; the rest is for people."""
 
@@ -99,15 +79,9 @@ class _Free(_Part):
     upper: float
 
 
-class _Tie(_Part):
-    name: str
-    other: str
-    factor: float
-
-
 class _Layout(_Part):
     free: list[_Free]
-    ties: list[_Tie]
+    ties: Annotated[list[Any], Field(max_length=0)] = []  # of earlier versions
     runs: list[str]
     fixed: dict[str, float]
 
@@ -137,16 +111,6 @@ class _Data(_Part):
     used: int
     runs: list[str]
     range: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = {}
-
-    @field_validator("range")
-    @classmethod
-    def _physical(cls, given: dict[str, list[float]]) -> dict[str, list[float]]:
-        for name, (low, high) in given.items():
-            least, most = _RANGES.get(name, (-np.inf, np.inf))
-            if not least <= low <= high <= most:
-                reason = f"{name} {low:g} to {high:g} is not a range in {least:g} to {most:g}"
-                raise ValueError(reason)
-        return given
 
 
 class _Noise(_Part):
@@ -226,11 +190,7 @@ def load_fit(path: str | os.PathLike[str]) -> StoredFit:
             if not (0.0 if spec.scale == "log" else -_LARGEST) < spec.lower < spec.upper:
                 raise ValueError(f"the bounds of {item.name} are not in order")
             free.append(FreeParameter(item.name, spec, item.per_run))
-        ties = tuple(Tie(**tie.model_dump()) for tie in stored.ties)
-        for tie in ties:
-            if tie.name not in known or tie.other not in {item.name for item in free}:
-                raise ValueError(f"{tie.name} is tied to {tie.other}: not a free parameter")
-        layout = Layout(tuple(free), ties, tuple(stored.runs))
+        layout = Layout(tuple(free), tuple(stored.runs))
         tire = with_values(template, stored.fixed)
         noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}
         for given in noise.values():

@@ -1,6 +1,7 @@
 """``tirefit convert``: a Magic Formula as a brush."""
 
 from contextlib import suppress
+from dataclasses import replace
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
@@ -96,15 +97,17 @@ def _refit(
     signs: str | None,
 ) -> "FitResult":
     """Fit the model to the curve, print the result and save it in the folder."""
+    import numpy as np
+
     from tirefit.data.tir.tir import read_tir
 
     tir = None if file is None else read_tir(file)
     cli.start_jax()
-    from tirefit.data.table import Source
-    from tirefit.fitting.predict import curve, misfit_by_load
+    from tirefit.data.table import Source, TireData
+    from tirefit.fitting.predict import predict
     from tirefit.fitting.problem.build import find_model
     from tirefit.fitting.problem.config import FitConfig, NoiseConfig
-    from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
+    from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, row_moments
     from tirefit.fitting.tir import check_gives, own_tire, remarks, tire_of
     from tirefit.models import AbstractTire
 
@@ -133,10 +136,24 @@ def _refit(
         " slips and loads, with the effective number of rows",
     )
     source = Source(path=str(file or ""), assumptions=assumptions)
-    data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
+    # The loads are the runs and the slips of each ascend: the misfit of another model is then an
+    # autocorrelated residual, which reduces the effective number of rows.
+    fz, run = np.repeat(np.asarray(loads, float), len(slips)), np.arange(len(loads))
+    columns = {CHANNEL_SLIP[force]: np.tile(np.asarray(slips, float), len(loads)), "fz": fz}
+    columns |= {} if v is None else {"v": np.full(len(fz), float(v))}
+    of_load = np.repeat(run, len(slips)), tuple(f"F_z {load:g} N" for load in loads)
+    rows = TireData("curve", columns, np.full(len(fz), True), *of_load, source)
+    measured = predict(tire, rows, coefficients)[channel]
+    data = replace(rows, columns=columns | {channel: measured})
     cli.warn_of(remarks(tir, of_file, data, signs) if tir else (), file)
     result = fit_into(out, data, settings)
     cli.say("MISFIT")
-    for load, rmse in misfit_by_load(result).items():
+    problem = result.problem
+    residual = (
+        problem.used(problem.rows.observed[channel]) - row_moments(problem, result.z)[0][channel]
+    )
+    fitted_at = problem.used(problem.rows.inputs.fz)
+    for load in np.unique(fitted_at):
+        rmse = float(np.sqrt(np.mean(residual[fitted_at == load] ** 2)))
         cli.say(f"  F_z {load:g} N: RMSE {rmse:.4g} N, {rmse / load:.2%} of F_z")
     return result

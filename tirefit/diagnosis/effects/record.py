@@ -147,7 +147,7 @@ class NoiseEffect(NamedTuple):
 
 NOISE_EFFECTS = (
     NoiseEffect(
-        "outliers", "some rows lie far from all others", "set [noise] loss = 'huber'", "outliers"
+        "outliers", "some rows lie far from all others", "correct or delete these rows", "outliers"
     ),
     NoiseEffect(
         "noise_heteroscedastic", "the noise level differs over the range", "give fx_std row by row"

@@ -1,7 +1,6 @@
 """Build a well-posed fit from data, a model and a configuration."""
 
 import difflib
-import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,13 +9,14 @@ import numpy as np
 from jaxtyping import Array
 
 from tirefit.arrays import Kept
+from tirefit.data.far import problem_at
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.problem.config import FitConfig, NoiseConfig, ParameterConfig
 from tirefit.fitting.problem.layout import Layout, choose_layout
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
 from tirefit.fitting.problem.slip_noise import speed_of, std_with_speed
-from tirefit.fitting.problem.time_series import check_time_series, check_whole_series
+from tirefit.fitting.problem.time_series import check_time_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
@@ -50,10 +50,6 @@ def find_model(name: str) -> AbstractTire:
         remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
         remedy += " writes, fit.json and fit.tir, is a tire"
         raise UsageError(reason, remedy)
-    if os.path.isfile(name):
-        reason = f"{name!r} is a file, not the name of a model"
-        remedy = "a file of a tire ends in .json (a fit) or .tir; `tirefit models` lists"
-        raise UsageError(reason, f"{remedy} the names")
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
     raise UsageError(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
@@ -83,11 +79,15 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
 
 def _column_wins(name: str, noise: NoiseConfig) -> str:
     """The note on noise from a column, and the settings that it overrides."""
+    settings = {key: getattr(noise, key) for key in _noise_keys(name, noise)}
+    rest = " and ".join(f"noise.{key} = {value:g}" for key, value in settings.items())
+    return f"noise of {name}: column {name}_std" + (f"; {rest} not used beside it" if rest else "")
+
+
+def _noise_keys(name: str, noise: NoiseConfig) -> list[str]:
+    """The settings of the noise of a force or a slip that are given."""
     keys = (name, f"{name}_relative", f"{name}_speed")
-    given = {key: getattr(noise, key, None) for key in keys}
-    overruled = [f"noise.{k} = {v:g}" for k, v in given.items() if v is not None]
-    rest = f"; {' and '.join(overruled)} not used beside it" if overruled else ""
-    return f"noise of {name}: column {name}_std{rest}"
+    return [key for key in keys if getattr(noise, key, None) is not None]
 
 
 def force_scale(data: TireData, name: str, noise: NoiseConfig) -> tuple[np.ndarray, bool, str]:
@@ -144,16 +144,13 @@ def _noise_problems(
         beside = f"is not a noise level beside {name} up to {largest:.4g}"
         column = f"{name}_std"
         if column in data:
-            source, row = data.source, int(np.flatnonzero(data.used)[wrong[0]])
+            row = int(np.flatnonzero(data.used)[wrong[0]])
             rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
             reason = f"{data[column][row]:.3g} {beside}{rows}"
             remedy = "correct the column or its unit, or leave it out"
-            line = None if source.line is None else int(source.line[row])
-            place = data.file, line, source.columns.get(column, column)
-            of_columns.append(InputProblem(reason, remedy, *place))
+            of_columns.append(problem_at(data, row, column, reason, remedy))
             continue
-        keys = (name, f"{name}_relative", f"{name}_speed")
-        key = next(k for k in keys if getattr(config.noise, k, None) is not None)
+        key = _noise_keys(name, config.noise)[0]
         reason = f"noise.{key} = {getattr(config.noise, key):g} {beside}"
         remedy = f"give the true noise of {name}, or leave noise.{key} out"
         of_settings.append(InputProblem(reason, remedy, config.source))
@@ -162,17 +159,15 @@ def _noise_problems(
 
 def _settled(
     data: TireData, model: AbstractTire, forces: Sequence[str], config: FitConfig
-) -> tuple[AbstractTire, Layout, list[str]]:
+) -> tuple[AbstractTire, Layout]:
     """Result of ``choose_layout``; its problems and those of the noise are raised together."""
     of_columns, of_settings = _noise_problems(data, forces, config)
     try:
         chosen = choose_layout(model, config, data.runs, forces)
     except UsageError as error:
         raise UsageError([*error.problems, *of_settings]) from None
-    if of_settings:
-        raise UsageError(of_settings)
-    if of_columns:
-        raise DataError(of_columns)
+    UsageError.raise_for(of_settings)
+    DataError.raise_for(of_columns)
     return chosen
 
 
@@ -263,20 +258,15 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         least_rows: rows to pad to, at least, so that small files share one program.
 
     Raises:
-        UsageError: unknown model or parameter, impossible bounds, ties or noise.
+        UsageError: unknown model or parameter, impossible bounds or noise.
         DataError: missing columns or rows, or a noise column that is not positive.
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
-    low, high = config.data.slip_min, config.data.slip_max
-    if low is not None or high is not None:
-        values = data[CHANNEL_SLIP[forces[0]]]
-        above = values >= (-np.inf if low is None else low)
-        data = data.where(above & (values <= (np.inf if high is None else high)))
     _check_inputs(data, name, template, forces, config)
     config, messages = _with_reference_load(data, template, config)
-    model, layout, narrowed = _settled(data, template, forces, config)
-    notes += [*messages, *narrowed]
+    model, layout = _settled(data, template, forces, config)
+    notes += messages
     size = padded_size(data.n, least_rows)
     observed, scale, channels = {}, {}, []
     slips = dict.fromkeys(CHANNEL_SLIP.values())
@@ -315,8 +305,6 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         rules={force: Rule() for force in forces},
         layout=layout,
         channels=tuple(channels),
-        # Outliers are excluded, so that the noise of the others is normal.
-        loss="squares" if config.noise.loss == "trimmed" else config.noise.loss,
     )
     time = data.usable("time") if "time" in data else None
     return FitTask(name, problem, guess, time, tuple(notes), data)
@@ -331,20 +319,16 @@ def _check_inputs(
         raise UsageError(reason, remedy)
     require(data, ("fz", *model.needs), f"the model {name}")
     if model.transient:
-        slips = dict.fromkeys(CHANNEL_SLIP[force] for force in forces)
-        check_whole_series(data, name, slips, config)
+        reason = f"{name} follows the slip through time, which must have no noise"
+        remedy = "fit the steady model, or remove the noise of the slip"
+        for slip in dict.fromkeys(CHANNEL_SLIP[force] for force in forces):
+            if keys := _noise_keys(slip, config.noise):
+                raise UsageError(f"noise.{keys[0]}: {reason}", remedy, config.source)
+            if (column := f"{slip}_std") in data:
+                raise UsageError(InputProblem(reason, remedy, data.file, column=column))
         check_time_series(data, name)
     if data.n == 0:
-        limits = [
-            f"data.{key} = {value:g}"
-            for key, value in config.data
-            if key in ("slip_min", "slip_max") and value is not None
-        ]
-        reason, remedy = "no usable row", "see `tirefit inspect`"
-        if limits:
-            reason += f" within {' and '.join(limits)} of {config.source}"
-            remedy = "widen these limits"
-        raise DataError(reason, remedy, data.file)
+        raise DataError("no usable row", "see `tirefit inspect`", data.file)
 
 
 def _with_reference_load(

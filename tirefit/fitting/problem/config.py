@@ -21,12 +21,6 @@ from tirefit.settings import Section, parse_settings
 Force = Literal["fx", "fy", "mz"]
 
 
-def _out_of_order(section: Section, low: str, high: str, remedy: str) -> Iterator[InputProblem]:
-    lower, upper = getattr(section, low), getattr(section, high)
-    if None not in (lower, upper) and lower >= upper:
-        yield InputProblem(f"{low} = {lower:g} is not below {high} = {upper:g}", remedy)
-
-
 class Prior(Section):
     """Gaussian prior of a parameter, in its own unit."""
 
@@ -34,16 +28,11 @@ class Prior(Section):
     std: PositiveFloat
 
 
-_OF_FREE = {"lower", "upper", "prior", "per_run"}
-"""Keys that only an estimated parameter can have."""
-
-
 class ParameterConfig(Section):
     """Settings of one parameter.
 
     ``value`` starts a free parameter and holds a fixed one; ``free = false`` fixes it;
-    ``per_run`` estimates one value per run; ``tied`` names the parameter that it equals
-    (times ``factor``).
+    ``per_run`` estimates one value per run.
     """
 
     value: float | None = None
@@ -52,27 +41,17 @@ class ParameterConfig(Section):
     upper: float | None = None
     prior: Prior | None = None
     per_run: bool = False
-    tied: str | None = None
-    factor: float = 1.0
 
     def contradictions(self) -> Iterator[InputProblem]:
-        rule, remedy, idle = f"tied = {self.tied!r}", "only factor goes with tied", set(_OF_FREE)
-        if self.tied is not None:
-            idle |= {"free", "value"}
-        elif self.free is False:
-            rule, remedy = "free = false", "only value goes with it"
-        else:
-            idle = set()
-        for key, field in ParameterConfig.model_fields.items():
-            if key in idle and getattr(self, key) != field.default:
-                yield InputProblem(f"{key} contradicts {rule}", f"leave one of them out: {remedy}")
-        if self.tied is None and self.factor != 1:
-            yield InputProblem("factor without tied", "name the other parameter by tied")
-        if self.factor == 0:
-            remedy = "hold it at zero by value = 0 and free = false"
-            yield InputProblem("factor = 0 ties it to nothing", remedy)
-        remedy = "leave room between them, or hold the parameter by free = false"
-        yield from _out_of_order(self, "lower", "upper", remedy)
+        if self.free is False:
+            remedy = "leave one of them out: only value goes with it"
+            for key in ("lower", "upper", "prior", "per_run"):  # of an estimated parameter
+                if getattr(self, key) != ParameterConfig.model_fields[key].default:
+                    yield InputProblem(f"{key} contradicts free = false", remedy)
+        if None not in (self.lower, self.upper) and self.lower >= self.upper:
+            reason = f"lower = {self.lower:g} is not below upper = {self.upper:g}"
+            remedy = "leave room between them, or hold the parameter by free = false"
+            yield InputProblem(reason, remedy)
 
 
 _SlipNoise = Annotated[NonNegativeFloat | None, AfterValidator(lambda std: std or None)]
@@ -83,7 +62,7 @@ class NoiseConfig(Section):
     ``<force>_relative`` is a fraction of the load; ``<slip>_speed`` [m/s] is noise of the slip
     velocity of the patch, a slip noise of this over v. A column of the data with the noise of every
     row, such as ``fx_std``, has precedence. ``loss``: squares of all rows, or (``trimmed``) without
-    outliers (``fitting.far_rows``), or a robust function of the residuals of all rows."""
+    outliers (``fitting.far_rows``)."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
@@ -97,7 +76,7 @@ class NoiseConfig(Section):
     sigma_x_speed: _SlipNoise = None
     alpha_speed: _SlipNoise = None
     proportional_to_load: bool = False
-    loss: Literal["trimmed", "squares", "huber", "soft-l1", "cauchy"] = "trimmed"
+    loss: Literal["trimmed", "squares"] = "trimmed"
     effective_samples: Literal["estimate", "all"] = "estimate"
 
     def contradictions(self) -> Iterator[InputProblem]:
@@ -119,11 +98,6 @@ class DataConfig(Section):
     slip: str | None = None
     rolling_radius: PositiveFloat | None = None
     mask_bad_rows: bool = False
-    slip_min: float | None = None
-    slip_max: float | None = None
-
-    def contradictions(self) -> Iterator[InputProblem]:
-        yield from _out_of_order(self, "slip_min", "slip_max", "leave slips between them")
 
 
 class PosteriorConfig(Section):

@@ -1,11 +1,11 @@
 """The parameters that a fit estimates, and their map from an unconstrained vector z.
 
-A parameter is free (shared by all runs, or one per run), fixed at a value, or tied to
-another one. The solver and the samplers see one unconstrained vector z; ``natural``
-turns it into named values within their bounds.
+A parameter is free (shared by all runs, or one per run) or fixed at a value. The solver and
+the samplers see one unconstrained vector z; ``natural`` turns it into named values within
+their bounds.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
@@ -32,20 +32,10 @@ class FreeParameter:
 
 
 @dataclass(frozen=True)
-class Tie:
-    """``name = factor * other``."""
-
-    name: str
-    other: str
-    factor: float = 1.0
-
-
-@dataclass(frozen=True)
 class Layout:
-    """The free parameters in order, the ties, and the runs of the data."""
+    """The free parameters in order, and the runs of the data."""
 
     free: tuple[FreeParameter, ...]
-    ties: tuple[Tie, ...] = ()
     runs: tuple[str, ...] = field(default=("run",), compare=False, repr=False)
     """Not compared: otherwise the names of the runs would force a new compilation."""
 
@@ -90,7 +80,7 @@ class Layout:
         return self.elements_of(run[[p.prior is not None for _, p in self.elements]])
 
     def natural(self, z: Values) -> dict[str, Numbers]:
-        """Named values: shape () where shared, (runs,) where per run; ties resolved."""
+        """Named values: shape () where shared, (runs,) where per run."""
         values: dict[str, Numbers] = {}
         start = 0
         for parameter in self.free:
@@ -98,8 +88,6 @@ class Layout:
             part = constrain(z[start : start + count], parameter.spec)
             values[parameter.name] = part if parameter.per_run else part[0]
             start += count
-        for tie in self.ties:
-            values[tie.name] = tie.factor * values[tie.other]
         return values
 
     def vector(self, z: Same) -> Same:
@@ -133,10 +121,8 @@ class Layout:
 
 def choose_layout(
     model: AbstractTire, config: FitConfig, runs: tuple[str, ...], forces: Sequence[str]
-) -> tuple[AbstractTire, Layout, list[str]]:
+) -> tuple[AbstractTire, Layout]:
     """Choose the parameters that a fit estimates, and their bounds.
-
-    The bounds of a tied parameter narrow those of the other one.
 
     Args:
         model: template of the fit.
@@ -145,13 +131,12 @@ def choose_layout(
         forces: fitted forces; only ``mz`` lets the half-length be estimated.
 
     Returns:
-        The model that holds the fixed values, the layout, and what was narrowed.
+        The model that holds the fixed values, and the layout.
 
     Raises:
-        UsageError: unknown names, impossible bounds, values, priors, ties.
+        UsageError: unknown names, impossible bounds, values, priors.
     """
-    known = specs(model)
-    asked = {name: config.parameters.get(name, ParameterConfig()) for name in known}
+    known, unknowns, fixed = specs(model), [], {}
     problems = [
         InputProblem(
             f"parameters.{name}: the model has no such parameter", f"it has {', '.join(known)}"
@@ -159,42 +144,23 @@ def choose_layout(
         for name in config.parameters
         if name not in known
     ]
-    ties = [Tie(n, a.tied, a.factor) for n, a in asked.items() if a.tied is not None]
-    free = []
-    for name, settings in asked.items():
-        chosen = settings.free
-        if chosen is None and settings.tied is None:
-            chosen = "mz" in forces if name == "half_length" else known[name].free
-        free += [name] * bool(chosen)
-    bounded, notes = {}, []
-    for name in known:
-        bounded[name], wrong = _bounded(name, known[name], asked[name])
-        problems += wrong
-    for tie in ties:
-        if tie.other in free:
-            spec, wrong, message = _narrowed(tie, bounded)
-            bounded[tie.other] = spec
-            problems += wrong
-            notes += message
+    for name, spec in known.items():
+        asked = config.parameters.get(name, ParameterConfig())
+        by_default = "mz" in forces if name == "half_length" else spec.free
+        free = by_default if asked.free is None else asked.free
+        bounded, wrong = _bounded(name, spec, asked)
+        problems += [*wrong, *_misplaced(name, bounded, asked, free)]
+        if free:
+            prior = None if asked.prior is None else (asked.prior.mean, asked.prior.std)
+            per_run = asked.per_run and len(runs) > 1
+            unknowns.append(FreeParameter(name, bounded, per_run, prior))
         else:
-            problems.append(_wrong_tie(tie, ties, free, known))
-    for name in known:
-        problems += _misplaced(name, bounded[name], asked[name], name in free)
-    if not free:
+            fixed[name] = spec.default if asked.value is None else asked.value
+    if not unknowns:
         problems.append(InputProblem("no free parameter", "free one under [parameters]"))
     if problems:
         raise UsageError([replace(p, file=config.source) for p in problems])
-    tied, fixed, unknowns = {tie.name for tie in ties}, {}, []
-    for name, settings in asked.items():
-        if name in free:
-            given = settings.prior
-            prior = None if given is None else (given.mean, given.std)
-            per_run = settings.per_run and len(runs) > 1
-            unknowns.append(FreeParameter(name, bounded[name], per_run, prior))
-        elif name not in tied:
-            value = settings.value
-            fixed[name] = known[name].default if value is None else value
-    return with_values(model, fixed), Layout(tuple(unknowns), tuple(ties), runs), notes
+    return with_values(model, fixed), Layout(tuple(unknowns), runs)
 
 
 def _interval(spec: Spec) -> str:
@@ -215,44 +181,6 @@ def _bounded(name: str, spec: Spec, asked: ParameterConfig) -> tuple[Spec, list[
     return spec, [InputProblem(reason, remedy)]
 
 
-def _narrowed(tie: Tie, bounded: Mapping[str, Spec]) -> tuple[Spec, list[InputProblem], list[str]]:
-    """Spec of the other parameter within the tied one's bounds; problems; a note."""
-    tied, other = bounded[tie.name], bounded[tie.other]
-    low, high = sorted((tied.lower / tie.factor, tied.upper / tie.factor))
-    narrow = other._replace(lower=max(other.lower, low), upper=min(other.upper, high))
-    if narrow == other:
-        return other, [], []
-    product = f"{tie.factor:g} {tie.other}"
-    if narrow.lower >= narrow.upper:
-        reason = (
-            f"parameters.{tie.name}: tied = {tie.other!r} with factor = {tie.factor:g}"
-            f" is outside its bounds {_interval(tied)} for every {tie.other} in"
-            f" {_interval(other)}"
-        )
-        remedy = f"change the factor, or the bounds of {tie.other}"
-        return other, [InputProblem(reason, remedy)], []
-    message = (
-        f"{tie.other} held to {_interval(narrow)}, so that {tie.name} = {product} stays"
-        f" within {_interval(tied)}"
-    )
-    return narrow, [], [message]
-
-
-def _wrong_tie(
-    tie: Tie, ties: Sequence[Tie], free: Sequence[str], known: Collection[str]
-) -> InputProblem:
-    tied = {other.name: other.other for other in ties}
-    key, reason = f"parameters.{tie.name}", f"tied to {tie.other!r}, which is not free"
-    if tie.other == tie.name:
-        reason = f"tied to {tie.other!r}, itself"
-    elif tie.other in tied:
-        reason += f": parameters.{tie.other} is tied to {tied[tie.other]!r}"
-    elif tie.other not in known:
-        reason = f"tied to {tie.other!r}, which the model does not have"
-    remedy = f"tie it to one of {', '.join(free)}" if free else "free a parameter"
-    return InputProblem(f"{key}: {reason}", remedy)
-
-
 def _misplaced(name: str, spec: Spec, asked: ParameterConfig, free: bool) -> Iterator[InputProblem]:
     """Problems: values and priors outside the bounds, keys that a fixed parameter ignores."""
     key, prior = f"parameters.{name}", asked.prior
@@ -268,7 +196,7 @@ def _misplaced(name: str, spec: Spec, asked: ParameterConfig, free: bool) -> Ite
             reason = f"prior std {prior.std:g} leaves it no room in {_interval(spec)}"
             remedy = f"hold it by value = {prior.mean:g} and free = false"
             yield InputProblem(f"{key}: {reason}", remedy)
-    if free or asked.free is False or asked.tied is not None:
+    if free or asked.free is False:
         return
     idle = [k for k in ("lower", "upper", "prior") if getattr(asked, k) is not None]
     idle += ["per_run"] if asked.per_run else []

@@ -10,7 +10,7 @@ of a row is latent, and its likelihood an integral over the true slip, see
 the limit of no slip noise, so Gauss-Newton steps carry over.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -34,24 +34,6 @@ by its noise. With less, one-sided misses raise the friction of sliding rows."""
 
 CHANNEL_SLIP = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 """Force channel -> the slip that drives it in pure slip."""
-
-
-def _huber(square: Array) -> Array:
-    """Quadratic to 1.345 standard deviations, linear beyond (95 % efficiency)."""
-    k = 1.345
-    inside = square <= k**2
-    size = jnp.sqrt(jnp.where(inside, 1.0, square))
-    return jnp.where(inside, square, 2 * k * size - k**2)
-
-
-LOSSES: dict[str, Callable[[Array], Array]] = {
-    "squares": lambda square: square,
-    "huber": _huber,
-    "soft-l1": lambda square: 2 * (jnp.sqrt(1 + square) - 1),
-    # Redescending; scale 2.385 gives 95 % efficiency at Gaussian noise.
-    "cauchy": lambda square: 2.385**2 * jnp.log1p(square / 2.385**2),
-}
-"""Robust losses: squared whitened residual -> contribution to -2 log likelihood."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +93,6 @@ class FitProblem(eqx.Module):
     """By block of residuals, see :meth:`block_of`; units until they are judged."""
     layout: Layout = eqx.field(static=True)
     channels: tuple[Channel, ...] = eqx.field(static=True)
-    loss: str = eqx.field(static=True)
     widened: Widened | None = None
 
     @property
@@ -288,26 +269,18 @@ def steepness(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
 
 def _blocks(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float[Array, " n"]]:
     """:func:`root_deviance` of known forces."""
-    rows, loss = problem.rows, LOSSES[problem.loss]
-    blocks: dict[str, Array] = {}
+    rows, blocks = problem.rows, {}
     for channel in problem.channels:
         name = channel.name
         if problem.block_of(channel) == name:
-            residual = (rows.observed[name] - forces[name]) / rows.scale[name]
-            if problem.loss != "squares":
-                # sqrt(loss) has no slope at zero; below 1e-6 every loss is the square itself.
-                small = jnp.abs(residual) < 1e-6
-                safe = jnp.where(small, 1.0, residual)
-                root = jnp.sign(safe) * jnp.sqrt(loss(safe**2))
-                residual = jnp.where(small, residual, root)
-            blocks[name] = rows.weight * residual
+            blocks[name] = rows.weight * (rows.observed[name] - forces[name]) / rows.scale[name]
     for slip in rows.nodes:
         log_row, log_force, _ = _slip_likelihoods(problem, forces, slip)
         # The largest value of the likelihood, so that no deviance is negative.
         log_most = _log_of_slip(rows, slip) if log_force is None else log_force
         # The floor keeps the slope of the root finite for a perfect row.
         row_deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
-        blocks[slip] = rows.weight * jnp.sqrt(loss(row_deviance))
+        blocks[slip] = rows.weight * jnp.sqrt(row_deviance)
     return blocks
 
 

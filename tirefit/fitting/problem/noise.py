@@ -239,11 +239,6 @@ def design_effect(residual: np.ndarray, slopes: np.ndarray, setting: np.ndarray)
     return observed / expected if is_clear else 1.0
 
 
-def robust_scale(residual: np.ndarray) -> float:
-    """Standard deviation from the median absolute deviation, shape (n,) -> scalar."""
-    return float(MAD * np.median(np.abs(residual - np.median(residual))))
-
-
 def noise_by_row(
     residual: np.ndarray, fz: np.ndarray, force: np.ndarray, run: np.ndarray, names: Sequence[str]
 ) -> dict[str, Any]:

@@ -45,8 +45,7 @@ def std_with_speed(plain: float, of_speed: float, v: np.ndarray) -> np.ndarray:
 _HATS = 20
 """Largest number of triangular functions of a density. There are fewer if their spacing
 would fall below the slip noise: the data do not resolve finer detail."""
-_STEPS, _STEPS_AFTER = 200, 60
-"""Steps of expectation maximisation, and those after each standing slip is added."""
+_STEPS_AFTER = 60  # steps of expectation maximisation after each standing slip is added
 _MOST_STANDING, _MOST_PEAKS = 40, 8
 """Largest number of standing slips, and of places that are tried for the next one."""
 

@@ -24,10 +24,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 from scipy.special import ndtri, stdtrit
 
-from tirefit.data.far import FAR_COLUMNS, FarValue, far_values, like_slips, problem_at, why_far
+from tirefit.data.far import FAR_COLUMNS, FarValue, far_values, problem_at, why_far
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.fitting.problem.build import FitTask, build
 from tirefit.fitting.problem.config import FitConfig
@@ -36,6 +35,7 @@ from tirefit.fitting.problem.noise import MAD
 from tirefit.fitting.solve.inference import REACH
 from tirefit.fitting.solve.multistart import Solved, on_rows, solve_problem
 from tirefit.results import InputProblem
+from tirefit.slip import LOCKED
 
 _CHANCE = 0.005  # share of clean data sets that may lose a row
 _TAILS = 30
@@ -45,20 +45,14 @@ at six standard deviations. The distance is 4.7 at 80 rows, 7 at 50,000."""
 _MOST = 0.1
 """Largest share of rows that are excluded; more rows than this are not outliers."""
 _ROUNDS = 8
-_NEAR, _MISSED = 6, 2.0
-"""Number of neighbours, and standard deviations: where the median residual of the
-neighbours is larger, the row is compared with it, as all miss the curve together."""
-_ON_A_LINE = np.sqrt(1.5)
-"""Standard deviation of a residual from the mean of two others."""
-_AROUND, _LOUDER = 30, 1.4
-"""Number of neighbours, and ratio: where the noise of the neighbours exceeds that of all
-rows by this ratio, it is used instead."""
+_NEAR, _LOUDER = 31, 1.4
+"""Number of neighbours, and ratio: where their noise exceeds that of all rows by this ratio, it
+is used instead."""
 _REMEMBERED = 30
 """Rows on either side that an error in one row of a transient tire may affect."""
 _ROUNDING = 1e-6  # share of a force's range below which no deviation is an outlier
-_RESTS = 0.7
-"""Share of the information on a parameter above which the fit depends on one row."""
-_MANY = 10  # fewest rows per free parameter at which this is reported
+_LOAD_STEP = 0.1  # loads whose logarithms differ by less are alike, ...
+_SLIP_STEP = 0.02  # ... and so are values of the slip across the force.
 
 
 @dataclass(frozen=True)
@@ -82,24 +76,21 @@ class FarRow:
 
 
 class Settled(NamedTuple):
-    """A fit without the excluded rows; ``data`` are the rows that remain."""
+    """A fit without the excluded rows."""
 
     task: FitTask
     solved: Solved
-    data: TireData
     outliers: tuple[FarRow, ...]
     limit: float
     note: str
 
 
 class _Judged(NamedTuple):
-    """How far the rows lie: by channel (k, n), but for the leverage."""
+    """How far the rows lie from what the others predict: by channel (k, n)."""
 
-    distance: np.ndarray  # from what the others predict, in standard deviations
-    ratio: np.ndarray  # of this distance, less that of the neighbours, to the limit
+    distance: np.ndarray  # in standard deviations
+    ratio: np.ndarray  # of the distance to the limit, in the noise of the neighbours
     predicted: np.ndarray  # force
-    leverage: np.ndarray  # (n,) largest share of the information on a parameter
-    limit: float  # distance at which a row is excluded
 
 
 def settle(data: TireData, name: str, config: FitConfig) -> Settled:
@@ -119,9 +110,8 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     dof = min(max(values - whole.problem.layout.size - 1, 1), _TAILS)
     limit = float(stdtrit(dof, 1 - _CHANCE / (2 * values)))
     most = max(1, int(_MOST * whole.problem.n))
-    first = np.zeros(whole.problem.n, bool)
-    first[list(suspects)] = trims and len(suspects) <= most
-    kept = ~_leaving_runs(first, whole)
+    kept = np.ones(whole.problem.n, bool)
+    kept[list(suspects)] = not trims or len(suspects) > most
     for _ in range(_ROUNDS):
         task, solved = _fitted(whole, kept, config)
         judged = _judge(whole, task, solved, kept, limit)
@@ -134,7 +124,7 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
             # One wrong slip affects a transient tire for a while: only the worst row counts.
             worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
             ratio = np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
-        beyond = _leaving_runs(ratio > 1, whole)
+        beyond = ratio > 1
         order = np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")
         others = np.ones_like(beyond)  # than the farthest rows beyond the limit
         others[order[: min(most, np.count_nonzero(beyond))]] = False
@@ -151,13 +141,11 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
         )
         kept[:] = True
         task, solved = _fitted(whole, kept, config)
-    many = whole.problem.n >= _MANY * whole.problem.layout.size
-    resting = kept & (judged.leverage > _RESTS) & many
-    rows = sorted({*np.flatnonzero(beyond | ~kept | resting).tolist(), *suspects})
+    rows = sorted({*np.flatnonzero(beyond | ~kept).tolist(), *suspects})
     outliers = [
         _far_row(whole, judged, i, bool(kept[i]), bool(beyond[i]), suspects.get(i)) for i in rows
     ]
-    return Settled(task, solved, task.data, tuple(outliers), limit, note)
+    return Settled(task, solved, tuple(outliers), limit, note)
 
 
 def _suspects(task: FitTask) -> dict[int, FarValue]:
@@ -171,17 +159,10 @@ def _suspects(task: FitTask) -> dict[int, FarValue]:
     used |= {c.name for c in channels} | {CHANNEL_SLIP[c.name] for c in channels}
     position = np.cumsum(task.data.used) - 1
     suspects: dict[int, FarValue] = {}
-    values = far_values(task.data, [c for c in FAR_COLUMNS if c in used])
+    values = far_values(task.data, [c for c in FAR_COLUMNS if c in used], locking=False)
     for value in sorted(values, key=lambda value: FAR_COLUMNS.index(value.column)):
         suspects.setdefault(int(position[value.row]), value)
     return suspects
-
-
-def _leaving_runs(aside: np.ndarray, task: FitTask) -> Bool[np.ndarray, " n"]:
-    """Rows to exclude, except in runs that would lose half of their rows."""
-    run = task.problem.used(task.problem.rows.run)
-    share = np.bincount(run, aside) / np.maximum(np.bincount(run), 1)
-    return aside & (share <= 0.5)[run]
 
 
 def _fitted(whole: FitTask, kept: np.ndarray, config: FitConfig) -> tuple[FitTask, Solved]:
@@ -205,11 +186,10 @@ def _judge(
     parts = [v if k == "prior" else v[kept] for k, v in at.slopes.items()]
     values, vectors = np.linalg.eigh(sum(part.T @ part for part in parts))
     root = vectors / np.sqrt(np.maximum(values, 1 / REACH**2))
-    by_channel, leverage = [], np.zeros(problem.n)
+    by_channel = []
     for channel in problem.channels:
         slopes = at.slopes[problem.block_of(channel)] @ root
         share = np.sum(slopes**2, axis=1)
-        leverage = np.maximum(leverage, np.where(kept, share, 0.0))
         unit = np.sqrt(at.variance[channel.name])
         observed = problem.used(problem.rows.observed[channel.name])
         residual = (observed - at.mean[channel.name]) / unit
@@ -225,14 +205,12 @@ def _judge(
         floor = _ROUNDING * np.ptp(observed[kept]) / np.median(unit[kept])
         scale = max(_scale(np.abs(off[kept])), floor, np.finfo(float).tiny)
         off /= scale if channel.noise_estimated else max(scale, 1.0)
-        ratio = np.abs(off) / limit
-        beyond = np.flatnonzero(ratio > 1)
-        if len(beyond):
-            order = like_slips(whole.data, CHANNEL_SLIP[channel.name])
-            ratio[beyond] = _beside(beyond, off, order, kept) / limit
-        by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
-    distance, ratio, predicted = map(np.array, zip(*by_channel, strict=True))
-    return _Judged(distance, ratio, predicted, leverage, limit)
+        distance = np.abs(off)
+        ratio = distance / limit
+        if np.any(ratio > 1):
+            ratio /= _noise_beside(distance, _by_state(whole.data, CHANNEL_SLIP[channel.name]))
+        by_channel.append((distance, ratio, at.mean[channel.name]))
+    return _Judged(*map(np.array, zip(*by_channel, strict=True)))
 
 
 def _scale(off: np.ndarray) -> float:
@@ -246,36 +224,24 @@ def _scale(off: np.ndarray) -> float:
     return float(np.sqrt(np.mean(part**2) / (1 - 2 * end * density / share)))
 
 
-def _beside(rows: np.ndarray, off: np.ndarray, order: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Distances of some rows, less those of their neighbours, (m,).
+def _noise_beside(distance: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Noise of the neighbours (n,) of each row in an order, over that of all rows; one where it is
+    not clearly larger."""
+    from scipy.ndimage import median_filter  # for data with outliers alone
 
-    Args:
-        rows: (m,) rows to compute.
-        off: (n,) signed distances, in standard deviations.
-        order: (n,) indices that put neighbours next to each other.
-        counts: (n,) bool, the rows that may be neighbours.
-    """
-    members, is_member = order[counts[order]], counts[rows].astype(int)
-    before = np.empty(len(order), int)
-    before[order] = np.cumsum(counts[order]) - counts[order]
-    before = before[rows]
+    noise = np.empty(len(distance))
+    noise[order] = MAD * median_filter(distance[order], _NEAR)
+    return np.where(noise > _LOUDER, noise, 1.0)
 
-    def near(most: int) -> np.ndarray:
-        size = min(most, len(members) - 1)
-        start = np.clip(before - size // 2, 0, len(members) - is_member - size)
-        at = start[:, None] + np.arange(size)
-        return off[members[at + ((at >= before[:, None]) & (is_member[:, None] > 0))]]
 
-    after = before + is_member
-    inner = (before > 0) & (after < len(members))
-    ends = members[before - 1], members[np.minimum(after, len(members) - 1)]
-    line = np.where(inner, (off[ends[0]] + off[ends[1]]) / 2, 0.0)
-    left = np.abs(off[rows])
-    for missed, wider in ((np.median(near(_NEAR), axis=1), 1.0), (line, _ON_A_LINE)):
-        beside = np.abs(off[rows] - missed) / wider
-        left = np.where(np.abs(missed) > _MISSED, np.minimum(left, beside), left)
-    louder = MAD * np.median(np.abs(near(_AROUND)), axis=1)
-    return left / np.where(louder > _LOUDER, louder, 1.0)
+def _by_state(data: TireData, slip: str) -> np.ndarray:
+    """Order (n_used,) of the used rows by run, load, the other slip, and slip: neighbours
+    in it were measured in similar states."""
+    load = np.round(np.log(data.usable("fz")) / _LOAD_STEP)
+    other = {"sigma_x": "alpha", "alpha": "sigma_x"}[slip]
+    across = data.usable(other) if other in data else np.zeros(data.n)
+    alike = np.round(np.minimum(across, LOCKED) / _SLIP_STEP)
+    return np.lexsort((data.usable(slip), alike, load, data.run[data.used]))
 
 
 _REMEDY = "correct or delete the row"
@@ -298,20 +264,9 @@ def _far_row(
         " other rows predict"
     )
     messages = [] if suspect is None else [why_far(suspect)]
-    remedy = "check the row"
-    if beyond or not kept:
+    if beyond or not kept or suspect is not None:
         messages.append(off)
-        remedy = _REMEDY if kept else _KEEP
-    elif suspect is not None and distance <= judged.limit:
-        away = f"{distance:.2g} standard deviations from what the other rows predict"
-        messages.append(f"kept: its {force} is {away}")
-    elif suspect is not None:
-        messages += [off, "kept: its neighbours or much of its run deviate as well"]
-    if kept and judged.leverage[i] > _RESTS:
-        messages.append(
-            f"the fit depends on it: {judged.leverage[i]:.0%} of the information on a"
-            " parameter comes from this row"
-        )
+    remedy = _KEEP if not kept else _REMEDY if beyond else "check the row"
     row = int(np.flatnonzero(whole.data.used)[i])
     place = problem_at(whole.data, row, column, "; ".join(messages), remedy)
     return FarRow(

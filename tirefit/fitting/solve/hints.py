@@ -77,15 +77,16 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | No
     whole, known, columns = float(values @ values), np.hstack([base, slopes]), []
     ends = {k: np.percentile(inputs[k], [2.5, 50, 97.5]) for k in _COLUMNS}
     left = [k for k, e in ends.items() if e[2] - e[0] > _VARIES * abs(e[1])]
+
+    def with_trends(k: str) -> np.ndarray:
+        low, middle, high = ends[k]
+        relative = np.tile((inputs[k][some] - middle) / (high - low), len(at.mean))
+        return np.hstack([known, base * relative[:, None]])
+
     while left and whole > 0:
-        more = {}
+        (before, fewer), explained = remainder(values, known), {}
         for k in left:
-            low, middle, high = ends[k]
-            relative = np.tile((inputs[k][some] - middle) / (high - low), len(at.mean))
-            more[k] = np.hstack([known, base * relative[:, None]])
-        explained = {}
-        for k in left:
-            (before, fewer), (rest, rank) = remainder(values, known), remainder(values, more[k])
+            rest, rank = remainder(values, with_trends(k))
             gain, square = float(before @ before - rest @ rest), float(rest @ rest)
             effective = len(rest) / autocorrelation_time([rest])
             limit = chdtri(rank - fewer, _CHANCE) * max(square, 1e-300)
@@ -96,7 +97,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | No
         left.remove(best)
         low, _, high = ends[best].tolist()
         columns.append(Followed(best, low, high, explained[best] / whole))
-        known = more[best]
+        known = with_trends(best)
     if not columns:
         return Misfit()
     rest, _ = remainder(values, known)

@@ -395,20 +395,8 @@ def least_squares(
     """
     chosen: Any = SOLVERS[solver] if isinstance(solver, str) else solver
     is_normal = isinstance(chosen, NormalEquations)
-    function: Any = residual
-    if not is_normal:
-        # Rows with noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes by
-        # a constant, and near the start Gauss-Newton has the curvature of scoring.
-        first, weights = residual(start)
-        deviance_row = False if weights is None else weights != 1.0
-
-        def function(z: Array) -> Array:
-            values, _ = residual(z)
-            # Reverse mode multiplies the branch not taken by zero: it must stay finite.
-            safe = jnp.where(deviance_row, values, first)
-            root = jnp.sqrt(jnp.maximum(1 + safe**2 - first**2, 1e-6))
-            return jnp.where(deviance_row, root, values)
-
+    # The solvers of other libraries get no rows with noisy slips, whose weights they lack.
+    function: Any = residual if is_normal else lambda z: residual(z)[0]
     if isinstance(chosen, str):
         z, converged, steps = _jaxopt(function, start)
     else:

@@ -20,7 +20,7 @@ from tirefit.fitting.problem.likelihood import (
     slip_weights,
     steepness,
 )
-from tirefit.fitting.problem.noise import effective_inflation, robust_scale
+from tirefit.fitting.problem.noise import effective_inflation
 from tirefit.fitting.problem.slip_noise import (
     SMOOTH,
     SMOOTH_STEEP,
@@ -81,14 +81,7 @@ class Solved(NamedTuple):
     ambiguous: bool
     chi2_dof: float | None
     n_effective: float
-    independent: np.ndarray  # covariance if rows were independent of each other
     misfit: Misfit = Misfit()
-
-    @property
-    def of_noise(self) -> np.ndarray | None:
-        """Covariance from noise alone if misfit widens ``covariance``, else None."""
-        widened = self.misfit.columns and self.problem.noise_estimated
-        return self.independent * self.misfit.rows_per_one if widened else None
 
 
 def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
@@ -166,11 +159,7 @@ def _scale_updates(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, flo
         scale = problem.used(problem.rows.scale[name])
         residual = (problem.used(problem.rows.observed[name]) - mean[name]) / scale
         dof = max(problem.n - problem.layout.size / len(problem.channels), 1.0)
-        if problem.loss == "squares":
-            square = np.sum(residual**2) / dof
-        else:
-            square = robust_scale(residual) ** 2 * problem.n / dof
-        factors[name] = float(np.sqrt(square))
+        factors[name] = float(np.sqrt(np.sum(residual**2) / dof))
     return factors
 
 
@@ -180,8 +169,7 @@ def _settle_noise(task: FitTask, z: np.ndarray, solver: Solver) -> tuple[FitProb
     problem = problem.with_rows(scale=_scaled(problem, _scale_updates(problem, z)))
     if problem.slip_noise:
         return _settle_slips(problem, z)
-    several = len(problem.channels) > 1 or problem.loss != "squares"
-    several = several or any(p.prior for p in problem.layout.free)
+    several = len(problem.channels) > 1 or any(p.prior for p in problem.layout.free)
     rounds = 12 if problem.noise_estimated and several else 0
     for _ in range(rounds):
         z = np.asarray(minima(problem, z[None]).z[0])
@@ -307,7 +295,7 @@ def _judged(
             ratios.append(ratio)
             if ratio > 1 and chdtrc(independent, ratio * independent) < 1e-3:
                 rows_per_one *= ratio
-        plain = estimated and problem.loss == "squares" and name not in problem.slip_noise
+        plain = estimated and name not in problem.slip_noise
         smallest = float(values @ values) if plain else 0.0
         rules[name] = Rule(rows_per_one, effective, smallest)
     chi2_dof = float(np.mean(ratios)) if ratios else None
@@ -369,12 +357,7 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     apart = np.maximum(3 * np.sqrt(np.diag(cov)), _ONE_MINIMUM)
     ambiguous = bool(np.any(np.abs(solution.z[near] - solution.z[best]) > apart))
     level = threshold(problem.noise_estimated, n_effective, problem.layout.size)
-    alone = {
-        name: rule._replace(inflation=rule.inflation * rule.effective / problem.n)
-        for name, rule in problem.rules.items()
-    }
-    independent = covariance(problem.with_rules(alone), z, at)
     return Solved(
         problem, at, z, cov, level, converged, config.starts, int(near.sum()),
-        ambiguous, chi2_dof, n_effective, independent, misfit,
+        ambiguous, chi2_dof, n_effective, misfit,
     )  # fmt: skip

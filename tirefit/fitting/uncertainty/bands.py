@@ -49,8 +49,8 @@ def _elsewhere(problem: FitProblem, inputs: TireInputs, run: Values) -> list[Fit
     return [block(first) for first in range(0, count, room)]
 
 
-def _force_at(blocks: list[FitProblem], channel: str, z: np.ndarray) -> np.ndarray:
-    return np.concatenate([moments(block, z)[0][channel] for block in blocks])
+def _force_at(blocks: list[FitProblem], channel: str, z: np.ndarray, count: int) -> np.ndarray:
+    return np.concatenate([moments(block, z)[0][channel] for block in blocks])[:count]
 
 
 def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run: Values) -> np.ndarray:
@@ -60,8 +60,7 @@ def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run: Value
         channel: a fitted force.
         inputs: (m,) each; ``run`` (m,): the run of each.
     """
-    blocks = _elsewhere(result.problem, inputs, run)
-    return _force_at(blocks, channel, result.z)[: len(run)]
+    return _force_at(_elsewhere(result.problem, inputs, run), channel, result.z, len(run))
 
 
 def force_band(
@@ -81,7 +80,7 @@ def force_band(
     quantile = half_width_95(problem.noise_estimated, result.statistics.dof)
 
     def at(z: np.ndarray) -> np.ndarray:
-        return _force_at(blocks, channel, z)[: len(run)]
+        return _force_at(blocks, channel, z, len(run))
 
     force = at(result.z)
     if result.chains is not None:

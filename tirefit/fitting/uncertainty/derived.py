@@ -9,10 +9,9 @@ held at different loads or speeds, like bins of a rig, it is evaluated at those 
 run; otherwise at those of the file, so that runs can be compared.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,11 +35,9 @@ Evaluator = Callable[[np.ndarray], dict[str, np.ndarray]]
 """z (m, p) -> quantity -> values (m,)."""
 
 LARGEST_SLIP = 3.0
-_AT_ONCE = 8
-_GRID = np.append(0.0, np.geomspace(1e-5, LARGEST_SLIP, 199))
-"""Number of slips at which the peak is searched, and how many are evaluated together."""
-
-_NARROWED = 16  # rounds of refinement, to 1e-15 of the distance of two of them
+_GRID = np.append(0.0, np.geomspace(1e-5, LARGEST_SLIP, 63))
+"""Slips between which the peak is searched first."""
+_NARROWED = 9  # rounds of refinement, each by the number of slips: to rounding
 
 
 def quantity_of(label: str) -> str:
@@ -114,60 +111,27 @@ def _curve(
 
 
 def _start_and_peak(force: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
-    """Slope at zero slip; (slip, force) of the first maximum, by a grid, then slope.
+    """Slope at zero slip; (slip, force) of the first maximum, where the slope ends.
 
-    The beginning of a plateau is flat to the third order, so values would give its slip
-    only to 1e-4; the sign of the slope gives it to rounding. One loop does both, with a
-    few slips at a time, so that the force is compiled only once.
+    The beginning of a plateau is flat to the third order, so values would give its slip only to
+    1e-4; the sign of the slope gives it to rounding. One loop does all, so that the force is
+    compiled only once.
     """
+    grid, parts = jnp.asarray(_GRID), jnp.arange(1, len(_GRID) + 1) / (len(_GRID) + 1)
 
-    def with_slope(slip: Array) -> tuple[Array, Array]:
-        return jax.jvp(force, (slip,), (jnp.ones_like(slip),))
-
-    grid, last = jnp.asarray(_GRID), len(_GRID) - 1
-    rounds = len(_GRID) // _AT_ONCE
-    parts = jnp.arange(1, _AT_ONCE + 1) / (_AT_ONCE + 1)
-
-    def tabled(k: Array, state: Any, there: Array, slopes: Array, slips: Array) -> Any:
-        values, start, bracket = state
-        values = jax.lax.dynamic_update_slice(values, there, (k * _AT_ONCE,))
-        return values, jnp.where(k == 0, slopes[0], start), bracket
-
-    def narrowed(k: Array, state: Any, there: Array, slopes: Array, slips: Array) -> Any:
-        values, start, (low, high, value) = state
+    def narrowed(k: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
+        low, high, start, peak = state
+        slips = jnp.where(k == 0, grid, low + parts * (high - low))
+        values, slopes = jax.vmap(lambda slip: jax.jvp(force, (slip,), (jnp.ones(()),)))(slips)
+        start = jnp.where(k == 0, slopes[0], start)
         # Three times the rounding of a zero slope: 7e-8 of the slip of full sliding.
-        falls = jnp.append(slopes <= 5e-16 * start, True)
-        ends = jnp.argmax(falls)
-        lows, highs = jnp.append(low, slips), jnp.append(slips, high)
-        return values, start, (lows[ends], highs[ends], jnp.append(there, value)[ends])
-
-    def around(values: Array) -> tuple[Array, Array, Array]:
-        first = jnp.argmax(values >= values.max() * (1 - 1e-12))
-        end = jnp.minimum(first + 1, last)
-        return grid[jnp.maximum(first - 1, 0)], grid[end], values[end]
-
-    def look(k: Array, state: Any) -> Any:
-        # Only one branch runs, as k is the same for all parameter vectors.
-        values, start, bracket = state
-        low, high, value = bracket = jax.lax.cond(
-            k == rounds, lambda: around(values), lambda: bracket
-        )
-        slips = jax.lax.cond(
-            k < rounds,
-            lambda: jax.lax.dynamic_slice(grid, (k * _AT_ONCE,), (_AT_ONCE,)),
-            lambda: low + parts * (high - low),
-        )
-        there, slopes = jax.vmap(with_slope)(slips)
-        state = values, start, bracket
-        return jax.lax.cond(k < rounds, tabled, narrowed, k, state, there, slopes, slips)
+        end = jnp.argmax(jnp.append(slopes <= 5e-16 * start, True))
+        values = jnp.append(values, jnp.where(k == 0, values[-1], peak))
+        return jnp.append(low, slips)[end], jnp.append(slips, high)[end], start, values[end]
 
     nothing = jnp.zeros(())
-    _, start, (_, slip, peak) = jax.lax.fori_loop(
-        0,
-        rounds + _NARROWED,
-        look,
-        (jnp.full(len(_GRID), -jnp.inf), nothing, (nothing, nothing, nothing)),
-    )
+    first = nothing, jnp.full((), LARGEST_SLIP), nothing, nothing
+    _, slip, start, peak = jax.lax.fori_loop(0, 1 + _NARROWED, narrowed, first)
     # A force that still rises at the largest slip has no peak.
     return start, jnp.where(slip < 0.999 * LARGEST_SLIP, slip, jnp.nan), peak
 
@@ -266,15 +230,19 @@ def _says_something(ci95: tuple[float | None, float | None]) -> bool:
     return low is not None and high is not None and 0 < low and high <= 3 * low
 
 
-def _moved(
+def _involved(
     evaluate: Evaluator, z: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> dict[str, tuple[float, np.ndarray]]:
-    """Quantity -> (value at z, values (2, p) with one element moved to either end)."""
-    size = len(z)
-    batch = np.tile(z, (2 * size + 1, 1))
-    batch[np.arange(1, size + 1), np.arange(size)] = low
-    batch[np.arange(size + 1, 2 * size + 1), np.arange(size)] = high
-    return {k: (v[0], v[1:].reshape(2, size)) for k, v in evaluate(batch).items()}
+    """Quantity -> (value at z, indices of the elements that change it)."""
+    # Intervals at rounding level would hide the elements that a quantity depends on.
+    ends = np.minimum(low, z - 0.01), np.maximum(high, z + 0.01)
+    moved = [np.where(np.eye(len(z), dtype=bool), end, z) for end in ends]
+    values = evaluate(np.concatenate([z[None], *moved]))
+    changes = {k: np.abs(v[1:] - v[0]).reshape(2, -1) for k, v in values.items()}
+    return {
+        k: (float(v[0]), np.flatnonzero(~np.all(changes[k] <= 1e-7 * abs(v[0]), axis=0)))
+        for k, v in values.items()
+    }
 
 
 def derived_from_profile(
@@ -294,66 +262,44 @@ def derived_from_profile(
         By name, or by ``name[run]`` if runs differ; in the order of the report, with the
         runs of a quantity together.
     """
-    problem = solved.problem
+    problem, z = solved.problem, solved.z
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None:
         return {}
-    ends = None
-    if profiles:
-        low = [-np.inf if p.open_low else p.low for p in profiles]
-        high = [np.inf if p.open_high else p.high for p in profiles]
-        ends = np.array(low), np.array(high)
+    low = np.array([-np.inf if p.open_low else p.low for p in profiles]) if profiles else z
+    high = np.array([np.inf if p.open_high else p.high for p in profiles]) if profiles else z
     per_run = np.array([p.per_run for _, p in problem.layout.elements])
     derived: dict[str, Estimate] = {}
     for code, run in [(None, ""), *enumerate(problem.layout.runs if per_run.any() else ())]:
-        part = _of_run(solved, channel, code, ends, estimates, per_run, only)
-        for name, estimate in part:
-            derived[name if code is None else f"{name}[{run}]"] = estimate
+        evaluate, ending = _evaluator(problem, channel, code), "" if code is None else f"[{run}]"
+        for name, (value, involved) in _involved(evaluate, z, low, high).items():
+            # The quantities of a per-run element are those of its runs, the others those of all.
+            if name == "F_max_over_fz" or per_run[involved].any() == (code is None):
+                continue
+            if only and name not in only:
+                continue
+            unit, known = quantities(channel)[name][0], [estimates[i] for i in involved if profiles]
+            if not np.isfinite(value):
+                estimate = Estimate(value, None, unit, (None, None), identified=False)
+            elif len(involved) == 0:
+                estimate = Estimate(value, None, unit, (None, None), fixed=True)
+            else:
+                ends = None
+                if profiles and len(involved) == 1:
+                    both = np.tile(z, (2, 1))
+                    both[:, involved[0]] = low[involved[0]], high[involved[0]]
+                    ends = evaluate(both)[name]
+                estimate = _estimate(solved, evaluate, name, unit, known, ends)
+            derived[name + ending] = estimate
+            if name == "F_max":
+                fz = reference_point(problem, code)["fz"]
+                numbers = (estimate.value, estimate.std, *estimate.ci95)
+                value, std, *ci95 = (None if x is None else x / fz for x in numbers)
+                share = replace(estimate, value=value, std=std, unit="-", ci95=tuple(ci95))
+                derived["F_max_over_fz" + ending] = share
     order = list(quantities(channel))
     by_quantity = sorted(derived, key=lambda label: order.index(quantity_of(label)))
     return {label: derived[label] for label in by_quantity}
-
-
-def _of_run(
-    solved: Solved,
-    channel: str,
-    run: int | None,
-    ends: tuple[np.ndarray, np.ndarray] | None,
-    estimates: Sequence[Estimate],
-    per_run: np.ndarray,
-    only: Collection[str] | None,
-) -> Iterator[tuple[str, Estimate]]:
-    """(quantity, estimate) of the quantities that depend on a per-run element (``per_run``
-    (p,)), or of the other quantities if ``run`` is None; ``ends`` (low, high) are those
-    of every element (p,), None if not known."""
-    z, (low, high) = solved.z, ends or (solved.z, solved.z)
-    evaluate = _evaluator(solved.problem, channel, run)
-    mapped = _moved(evaluate, z, low, high)
-    # Intervals at rounding level would hide the elements that a quantity depends on.
-    apart = _moved(evaluate, z, np.minimum(low, z - 0.01), np.maximum(high, z + 0.01))
-    for name, (value, moved) in apart.items():
-        value, unit = float(value), quantities(channel)[name][0]
-        same = np.abs(moved - value) <= 1e-7 * abs(value)
-        involved = np.flatnonzero(~same.all(axis=0))
-        if name == "F_max_over_fz" or per_run[involved].any() == (run is None):
-            continue
-        if only and name not in only:
-            continue
-        if not np.isfinite(value):
-            estimate = Estimate(value, None, unit, (None, None), identified=False)
-        elif len(involved) == 0:
-            estimate = Estimate(value, None, unit, (None, None), fixed=True)
-        else:
-            of_one = mapped[name][1][:, involved[0]] if ends and len(involved) == 1 else None
-            parts = [estimates[int(i)] for i in involved] if ends else []
-            estimate = _estimate(solved, evaluate, name, unit, parts, of_one)
-        yield name, estimate
-        if name == "F_max":
-            fz = reference_point(solved.problem, run)["fz"]
-            ends_std = (*estimate.ci95, estimate.std)
-            least, most, std = (None if number is None else number / fz for number in ends_std)
-            share = replace(estimate, value=value / fz, std=std, unit="-", ci95=(least, most))
-            yield "F_max_over_fz", share
 
 
 def _estimate(
@@ -370,26 +316,18 @@ def _estimate(
     value, slope = quantity(solved.z)
     std = float(np.sqrt(slope @ solved.covariance @ slope))
     if ends is not None:
-        ci95 = _ends(*ends)
-        identified = known[0].identified
+        ci95, identified = _ends(*ends), known[0].identified
     elif std < 1e-6 * abs(value):
         half = np.sqrt(solved.level) * std
         ci95, identified = _ends(value - half, value + half), True
     else:
         ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
         identified = _says_something(ci95)
-        noise = solved.of_noise
-        if not identified and noise is not None:  # misfit may widen the interval
-            half = np.sqrt(solved.level * (slope @ noise @ slope))
-            identified = _says_something((value - half, value + half))
     low, high = ci95
     if low is not None and high is not None and any(estimate.std is None for estimate in known):
         # The covariance does not determine it: use the width of the profile.
         std = (high - low) / (2 * float(np.sqrt(solved.level)))
     return Estimate(float(value), std if identified else None, unit, ci95, identified)
-
-
-_BLOCK = 4096
 
 
 def derived_from_draws(
@@ -404,9 +342,6 @@ def derived_from_draws(
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None or not least_squares:
         return {}
-    # Blocks of the same size need one program for any number of draws.
-    count, blocks = len(z_draws), -(-len(z_draws) // _BLOCK)
-    padded = np.resize(z_draws, (blocks * _BLOCK, z_draws.shape[1]))
     derived: dict[str, Estimate] = {}
     for code, run in [(None, ""), *enumerate(problem.layout.runs)]:
         ending = "" if code is None else f"[{run}]"
@@ -416,15 +351,13 @@ def derived_from_draws(
             if f"{name}{ending}" in least_squares
         }
         if asked:
-            evaluate = _evaluator(problem, channel, code)
-            parts = [evaluate(block) for block in np.split(padded, blocks)]
+            values = _evaluator(problem, channel, code)(z_draws)
         for name, label in asked.items():
             known = derived[label] = least_squares[label]
             if known.fixed:
                 continue
-            draws = np.concatenate([part[name] for part in parts])[:count]
-            defined = draws[np.isfinite(draws)]
-            if len(defined) > 0.975 * count:
+            defined = values[name][np.isfinite(values[name])]
+            if len(defined) > 0.975 * len(z_draws):
                 derived[label] = Estimate.of_draws(defined, known.unit, known.identified)
             else:
                 derived[label] = Estimate(np.nan, None, known.unit, (None, None), identified=False)

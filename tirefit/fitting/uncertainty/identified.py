@@ -3,7 +3,7 @@
 import numpy as np
 
 from tirefit.fitting.result import Estimate
-from tirefit.fitting.solve.inference import REACH, half_width_95
+from tirefit.fitting.solve.inference import half_width_95
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.profile import Profile
 from tirefit.params import Spec, constrain, log_jacobian
@@ -35,14 +35,11 @@ def profile_estimates(
 ) -> tuple[dict[str, Estimate], dict[str, tuple[float | None, float | None]]]:
     """Least-squares estimates with profile intervals, and covariance intervals.
 
-    A parameter is identified if its profile interval is limited or, where misfit widens
-    the interval, if the interval from noise alone is limited.
+    A parameter is identified if its profile interval is limited.
     """
     estimates = {}
     by_covariance: dict[str, tuple[float | None, float | None]] = {}
     dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
-    noise = solved.of_noise
-    ends = None if noise is None else _ends_by(solved, noise, dof)
     quantile = half_width_95(solved.problem.noise_estimated, dof)
     for i, (label, parameter) in enumerate(solved.problem.layout.elements):
         spec, z = parameter.spec, solved.z[i]
@@ -52,31 +49,10 @@ def profile_estimates(
         low = spec.lower if profile.open_low else float(constrain(profile.low, spec))
         high = spec.upper if profile.open_high else float(constrain(profile.high, spec))
         free = not_identified(spec, low, high, profile.open_low, profile.open_high)
-        if free and ends is not None:
-            left, right = ends[:, i]
-            cut = left <= -REACH, right >= REACH
-            free = not_identified(spec, constrain(left, spec), constrain(right, spec), *cut)
         known = not free and not at_bound(spec, value)
         estimates[label] = Estimate(value, std if known else None, spec.unit, (low, high), not free)
         by_covariance[label] = (value - quantile * std, value + quantile * std)
     return estimates, by_covariance
-
-
-def _ends_by(solved: Solved, covariance: np.ndarray, dof: float) -> np.ndarray:
-    """Ends (2, p) in z of the 95 % intervals from a covariance, cut at the reach."""
-    quantile = half_width_95(solved.problem.noise_estimated, dof)
-    half = quantile * np.sqrt(np.diag(covariance))
-    return np.clip(solved.z + np.array([[-1], [1]]) * half, -REACH, REACH)
-
-
-def independent_intervals(solved: Solved) -> dict[str, tuple[float | None, float | None]]:
-    """95 % intervals for rows that are independent of each other."""
-    dof = solved.problem.n - solved.problem.layout.size
-    low, high = _ends_by(solved, solved.independent, dof)
-    return {
-        label: (float(constrain(low[i], p.spec)), float(constrain(high[i], p.spec)))
-        for i, (label, p) in enumerate(solved.problem.layout.elements)
-    }
 
 
 def at_bound(spec: Spec, value: float) -> bool:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import brentq
 from scipy.special import ndtri, stdtrit
 
 HUBER = 1.345
@@ -83,19 +84,12 @@ def across_files(value: ArrayLike, std: ArrayLike, when: ArrayLike) -> AcrossFil
 def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
     """tau at which the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
     size = np.abs(residual)
+    most = float(np.max(size)) / _MEDIAN
 
-    def is_too_small(tau: float) -> bool:
-        excess = np.sort(size - _MEDIAN * np.hypot(std, tau))
-        # The sign of the median; np.median takes three times as long.
-        return bool(excess[(len(excess) - 1) // 2] + excess[len(excess) // 2] > 0)
+    def excess(tau: float) -> float:
+        return float(np.median(size - _MEDIAN * np.hypot(std, tau)))
 
-    low, high = 0.0, float(np.max(size)) / _MEDIAN
-    if not is_too_small(low):
-        return 0.0
-    for _ in range(20):
-        middle = (low + high) / 2
-        low, high = (middle, high) if is_too_small(middle) else (low, middle)
-    return high
+    return float(brentq(excess, 0.0, most, xtol=1e-6 * most)) if excess(0.0) > 0 else 0.0
 
 
 def _std(design: np.ndarray, pulls: np.ndarray, scale: np.ndarray) -> float:

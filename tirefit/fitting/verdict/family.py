@@ -10,19 +10,18 @@ a fit that is ok, and in the range of the others (``make statistics``).
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.special import chdtrc
 
 from tirefit.fitting.problem.build import FitTask, build
-from tirefit.fitting.problem.config import FitConfig, ParameterConfig
+from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.result import Estimate, PeakRange
 from tirefit.fitting.solve.hints import remainder
 from tirefit.fitting.solve.multistart import Solved, solve_problem
 from tirefit.fitting.uncertainty.derived import derived_from_profile, quantity_of
-from tirefit.fitting.uncertainty.identified import minus_two_log_likelihood, profile_estimates
-from tirefit.fitting.uncertainty.profile import Profile, profile_all
+from tirefit.fitting.uncertainty.identified import minus_two_log_likelihood
 from tirefit.models import MODELS, modelled
 from tirefit.params import specs
 from tirefit.results import DataError, UsageError
@@ -43,13 +42,6 @@ are fitted to 30, which takes 0.3 s of processor."""
 
 _BRUSH = re.compile(r"(brush(?:-load|-anisotropic)?)(?:-(d?)([mnhs]*))?")
 """Name of a brush: family, pressure, friction."""
-
-
-_PEAK = ("mu", "mu_peak", "D", "Dx", "Dy")
-"""Peak force over load, by the name that it has in a model."""
-
-_SLOPE = ("cpa2", "B", "Bx", "By")
-"""Parameters that set the slope at zero slip; their units differ."""
 
 
 def family_of(task: FitTask) -> list[str]:
@@ -76,33 +68,14 @@ def solved_as(name: str, task: FitTask, config: FitConfig) -> Solved | None:
     forces = [channel.name for channel in task.problem.channels]
     if not {*forces} <= {*modelled(MODELS[name])}:
         return None
-    chosen = {"model": name, "force": forces, "parameters": _parameters(name, config)}
+    known = specs(MODELS[name])
+    settings = {key: setting for key, setting in config.parameters.items() if key in known}
+    chosen = {"model": name, "force": forces, "parameters": settings}
     config = config.model_copy(update=chosen)
     try:
         return solve_problem(build(task.data, name, config, len(task.problem.rows.weight)), config)
     except (DataError, UsageError):
         return None
-
-
-def _parameters(name: str, config: FitConfig) -> dict[str, ParameterConfig]:
-    """Settings of the parameters that the model has, or has under another name."""
-    known = specs(MODELS[name])
-    settings: dict[str, ParameterConfig] = {}
-    for key, setting in config.parameters.items():
-        names: Sequence[str] = (key,) if key in known else ()
-        if key in _PEAK and not names:
-            names = [k for k in _PEAK if k in known]
-        elif key in _SLOPE and not names and setting.per_run:
-            names, setting = [k for k in _SLOPE if k in known], ParameterConfig(per_run=True)
-        if setting.tied is None or setting.tied in known:
-            settings |= dict.fromkeys(names, setting)
-    return settings
-
-
-def estimates_of(solved: Solved) -> tuple[list[Profile], dict[str, Estimate]]:
-    """Profiles and estimates of the parameters of a solved problem."""
-    profiles = profile_all(solved.problem, solved.z, solved.covariance, solved.level)
-    return profiles, profile_estimates(solved, profiles)[0]
 
 
 def reached(solved: Solved, derived: Mapping[str, Estimate]) -> dict[str, float]:

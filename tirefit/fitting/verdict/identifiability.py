@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from tirefit.data.accept import DataLike, as_data
 from tirefit.data.rig.levels import levels
@@ -22,6 +23,7 @@ from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.problem.noise import autocorrelation_time
 from tirefit.fitting.solve.inference import inverse_of, linearise
+from tirefit.fitting.solve.least_squares import Normal, on_host
 from tirefit.fitting.uncertainty.identified import not_identified
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
@@ -34,7 +36,6 @@ _HIGHEST, _FRICTIONS = 2.0, 7
 """Friction above that of any tire, and the number of values tried up to it."""
 _AS_WELL = 9.0
 """Rise of -2 log likelihood up to which a friction fits too (3 standard deviations)."""
-_REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}  # slips that a test can go to
 _INSIDE = 4.0
 """Largest unconstrained value tried, 2 % of the range from either bound: closer to it, a
 step of the parameter would not change the force."""
@@ -48,7 +49,7 @@ of its range, or as much on a scale); above it the model is outside its validity
 ROWS = 512
 """Size of the sample, evenly over loads and slips: one compiled program for all files."""
 _LEAST_NOISE = 1e-3  # of the load: no rig measures better
-_GUESSED_NOISE = 0.01
+_GUESSED_NOISE = 0.01  # of the load: where there are too few rows to estimate it
 _SPINNING = -0.95  # slip below which a wheel spins almost on the spot
 _SETTINGS = 12  # largest number of levels of a channel that are settings of a rig
 _CHUNK = 12  # parts of a slip curve, each fitted by a parabola with noise residuals
@@ -60,7 +61,6 @@ class Scatter(NamedTuple):
 
     share: float  # standard deviation over the load
     inflation: float  # rows per independent row
-    how: str
 
 
 class ParameterGate(NamedTuple):
@@ -72,16 +72,10 @@ class ParameterGate(NamedTuple):
     std: float  # standard deviation that a fit would have
     grade: str  # "well", "roughly" or "not"
     is_size: bool  # positive by nature, so that its std is a share of it
-    beside: str = ""  # the parameter it is most correlated with
-    remedy: str = ""  # rows that would determine it
 
     @property
     def text(self) -> str:
-        """Name and expected error, or what it is correlated with and what it needs."""
-        if self.grade == NOT:
-            reason = f"correlated with {self.beside}; " if self.beside else ""
-            needs = f"needs {self.remedy}" if self.remedy else "not in a wider test either"
-            return f"{self.name}: {reason}{needs}"
+        """Name and expected error."""
         about = "" if self.grade == WELL else " roughly"
         unit = "" if self.unit == "-" else f" {self.unit}"
         error = f"{100 * self.std / self.value:.2g} %" if self.is_size else f"{self.std:.2g}{unit}"
@@ -105,7 +99,6 @@ class Identifiability:
     noise: Mapping[str, float]
     rows: int
     effective_rows: Mapping[str, float]
-    how: str
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -130,21 +123,17 @@ class Identifiability:
                 lines.append(f"{start}{gate.reason}")
                 continue
             known = [p.text for p in gate.parameters if p.grade != NOT]
-            lines.append(f"{start}{', '.join(known) or 'none'}")
-            unknown = [p.text for p in gate.parameters if p.grade == NOT]
-            lines += [f"{'':<{len(start)}}not {text}" for text in unknown]
+            unknown = [f"not {p.name}" for p in gate.parameters if p.grade == NOT]
+            lines.append(f"{start}{', '.join(known + unknown)}")
         return "\n".join(lines)
 
 
-def identifiability(
-    data: DataLike, models: Sequence[str] | None = None, seed: int = 0
-) -> Identifiability:
+def identifiability(data: DataLike, models: Sequence[str] | None = None) -> Identifiability:
     """Return how well the data determine the parameters of models, before any fit.
 
     Args:
         data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
         models: names of ``tirefit models``; ``MODELS_ASKED`` if none.
-        seed: of the random choice of rows in a large file.
 
     Returns:
         By model and force the standard error that each parameter would have.
@@ -161,17 +150,14 @@ def identifiability(
     data = as_data(data)
     forces = [
         force
-        for force, slip in CHANNEL_SLIP.items()
-        if force != "mz"
-        and force in data
-        and slip in data
-        and "fz" in data
+        for force, slip in (("fx", "sigma_x"), ("fy", "alpha"))
+        if all(name in data for name in (force, slip, "fz"))
         and data.n
         and np.ptp(data.usable(slip)) > 1e-9
     ]
     parts = {force: stretches(data, force) for force in forces}
     scatter = {force: scatter_of(data, force, parts[force]) for force in forces}
-    some = {force: some_rows(data, parts[force], seed) for force in forces}
+    some = {force: some_rows(data, parts[force]) for force in forces}
     curves = {}
     for force in forces:
         slope, peak, typical = slope_and_peak(data, force)
@@ -188,7 +174,6 @@ def identifiability(
         {force: s.share for force, s in scatter.items()},
         data.n,
         {force: data.n / s.inflation for force, s in scatter.items()},
-        "; ".join(f"{force}: {s.how}" for force, s in scatter.items()),
     )
 
 
@@ -228,10 +213,8 @@ def _gate(
 
     parameters = []
     for k in range(problem.layout.size):
-        each = (_judged(problem, k, z, _information(slopes, weight)) for z, _, slopes in likely)
-        worst = max(each, key=rank)  # at the likely point that determines it least
-        remedy = _remedy(problem, k, likely, weight) if worst.grade == NOT else ""
-        parameters.append(worst._replace(remedy=remedy))
+        each = (_judged(problem, k, z, s.T @ (s * weight[:, None] ** 2)) for z, _, s in likely)
+        parameters.append(max(each, key=rank))  # at the likely point that determines it least
     return ModelGate(name, force, tuple(parameters))
 
 
@@ -268,24 +251,15 @@ def _settled(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray
         z, residuals and slopes there.
     """
     moves = np.array([p.name not in _FRICTION for _, p in problem.layout.elements])
-    values, slopes = _at(problem, z)
-    damping = 1e-3
-    for _ in range(_STEPS if moves.any() else 0):
-        inner = slopes[:, moves]
-        matrix = inner.T @ inner
-        matrix = matrix + damping * np.diag(np.diag(matrix)) + 1e-9 * np.eye(len(matrix))
-        step = np.zeros(len(z))
-        step[moves] = -np.linalg.solve(matrix, inner.T @ values)
-        there = np.clip(z + np.clip(step, -1, 1), -_INSIDE, _INSIDE)
-        new_values, new_slopes = _at(problem, there)
-        gain = values @ values - new_values @ new_values
-        if gain > 0:
-            z, values, slopes, damping = there, new_values, new_slopes, damping / 5
-            if gain < 1e-4 * (values @ values):
-                break
-        else:
-            damping *= 20
-    return z, values, slopes
+
+    def at(z: np.ndarray) -> Normal:
+        values, slopes = _at(problem, z)
+        return Normal(values @ values, slopes.T @ slopes, slopes.T @ values)
+
+    if moves.any():
+        lower, upper = (np.where(moves, end, z) for end in (-_INSIDE, _INSIDE))
+        z = on_host(at, z, lower=lower, upper=upper, max_steps=_STEPS).z
+    return z, *_at(problem, z)
 
 
 def _is_size(spec: Spec) -> bool:
@@ -306,11 +280,6 @@ def _grade(spec: Spec, value: float, std: float) -> str:
     return WELL if half <= _WELL * size else ROUGHLY
 
 
-def _information(slopes: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    weighted = slopes * weight[:, None]
-    return weighted.T @ weighted
-
-
 def _judged(problem: FitProblem, k: int, z: np.ndarray, information: np.ndarray) -> ParameterGate:
     label, parameter = problem.layout.elements[k]
     spec = parameter.spec
@@ -318,44 +287,7 @@ def _judged(problem: FitProblem, k: int, z: np.ndarray, information: np.ndarray)
     value = float(constrain(z[k], spec))
     cov = inverse_of(information)
     std = slope * float(np.sqrt(cov[k, k]))
-    grade, beside = _grade(spec, value, std), ""
-    if grade != WELL and information[k, k] > 0:
-        alone = slope / float(np.sqrt(information[k, k]))
-        if _grade(spec, value, alone) == WELL:
-            size = np.sqrt(np.diag(cov))
-            other = np.abs(cov[k]) / (size * size[k])
-            other[k] = 0.0
-            beside = problem.layout.labels[int(np.argmax(other))]
-    return ParameterGate(label, spec.unit, value, std, grade, _is_size(spec), beside)
-
-
-def _remedy(
-    problem: FitProblem,
-    k: int,
-    likely: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    weight: np.ndarray,
-) -> str:
-    """The first wider test that would determine the parameter, in words; empty if none."""
-    slip = problem.slip_name
-    for words, name, times in (
-        (f"slips twice as large ({slip})", slip, (2.0,)),
-        (f"slips four times as large ({slip})", slip, (4.0,)),
-        (f"slips ten times as large ({slip})", slip, (10.0,)),
-        ("loads from half to one and a half times as large", "fz", (0.5, 1.5)),
-        ("speeds from half to twice as high", "v", (0.5, 2.0)),
-    ):
-        inputs, reached = problem.rows.inputs, _REACHED.get(name, (-np.inf, np.inf))
-        values = [np.clip(factor * np.asarray(getattr(inputs, name)), *reached) for factor in times]
-        wider = [problem.with_rows(inputs=inputs._replace(**{name: each})) for each in values]
-        for z, _, slopes in likely:
-            more = _information(slopes, weight)
-            for rows in wider:
-                more = more + _information(_at(rows, z)[1], weight)
-            if _judged(problem, k, z, more).grade == NOT:
-                break
-        else:
-            return words
-    return ""
+    return ParameterGate(label, spec.unit, value, std, _grade(spec, value, std), _is_size(spec))
 
 
 def stretches(data: TireData, force: str) -> list[np.ndarray]:
@@ -373,15 +305,11 @@ def stretches(data: TireData, force: str) -> list[np.ndarray]:
     return [part[np.argsort(data[slip][part], kind="stable")] for part in parts]
 
 
-def some_rows(data: TireData, parts: Sequence[np.ndarray], seed: int) -> TireData:
+def some_rows(data: TireData, parts: Sequence[np.ndarray]) -> TireData:
     """Data of at most ``ROWS`` rows of the parts, evenly taken in their order."""
     order = np.concatenate(parts)
-    if len(order) > ROWS:
-        edges = np.linspace(0, len(order), ROWS + 1)
-        place = np.random.default_rng(seed).uniform(edges[:-1], edges[1:])
-        order = order[np.minimum(place.astype(int), len(order) - 1)]
     chosen = np.zeros(len(data), bool)
-    chosen[order] = True
+    chosen[order[np.linspace(0, len(order) - 1, min(len(order), ROWS)).astype(int)]] = True
     return data.where(chosen)
 
 
@@ -394,18 +322,15 @@ def scatter_of(data: TireData, force: str, parts: Sequence[np.ndarray]) -> Scatt
             if len(rows) < 6:
                 continue
             slip = data[CHANNEL_SLIP[force]][rows]
-            at = (slip - slip.mean()) / (np.ptp(slip) or 1.0)
-            terms = np.column_stack([np.ones(len(at)), at, at**2])
-            left = share[rows] - terms @ np.linalg.lstsq(terms, share[rows])[0]
-            rest[rows] = left * np.sqrt(len(rows) / (len(rows) - 3))
+            curve = Polynomial.fit(slip, share[rows], 2, domain=[slip[0] - 1e-9, slip[-1] + 1e-9])
+            rest[rows] = (share[rows] - curve(slip)) * np.sqrt(len(rows) / (len(rows) - 3))
     known = np.flatnonzero(np.isfinite(rest))
     if len(known) < 12:
-        how = f"too few rows to estimate it: {_GUESSED_NOISE:.0%} of the load is assumed"
-        return Scatter(_GUESSED_NOISE, 1.0, how)
+        return Scatter(_GUESSED_NOISE, 1.0)
     size = max(float(np.sqrt(np.mean(rest[known] ** 2))), _LEAST_NOISE)
     inflation = 1.0
     if "time" in data:
         runs = [known[data.run[known] == code] for code in np.unique(data.run[known])]
         order = [rows[np.argsort(data["time"][rows], kind="stable")] for rows in runs]
         inflation = autocorrelation_time([rest[rows] for rows in order])
-    return Scatter(size, inflation, "scatter about the slip curve of each load")
+    return Scatter(size, inflation)

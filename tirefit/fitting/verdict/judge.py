@@ -11,7 +11,7 @@ from tirefit.data.table import CANONICAL
 from tirefit.fitting.result import FitResult, PeakRange, Verdict
 from tirefit.fitting.solve.far_rows import FarRow
 from tirefit.fitting.uncertainty.derived import quantity_of
-from tirefit.fitting.verdict.trials import SLIDING
+from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import Outcome
 
@@ -24,9 +24,6 @@ _STRUCTURE_SIGMAS = 6.0
 _SYSTEMATIC = 0.5
 """Correlation of neighbours above which half of the residual variance is misfit."""
 
-_WHOLE = ("fz", "gamma", "pressure")
-"""Columns that a whole Magic Formula has terms for; it is fitted in stages, not here."""
-
 
 def disagreements(result: FitResult) -> dict[str, str]:
     """Sentences on routes to an interval that differ, by label of the parameter.
@@ -34,78 +31,67 @@ def disagreements(result: FitResult) -> dict[str, str]:
     Two routes differ if an end differs from the profile's by more than 30 % of its
     half-width. Parameters that are not identified and exact data are skipped.
     """
-    apart: dict[str, str] = {}
-    if _exactness(result):
-        return apart
-    for label, (low, high) in result.intervals["profile"].items():
-        if not result.least_squares[label].identified or low is None or high is None:
-            continue
-        half = (high - low) / 2
-        if not half > 0:
+    apart: dict[str, list[str]] = {}
+    profiles = {} if _exactness(result) else result.intervals["profile"]
+    for label, (low, high) in profiles.items():
+        if not result.least_squares[label].identified or None in (low, high) or not high > low:
             continue
         for route in ("covariance", "posterior"):
             first, last = result.intervals.get(route, {}).get(label, (None, None))
             if first is None or last is None:
                 continue
-            worst = max(abs(first - low), abs(last - high)) / half
-            if worst > 0.3:
-                text = (
-                    f"{route} interval [{first:.5g}, {last:.5g}] against the"
-                    f" profile's [{low:.5g}, {high:.5g}]"
-                )
-                apart[label] = f"{apart[label]}; {text}" if label in apart else text
-    return apart
+            if max(abs(first - low), abs(last - high)) > 0.3 * (high - low) / 2:
+                text = f"{route} interval [{first:.5g}, {last:.5g}] against the profile's"
+                apart.setdefault(label, []).append(f"{text} [{low:.5g}, {high:.5g}]")
+    return {label: "; ".join(texts) for label, texts in apart.items()}
 
 
-def _fit_quality(result: FitResult) -> list[str]:
-    """Sentences on a model that does not describe the data; none if it does."""
-    statistics, sentences = result.statistics, []
-    chi2 = statistics.chi2_dof
-    if chi2 is not None and chi2 > _POOR_CHI2:
-        sentences.append(
-            f"the model does not describe these data: chi2/dof = {chi2:.3g}, the"
-            f" residuals are {np.sqrt(chi2):.2g} times the given noise; the intervals"
-            " are widened by that factor, and still assume that the model is right"
-        )
-    # R2 is not judged if the noise is given: it may then account for most of the variance.
-    if chi2 is None and statistics.r2 < _POOR_R2:
-        share = 100 * max(statistics.r2, 0)
-        sentences.append(
-            f"the model does not describe these data: it explains {share:.0f} % of the"
-            f" variance of {result.forces[0]}"
-        )
-    return sentences
+def _unexplained(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """A sentence on a model that explains little of the variance.
+
+    Not if the noise is given: it may then account for most of the variance.
+    """
+    statistics = result.statistics
+    if statistics.chi2_dof is not None or statistics.r2 >= _POOR_R2:
+        return []
+    text = (
+        f"the model does not describe these data: it explains {100 * max(statistics.r2, 0):.0f} %"
+        f" of the variance of {result.forces[0]}"
+    )
+    return [(Outcome.POOR_FIT, text)]
 
 
 def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """A sentence for each force whose residuals contradict its stated noise, by chi-square at
-    the effective number of rows. The noise stays as stated; :func:`_fit_quality` judges
-    residuals far above it."""
-    statistics, at, problem = result.statistics, result.solved.at, result.solved.problem
+    the effective number of rows. The noise stays as stated."""
+    chi2, at, problem = result.statistics.chi2_dof, result.solved.at, result.solved.problem
+    if chi2 is not None and chi2 > _POOR_CHI2:
+        text = (
+            f"the model does not describe these data: chi2/dof = {chi2:.3g}, the"
+            f" residuals are {np.sqrt(chi2):.2g} times the given noise; the intervals"
+            " are widened by that factor, and still assume that the model is right"
+        )
+        return [(Outcome.POOR_FIT, text)]
     sentences: list[tuple[Outcome | None, str]] = []
     for channel in problem.channels:
         observed = problem.used(problem.rows.observed[channel.name])
         square = np.mean((observed - at.mean[channel.name]) ** 2 / at.variance[channel.name])
-        size, dof = float(np.sqrt(square)), max(statistics.dof, 1.0)
+        size, dof = float(np.sqrt(square)), max(result.statistics.dof, 1.0)
         chance = min(chdtr(dof, size**2 * dof), chdtrc(dof, size**2 * dof))
-        if channel.noise_estimated or (statistics.chi2_dof or 0.0) > _POOR_CHI2:
+        if channel.noise_estimated or chance > _CHANCE:
             continue
-        if chance > _CHANCE:
-            continue
-        stated = result.noise[channel.name]["median_std"]
+        outcome = Outcome.NOISE_OVERSTATED if size**2 * _POOR_CHI2 < 1 else None
+        advice = "the intervals are widened; check the stated noise"
+        if size < 1:
+            advice = (
+                f"the intervals are too wide, by a factor of up to {1 / size:.2g}; check the unit"
+                " of the stated noise, or leave it out: it is then estimated from the residuals"
+            )
         text = (
             f"the residuals of {channel.name} are {size:.2g} times the stated noise"
-            f" ({stated:.3g} {CANONICAL[channel.name][0]}; if it were right, the probability of"
-            f" this would be below {_CHANCE:g}): "
+            f" ({result.noise[channel.name]['median_std']:.3g} {CANONICAL[channel.name][0]}; if it"
+            f" were right, the probability of this would be below {_CHANCE:g}): {advice}"
         )
-        if size > 1:
-            sentences.append((None, f"{text}the intervals are widened; check the stated noise"))
-            continue
-        text += (
-            f"the intervals are too wide, by a factor of up to {1 / size:.2g}; check the unit of"
-            " the stated noise, or leave it out: it is then estimated from the residuals"
-        )
-        outcome = Outcome.NOISE_OVERSTATED if size**2 * _POOR_CHI2 < 1 else None
         sentences.append((outcome, text))
     return sentences
 
@@ -155,37 +141,31 @@ def range_text(peak: PeakRange) -> str:
     return f"{span} over {', '.join(peak.models)}"
 
 
+def models_with(name: str, column: str) -> list[str]:
+    """Names of models like ``name`` whose force also depends on a column.
+
+    For the speed, friction changes with the sliding speed: linearly, and with its logarithm.
+    """
+    if column in ("gamma", "pressure"):
+        return ["mf61"]
+    names = [name.replace("brush", "brush-load", 1)]
+    if column == "v":
+        names = [f"{name}-n", f"{name}n", f"{name}-ln"]
+    names = [like for like in names if like in MODELS and like != name]
+    return names + ["mf61"] * (column == "fz")
+
+
 def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """Sentences on the effects that the residuals show and the model lacks."""
     columns = result.solved.misfit.columns
     is_most = sum(column.share for column in columns) > _SYSTEMATIC
     outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
-    return [(outcome, f"{column.sentence}{_advice(result, column.column)}") for column in columns]
-
-
-def effects_to_try(result: FitResult) -> list[str]:
-    """Columns whose effect the residuals show, for ``trials.tried``."""
-    columns = (
-        [] if _exactness(result) else [column.column for column in result.solved.misfit.columns]
-    )
-    return columns + [SLIDING] * bool(_speed_limit(result))
-
-
-def _advice(result: FitResult, column: str) -> str:
-    """Text that advises the better of the tried models, or states why none is better."""
-    tried = [trial for trial in result.trials if trial.column == column]
-    if not tried and column in _WHOLE:
-        return "; not tried: a whole Magic Formula (mf61), which has terms for it"
-    better = [trial for trial in tried if trial.better]
-    if not better:
-        return "".join(f"; {trial.model} was tried: {trial.against}" for trial in tried)
-    best = min(better, key=lambda trial: trial.left_out[1])
-    unit = "N m" if result.forces[0] == "mz" else "N"
-    before, after = best.left_out
-    return (
-        f"; use {best.model}: fitted to these rows, it lowers the rms error on left-out"
-        f" rows from {before:.4g} to {after:.4g} {unit}"
-    )
+    findings: list[tuple[Outcome | None, str]] = []
+    for column in columns:
+        names = models_with(result.model, column.column)
+        advice = f"; models that do: {', '.join(names)}" if names else ""
+        findings.append((outcome, f"{column.sentence}{advice}"))
+    return findings
 
 
 def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
@@ -193,11 +173,8 @@ def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
     statistics = result.statistics
     if statistics.n_effective >= 0.5 * statistics.n:
         return []
-    text = (
-        f"residuals of neighbouring rows are correlated: {statistics.n} rows count as"
-        f" {statistics.n_effective:.0f} in every interval (intervals of independent"
-        " rows: --full)"
-    )
+    text = f"residuals of neighbouring rows are correlated: {statistics.n} rows count as"
+    text += f" {statistics.n_effective:.0f} in every interval"
     if result.solved.misfit.columns:
         text += "; the misfit of the model causes more of it than the noise"
     return [(None, text)]
@@ -242,8 +219,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         outcome = Outcome.SLIP_CONTRADICTED
         findings.append((outcome, f"{check['text']}; {outcome.message}"))
     findings += [(None, text) for text in _far_rows(result)]
-    findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
+    findings += _unexplained(result)
     # The structure of residuals that are rounding errors is not reported.
     if exact:
         findings.append((None, exact))
@@ -286,7 +263,6 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if result.interrupted:
         text = "interrupted before the first samples: there is no posterior"
         findings.append((Outcome.INTERRUPTED, text))
-    findings += [(None, text) for text in _speed_limit(result)]
     findings += [] if exact else _correlated(result)
     return findings
 
@@ -307,23 +283,3 @@ def judge(result: FitResult) -> FitResult:
     ordered = sorted(findings, key=lambda finding: finding[0] is not status)
     sentences = tuple(text for _, text in ordered)
     return replace(result, verdict=Verdict(outcomes, sentences, differ))
-
-
-def _speed_limit(result: FitResult) -> list[str]:
-    """A sentence if n max(v_s) >= mu_0, where the friction law S(35) has no friction."""
-    n, mu = result.least_squares.get("n"), result.least_squares.get("mu")
-    if n is None or mu is None:
-        return []
-    inputs, problem = result.problem.rows.inputs, result.problem
-    slip = problem.used(inputs.sigma_x)
-    fastest = np.max(
-        np.abs(problem.used(inputs.v))
-        * np.maximum(np.abs(slip / (1 + slip)), np.abs(np.tan(problem.used(inputs.alpha))))
-    )
-    if n.value * fastest < mu.value:
-        return []
-    return [
-        f"n max(v_s) = {n.value * fastest:.3g} is not below mu = {mu.value:.3g}: the"
-        " linear friction law has no friction at the fastest rows"
-        f"{_advice(result, SLIDING)}"
-    ]

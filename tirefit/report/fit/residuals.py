@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
+from tirefit.data.rig.levels import cells, levels
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.result import FitResult
-from tirefit.fitting.verdict.residuals import means_over, standardised
 from tirefit.report.canvas import BLUE, DARK, ORANGE, Panel, dots, drawn, tidy
 from tirefit.report.fit.curves import slip_axis
 
@@ -20,6 +20,53 @@ _LABEL = {
     "temperature": ("temperature", "°C"),
 }
 _SHOWN = {"gamma": 180 / np.pi, "pressure": 1e-3}
+_BINS = 12
+"""Largest number of settings with a mean each; more are grouped into bins of equal size."""
+_FEWEST = 3  # fewest rows of a bin whose scatter gives an error of its mean
+_HALF_95 = 1.96  # half of a 95 % interval of a normal distribution, in standard errors
+
+
+class Means(NamedTuple):
+    """Means over bins, (k,) each."""
+
+    center: np.ndarray  # of the input
+    mean: np.ndarray  # of the residuals
+    half: np.ndarray  # half-width of the mean's 95 % interval
+
+
+def standardised(result: FitResult, channel: str) -> np.ndarray:
+    """(observed - fitted) / standard deviation of a measurement, (n,)."""
+    problem = result.problem
+    mean, variance = row_moments(problem, result.z)
+    observed = problem.used(problem.rows.observed[channel])
+    return (observed - mean[channel]) / np.sqrt(variance[channel])
+
+
+def means_over(x: np.ndarray, residual: np.ndarray, inflation: float) -> Means:
+    """Means at the settings of an input, or over bins of it, of at least three rows.
+
+    Args:
+        x: (n,) input.
+        residual: (n,) standardised.
+        inflation: rows per independent row.
+    """
+    settings = levels(x)
+    if settings.few(_BINS):
+        codes = settings.code
+    else:
+        edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1]))
+        codes = np.searchsorted(edges, x)
+    means = means_by(codes, x, residual, inflation)
+    kept = np.bincount(codes) >= _FEWEST
+    return Means(*(part[kept] for part in means))
+
+
+def means_by(codes: np.ndarray, x: np.ndarray, residual: np.ndarray, inflation: float) -> Means:
+    """Means of each group of rows; ``codes`` (n,) number the groups from 0."""
+    size = int(np.max(codes)) + 1
+    count, mean, std = cells(codes, size, residual)
+    half = _HALF_95 * std * np.sqrt(inflation / np.maximum(count, 1))
+    return Means(cells(codes, size, x)[1], mean, half)
 
 
 class Scatter(NamedTuple):
@@ -42,14 +89,9 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
         axis = slip_axis(name, values)
         shown[name] = (f"{axis.label} [{axis.unit}]", axis.shown(values))
     columns = {"fz": problem.used(inputs.fz), "v": problem.used(inputs.v)}
-    if (table := result.table) is not None:
-        # A fit may be limited to an interval of slip.
-        ends = problem.used(getattr(inputs, problem.slip_name))
-        with np.errstate(invalid="ignore"):
-            inside = np.clip(table[problem.slip_name], ends.min(), ends.max())
-            rows = table.used & (inside == table[problem.slip_name])
-        if np.count_nonzero(rows) == problem.n:
-            columns |= {name: table[name][rows] for name in _LABEL if name in table}
+    if result.table is not None:
+        rows = result.table.used
+        columns |= {name: result.table[name][rows] for name in _LABEL if name in result.table}
     for name in (name for name in _LABEL if name in columns):
         label, unit = _LABEL[name]
         shown[name] = (f"{label} [{unit}]", columns[name] * _SHOWN.get(name, 1.0))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # which imports much that other fits do not need
     from tirefit.fitting.mf.result import MagicFormulaFit
 
 FORCE_UNIT = {force: CANONICAL[force][0] for force in FORCES}
-_ROUTES = ("covariance", "profile", "posterior", "independent")
+_ROUTES = ("covariance", "profile", "posterior")
 
 
 def short_run(result: FitResult, run: str) -> str:
@@ -82,11 +82,8 @@ def parameter_rows(result: FitResult) -> Rows:
 
 
 def route_rows(result: FitResult) -> Rows:
-    """The 95 % interval of each free parameter by each route; also for independent rows
-    if the effective number of rows is below half of their number."""
+    """The 95 % interval of each free parameter by each route."""
     routes = [route for route in _ROUTES if result.intervals.get(route)]
-    if result.statistics.n_effective >= 0.5 * result.statistics.n:
-        routes = [route for route in routes if route != "independent"]
     rows = [["95 % interval", *routes]]
     for label in result.labels:
         std = result.least_squares[label].std
