@@ -60,7 +60,7 @@ def _drive():
     )
     drive = Windows(model, CAR, cut, STEP, (), np.ones(2))
     for _ in range(2):  # acceleration, yaw rate and heading are those of the drive itself
-        found = drive.linear(np.zeros(model.size), data.start[None])[0].motion
+        found = drive.linear(np.zeros(model.size), data.start[None])
         rows = drive.cut.rows._replace(
             across=found.lateral / GRAVITY,
             turn=found.states.yaw_rate / speed,
@@ -90,7 +90,7 @@ def _logged(drive, atom=None, size=0.0):
     """Channels of the log (2, k), with an effect of a size if one is named."""
     given = ((), ()) if atom is None else ([atom], [size])
     z = drive.coefficients((), *given)
-    return drive.linear(z, np.zeros((1, 2)))[0].motion.missed[0].T
+    return drive.linear(z, np.zeros((1, 2))).missed[0].T
 
 
 def _moved(plain, changed):

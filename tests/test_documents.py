@@ -117,7 +117,7 @@ def simulated(path):
 
 
 def applied_to_a_car(path):
-    from tirefit.vehicle.applied import applied
+    from tirefit.vehicle.diagnose import applied
 
     applied(path)
 

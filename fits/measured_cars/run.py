@@ -21,7 +21,6 @@ from fits.measured_cars.by_hand import HORIZONS, by_hand
 from fits.measured_cars.cars import CARS, Car
 from fits.measured_changes.by_hand import rounded
 from fits.replay.cars import write_logs
-from tirefit.report.vehicle import conclusions
 from tirefit.vehicle.trajectory import TrajectoryFit
 
 THINNED = (6, 8, 10, 12, 15)
@@ -46,7 +45,7 @@ def fit_of(car: Car, folder: Path, model: str = "brush") -> dict:
         "parameters": _estimates(fit),
         "status": str(fit.status),
         "starts": result.windows,
-        "said": conclusions(result),
+        "said": result.conclusions,
         **{name: _rms(result.models, name) for name in result.models},
     }
 
@@ -81,7 +80,7 @@ def diagnosis_of(car: Car, folder: Path) -> dict:
         "each": {k: [one.probability, list(one.twins)] for k, one in verdict.each.items()},
         "held_out": held and [held.rms, held.remaining_rms],
         "starts": result.windows,
-        "said": conclusions(result),
+        "said": result.conclusions,
         "summary": found.summary(),
         **{name: _rms(result.models, name) for name in result.models},
     }

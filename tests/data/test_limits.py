@@ -1,6 +1,5 @@
 """Limits of columns and of unpacked sizes; work that grows with the rows and not faster."""
 
-import itertools
 import zipfile
 
 import numpy as np
@@ -131,18 +130,3 @@ def test_restarting_time_is_continued_as_its_definition_says(seed):
     found, _, _ = _in_runs(time, np.full(len(time), ""), period, max_gap, [])
     expected = slowly_in_runs(time, period, max_gap, round(_LASTING / period))
     np.testing.assert_allclose(found, expected, atol=1e-9)  # sums of 12 runs, rounded
-
-
-def test_long_logs_have_fewer_windows_at_larger_steps():
-    from tirefit.vehicle.windows import _MOST, starts_in
-
-    short = [(0, 1000), (1100, 1500)]
-    starts, step = starts_in(short, 26, 12)
-    assert step == 12 and starts[:2] == [(0, 1000), (12, 1000)]
-    assert len(starts) == len(range(0, 975, 12)) + len(range(1100, 1475, 12))
-    for count, length in ((1, 1_000_000), (2000, 500), (200, 50_000)):
-        each = [(k * length, (k + 1) * length) for k in range(count)]
-        starts, step = starts_in(each, 26, 12)
-        assert len(starts) <= _MOST + count and step % 12 == 0
-        assert all(a + 26 <= last for a, last in starts)
-        assert max(b[0] - a[0] for a, b in itertools.pairwise(starts)) <= step + length

@@ -23,8 +23,8 @@ from tirefit.fitting.source import axle_tire
 from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
-from tirefit.vehicle.applied import Applied, applied
 from tirefit.vehicle.car import State, cubic, delayed, lagged, with_play
+from tirefit.vehicle.diagnose import Applied, applied
 from tirefit.vehicle.effects import (
     CAR_EFFECTS,
     SIMULATOR_EFFECTS,
@@ -33,6 +33,7 @@ from tirefit.vehicle.effects import (
     Setting,
     Steering,
 )
+from tirefit.vehicle.errors import Measured
 from tirefit.vehicle.model import Model, as_driven, steered
 from tirefit.vehicle.model import logged as seen_in_log
 from tirefit.vehicle.windows import cut_in_windows
@@ -319,14 +320,17 @@ def test_a_log_is_corrected_for_its_errors(late, tmp_path, errors_of_the_log, po
         "v_y": true["v_y"] + 0.02 * v_x + ahead * true["yaw_rate"],
         "yaw_rate": true["yaw_rate"] + 0.03,
     }
-    if poses:
-        place, heading = np.array([1.0 + 2.0j, -3.0j]), np.array([0.4, -2.0])
-        true |= {"heading": heading, "x": place.real, "y": place.imag}
-        moved = place + ahead * np.exp(1j * heading)
-        logged |= {"heading": heading - 0.02, "x": moved.real, "y": moved.imag}
-    found = Applied(*errors_of_the_log, 1.0).corrected(logged, v_x, vehicle)
+    place, heading = np.array([1.0 + 2.0j, -3.0j]), np.array([0.4, -2.0])
+    true |= {"heading": heading, "x": place.real, "y": place.imag, "a_y": np.array([1.0, 2.0])}
+    moved = place + ahead * np.exp(1j * heading) * poses
+    logged |= {"heading": heading - 0.02 * poses, "x": moved.real, "y": moved.imag}
+    logged |= {"a_y": true["a_y"]}
+    rows = Samples(*[np.zeros((1, 2))] * 6, *np.array([[1e4], [ahead * 10]]), np.full((1, 2), 0.1))
+    series = {name: values[None] for name, values in logged.items()}
+    windows = Measured(np.zeros((1, 2)), v_x[None], np.zeros((1, 5)), series, rows)
+    found, _ = Applied(*errors_of_the_log, 1.0).changed(windows, vehicle)
     for name, right in true.items():
-        np.testing.assert_allclose(found[name], right, rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(found.series[name][0], right, rtol=1e-9, err_msg=name)
 
 
 def test_effects_applied_to_a_log_depend_on_its_own_motion(late, errors_of_the_log):

@@ -69,19 +69,19 @@ def test_a_refit_with_start_states_eliminated_is_a_least_squares_with_explicit_o
     count, (w, states) = 5, small.cut.data.start.shape
 
     def missed(x):
-        now, _ = small.linear(
+        now = small.linear(
             small.coefficients(x[:4], inertia.atoms, x[4:count]), x[count:].reshape(w, states)
         )
-        return np.concatenate([(now.motion.missed / small.noise).ravel(), x[:count]])
+        return np.concatenate([(now.missed / small.noise).ravel(), x[:count]])
 
     def slopes(x):
         z, places = small.coefficients(x[:4], inertia.atoms, x[4:count]), [0, 1, 2, 3]
         places = [*places, 4 + inertia.atoms[0]]
-        now, by = small.linear(z, x[count:].reshape(w, states), places)
-        rows = now.motion.missed.size
+        now = small.linear(z, x[count:].reshape(w, states), places)
+        rows = now.missed.size
         full = np.zeros((rows + count, len(x)))
-        full[:rows, :count] = (by / small.noise[:, None]).reshape(rows, count)
-        each = (now.by_start(states) / small.noise[:, None]).reshape(w, -1, states)
+        full[:rows, :count] = (now.by / small.noise[:, None]).reshape(rows, count)
+        each = (now.by_start / small.noise[:, None]).reshape(w, -1, states)
         for k in range(w):
             own = slice(k * each.shape[1], (k + 1) * each.shape[1])
             full[own, count + k * states : count + (k + 1) * states] = each[k]
@@ -109,40 +109,39 @@ def test_derivatives_from_sample_to_sample_are_differences_of_the_whole_motion(s
     at = [ids.index("relaxation_length"), ids.index("steering_delay")]
     z = small.coefficients([0.1, -0.1, 0.05, 0.1], at, [0.8, 0.5])
     start, step = np.asarray(small.cut.data.start), 1e-5
-    now, by = small.linear(z, start, range(small.model.size))
+    now = small.linear(z, start, range(small.model.size))
     for k in range(small.model.size):
         move = step * np.eye(len(z))[k]
-        ends = [small.linear(z + side * move, start)[0].motion.missed for side in (1, -1)]
+        ends = [small.linear(z + side * move, start).missed for side in (1, -1)]
         slope = (ends[0] - ends[1]) / (2 * step)
-        # Between samples the car is linearised about the middle of the interval.
-        share = 0.05 if k == TIRES + at[0] else 0.01
-        np.testing.assert_allclose(by[..., k], slope, atol=share * np.abs(slope).max())
+        np.testing.assert_allclose(now.by[..., k], slope, atol=1e-5 * np.abs(slope).max())
     for k in (0, 1):
         move = step * np.eye(2)[k]
-        ends = [small.linear(z, start + side * move)[0].motion.missed for side in (1, -1)]
+        ends = [small.linear(z, start + side * move).missed for side in (1, -1)]
         slope = (ends[0] - ends[1]) / (2 * step)
-        found = now.by_start(2)[..., k]
-        np.testing.assert_allclose(found, slope, atol=0.01 * np.abs(slope).max())
+        found = now.by_start[..., k]
+        np.testing.assert_allclose(found, slope, atol=1e-5 * np.abs(slope).max())
 
 
-def test_the_best_start_states_leave_nothing_that_they_explain(small):
-    now = small.at_best_starts(small.coefficients())
-    by = (now.by_start(2) / small.noise[:, None]).reshape(len(small.cut.log), -1, 2)
-    left = (now.motion.missed / small.noise).reshape(len(by), -1)
-    along = np.abs(np.einsum("wms,wm->ws", by, left)) / np.linalg.norm(by, axis=1)
-    assert np.max(along) < 1e-3 * np.max(np.linalg.norm(left, axis=1))
+def test_a_residual_without_a_refit_has_nothing_that_start_states_explain(small):
+    z = small.coefficients()
+    now, rest = small.linear(z, small.cut.data.start), small.residual_of(z)
+    by = (now.by_start / small.noise[:, None]).reshape(len(small.cut.log), -1, 2)
+    along = np.abs(np.einsum("wms,wm->ws", by, rest.reshape(len(by), -1)))
+    assert np.max(along / np.linalg.norm(by, axis=1)) < 1e-9 * np.linalg.norm(rest)
+    # The best start states, by a refit of these alone, leave hardly less.
+    best = small.refit([small.start], [()])[0].state
+    at_best = small.linear(z, best).missed / small.noise
+    assert rest @ rest < 1.02 * np.sum(at_best**2)
 
 
-def test_start_states_far_off_do_not_diverge(small):
-    """A car that spins on rear tires of little friction: whole steps lead far away, but no
-    window may end worse than it was."""
+def test_a_residual_of_a_car_that_spins_does_not_diverge(small):
+    """On rear tires of little friction, whole steps of the start states lead far away; no
+    window may end worse than from its measured start state."""
     z = small.coefficients(z=(0.0, 0.0, 0.0, np.log(0.3)))
-
-    def squares(motion):
-        return np.sum((motion.missed / small.noise) ** 2, axis=(1, 2))
-
-    given = squares(small.linear(z, np.asarray(small.cut.data.start))[0].motion)
-    assert np.all(squares(small.at_best_starts(z).motion) <= given * (1 + 1e-9))
+    given = np.sum((small.linear(z, small.cut.data.start).missed / small.noise) ** 2, axis=(1, 2))
+    left = np.sum(small.residual_of(z).reshape(len(given), -1) ** 2, axis=1)
+    assert np.all(left <= given * (1 + 1e-9))
 
 
 def test_the_noise_of_a_fit_is_that_of_a_ridge_with_explicit_start_states(small):
@@ -150,14 +149,14 @@ def test_the_noise_of_a_fit_is_that_of_a_ridge_with_explicit_start_states(small)
     freedom of its hat matrix."""
     fit = small.refit([small.start], [()])[0]
     small = small.following(fit)
-    now, by = small.at(fit, range(small.model.size))
-    w, _, c, q = by.shape
+    now = small.at(fit, range(small.model.size))
+    w, _, c, q = now.by.shape
     weight = 1 / small.noise[:, None]
-    starts = block_diag(*(now.by_start(2) * weight).reshape(w, -1, 2))
-    seen = np.concatenate([(by * weight).reshape(-1, q), small.discrepancy.additive], axis=1)
+    starts = block_diag(*(now.by_start * weight).reshape(w, -1, 2))
+    seen = np.concatenate([(now.by * weight).reshape(-1, q), small.discrepancy.additive], axis=1)
     root = np.append(np.ones(TIRES), np.full(seen.shape[1] - TIRES, 1 / 2))
     whole = np.block([[starts, seen], [np.zeros((len(root), 2 * w)), np.diag(root)]])
-    target = np.concatenate([-(now.motion.missed * weight[:, 0]).ravel(), -fit.z])
+    target = np.concatenate([-(now.missed * weight[:, 0]).ravel(), -fit.z])
     target = np.pad(target, (0, len(root) - TIRES))
     unit, m = np.linalg.qr(whole)[0], len(starts)
     rest = (target - unit @ (unit.T @ target))[:m].reshape(-1, c)
@@ -182,13 +181,13 @@ def test_the_time_of_effects_runs_over_all_logs(tmp_path):
 def test_an_unlisted_force_acts_as_the_side_force_of_a_bank(tmp_path):
     library = tuple(effect for effect in CAR_EFFECTS if effect.id == "bank")
     made, one = of_trial(tmp_path, 5, library=library)
-    _, by = made.linear(made.coefficients(), made.cut.data.start, [4])
-    now = made.linear(made.coefficients(), made.cut.data.start)[0]
-    car, ones = one.car, np.ones((*now.motion.lateral.shape, 1))
+    at = made.coefficients(), made.cut.data.start
+    by, car = made.linear(*at, [4]).by, one.car
     weight, wheelbase = car["mass"] * 9.81, car["l_f"] + car["l_r"]
     # At small steering angles, the forces of both axles without a moment.
-    front, rear = (weight * car[arm] / wheelbase * ones for arm in ("l_r", "l_f"))
-    found = -(now.by_force(0, front) + now.by_force(1, rear))
+    forces = [weight * car[arm] / wheelbase for arm in ("l_r", "l_f")]
+    forces = np.broadcast_to(np.reshape(forces, (2, 1)), (*by.shape[:2], 2, 1))
+    found = -made.linear(*at, forces=forces).by
     np.testing.assert_allclose(found * 0.02, by, atol=0.02 * np.abs(by).max())
 
 

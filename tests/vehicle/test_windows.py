@@ -5,15 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from tirefit.vehicle.shooting import (
-    Data,
-    End,
-    Squares,
-    left_to_gain,
-    linearised,
-    minimised,
-    sandwich,
-)
+from tirefit.vehicle.shooting import Data, End, Squares, linearised, minimised, sandwich
 
 TIME = np.linspace(0.0, 1.0, 21)
 NOISE, PULL = np.array([0.02, 0.05]), np.array([0.0, 4.0, 0.0])
@@ -64,17 +56,6 @@ def test_windows_have_the_minimum_of_scipy_in_all_unknowns(highest, std):
     np.testing.assert_allclose(found, peer.x[:3], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(np.ravel(starts), peer.x[3:], rtol=1e-3, atol=1e-4)
     np.testing.assert_array_equal(now[0], run(found, starts, data)[0])
-
-
-def test_a_search_that_stopped_short_leaves_squares_to_gain():
-    data, run = problem(), linearised(missed, 1)
-    squares = Squares(lambda z, starts: run(z, starts, data), NOISE, PULL)
-    end = minimised(squares, squares.begun(jnp.array([0.0, 0.0, 1.0]), data.start))
-    assert left_to_gain(squares, end) < 1e-7
-    short = squares.begun(end.z + jnp.array([0.1, 0.0, 0.0]), end.starts)
-    # Nearly linear here: the share is what a search from there takes off.
-    again = minimised(squares, short, (end.z, end.z + jnp.array([0.2, 0.0, 0.0])))
-    assert left_to_gain(squares, short) > 1e-3 and squares.at(again) < squares.at(short)
 
 
 def test_start_states_alone_are_found():

@@ -1,6 +1,7 @@
 """Reports of a car: of a replay with what its errors say of tires, effects and steering, and of
 a fit by trajectory."""
 
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -8,13 +9,25 @@ import numpy as np
 
 from tirefit.diagnosis.summary.result import UNITS
 from tirefit.models import TireInputs, forces
-from tirefit.report import canvas
+from tirefit.report.canvas import (
+    BLUE,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    Panel,
+    Picture,
+    axes_panel,
+    dots,
+    images_of,
+    together,
+)
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section, page, report_text, verdict_of
-from tirefit.vehicle.errors import FEWEST, QUANTITIES
+from tirefit.vehicle.errors import QUANTITIES, Fans
 from tirefit.vehicle.replay import Replay
-from tirefit.vehicle.start import UNKNOWNS
-from tirefit.vehicle.trajectory import TrajectoryFit
+from tirefit.vehicle.trajectory import UNKNOWNS, TrajectoryFit
 
 _NAMES = {
     "yaw_rate": "yaw rate",
@@ -24,61 +37,15 @@ _NAMES = {
     "lateral": "lateral position",
 }
 _MODELS = {
-    "tire": ("these tires", canvas.BLUE),
-    "linear tire": ("linear tires", canvas.ORANGE),
-    "no slip": ("no slip", canvas.GREY),
-    "floor": ("noise floor", canvas.GREEN),
-    "with the effects": ("with effects", canvas.RED),
+    "tire": ("these tires", BLUE),
+    "linear tire": ("linear tires", ORANGE),
+    "no slip": ("no slip", GREY),
+    "floor": ("noise floor", GREEN),
+    "with the effects": ("with effects", RED),
 }
 """Compared car -> its label and colour."""
 _SHOWN = 40  # largest number of windows that are drawn: about ten seconds of driving
 _FAN = 1.0  # duration [s] of a drawn prediction
-_PREDICTED = f"predicted, {_FAN:g} s"
-
-
-_AS_WELL = 1.05  # ratio of two rms errors up to which one model predicts as well as the other
-_OFF, _SURE = 0.05, 3.0  # smallest error of the turning that is told, and its standard errors
-
-
-def _worse(result: Replay, model: str, other: str) -> str:
-    """Where a model predicts worse than another one by the largest ratio, such as ``the yaw rate
-    after 5 s by 23 rad/s instead of 0.57``; empty if it is nowhere worse."""
-    worst, most = "", _AS_WELL
-    errors, reference = (result.models[k].rms() for k in (model, other))
-    for name in ("yaw_rate", "lateral"):
-        each = zip(result.horizons, result.windows, errors[name], reference[name], strict=True)
-        for horizon, count, wrong, less in each:
-            if count >= FEWEST and wrong and less and wrong > most * less:
-                most = wrong / less
-                worst = f"the {_NAMES[name]} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
-                worst += f" instead of {less:.2g}"
-    return worst
-
-
-def conclusions(result: Replay) -> list[str]:
-    """Sentences on what predicts better, and on what limits the prediction; empty where nothing
-    can be said."""
-    said = []
-    if worse := _worse(result, "tire", "linear tire"):
-        said.append(f"The tires predict worse than linear tires: they miss {worse}.")
-    if "with the effects" in result.models:
-        if worse := _worse(result, "with the effects", "tire"):
-            said.append(f"The effects make the prediction worse: with them it misses {worse}.")
-    place = result.place
-    rms = {k: errors.rms()["yaw_rate"][place] or 0.0 for k, errors in result.models.items()}
-    # Rms error over that of the noise from which models can be compared.
-    if rms["tire"] < 2.0 * rms["floor"]:
-        return said
-    if rms["no slip"] <= _AS_WELL * rms["tire"]:
-        said.append("The tires are not what limits: a car without slip predicts as well.")
-    elif rms["linear tire"] <= _AS_WELL * rms["tire"]:
-        said.append("The tires' bend is not what limits: linear tires predict as well.")
-    ratio = result.turning
-    if ratio is not None and abs(ratio[0] - 1) > max(_OFF, _SURE * ratio[1]):
-        text = f"The car turns {ratio[0]:.2f} ± {ratio[1]:.2f} times as much as predicted:"
-        text += " `tirefit diagnose --vehicle` tells steering, masses and tires apart."
-        said.append(text)
-    return said
 
 
 def answer(result: Replay) -> str:
@@ -91,19 +58,18 @@ def answer(result: Replay) -> str:
         value = rms[model][quantity][place]
         return f"{format_number(value, 2)} {QUANTITIES[quantity]}"
 
-    more = ""
+    sentences = [
+        *result.conclusions,
+        f"{result.horizons[place]:g} s after a start, the predicted car has an rms error of"
+        f" {size('tire')} in lateral position and {size('tire', 'yaw_rate')} in yaw rate.",
+        f"The noise of the log causes {size('floor')} and {size('floor', 'yaw_rate')} of it.",
+        f"The lateral position is wrong by {size('linear tire')} with linear tires and by"
+        f" {size('no slip')} for a car without slip.",
+    ]
     if (name := "with the effects") in rms:
-        more = f" With the effects these errors are {size(name)} and"
-        more += f" {size(name, 'yaw_rate')}."
-    return (
-        "".join(f"{sentence} " for sentence in conclusions(result))
-        + f"{result.horizons[place]:g} s after a start, the predicted car has an rms"
-        f" error of {size('tire')} in lateral position and"
-        f" {size('tire', 'yaw_rate')} in yaw rate.{more} The noise of the log causes"
-        f" {size('floor')} and {size('floor', 'yaw_rate')} of it. The lateral position"
-        f" is wrong by {size('linear tire')} with linear tires and by"
-        f" {size('no slip')} for a car without slip."
-    )
+        errors = f"{size(name)} and {size(name, 'yaw_rate')}"
+        sentences.insert(-2, f"With the effects these errors are {errors}.")
+    return " ".join(sentences)
 
 
 def _sections(result: Replay) -> list[Section]:
@@ -115,21 +81,12 @@ def _sections(result: Replay) -> list[Section]:
             what = f"{_NAMES[name]} [{unit}]" if model == "tire" else ""
             rows.append([what, _MODELS[model][0], *cells])
     rows.append(["starts", "", *map(str, result.windows)])
-    each = (
-        f"{_NAMES[k]} {share:.0%}" for k, (share, *_) in result.held.items() if share is not None
-    )
-    held = "share of the measured values within the 95 % band of the tires' parameters"
-    held += f" {result.horizons[0]:g} s ahead: {', '.join(each)}; the uncertainty of the"
-    held += " parameters explains no more of the error"
     fitted = [name for name, is_fitted in result.logs.items() if is_fitted]
-    others = [name for name, is_fitted in result.logs.items() if not is_fitted]
     logs = [f"the tires were fitted to {', '.join(fitted) or 'none of these logs'}"]
-    if fitted and others:
-        logs.append(f"the tires were not fitted to {', '.join(others)}")
     title, right = "Error by time after the start", range(2, len(rows[0]))
     return [
         # On the page the panels have the errors.
-        Section(title, [held] * bool(result.held), rows, right=right, folded=True),
+        Section(title, (), rows, right=right, folded=True),
         Section("Logs", logs),
         Section("Assumed", result.notes),
     ]
@@ -146,27 +103,24 @@ def _head(result: Replay) -> str:
     return f"REPLAY of {logs}, {result.windows[0]} starts"
 
 
-def plotted(result: Replay, what: str = "path") -> canvas.Picture:
+def plotted(result: Replay, what: str = "path") -> Picture:
     """Error over the horizon and the ``path``; or the ``series`` of yaw rate and
     lateral acceleration."""
-    panels = _panels(result)[what]
-    return canvas.together(panels, _head(result), answer(result), "braking positive, SI")
+    panels = {"path": _path_panels, "series": _series_panels}[what](result)
+    return together(panels, _head(result), answer(result), "braking positive, SI")
 
 
 def replay_page(result: Replay) -> str:
     """The replay as one HTML document with its pictures, no script or resource."""
-    panels = [panel for panels in _panels(result).values() for panel in panels]
-    sections = [Section("", pictures=canvas.images_of(panels)), *_sections(result)]
+    panels = [*_path_panels(result), *_series_panels(result)]
+    sections = [Section("", pictures=images_of(panels)), *_sections(result)]
     verdict = verdict_of(answer(result), (), not result.outcomes)
     return page(_head(result), sections, verdict, record=result.to_json())
 
 
-def _panels(result: Replay) -> dict[str, list[canvas.Panel]]:
-    """Figure -> its panels: errors over the horizon with a stretch of the longest log's path and
-    its predictions; yaw rate and lateral acceleration of the same stretch."""
-    name, fans = max(result.fans.items(), key=lambda item: len(item[1].time))
-    first = max((len(fans.time) - _SHOWN) // 2, 0)  # from the middle of the log
-    rows = range(first, min(first + _SHOWN, len(fans.time)))
+def _path_panels(result: Replay) -> list[Panel]:
+    """Errors over the horizon, and a stretch of the path with its predictions."""
+    name, fans, _ = _stretch(result)
 
     def errors_of(axes: Any, quantity: str) -> None:
         for model, errors in result.models.items():
@@ -177,36 +131,58 @@ def _panels(result: Replay) -> dict[str, list[canvas.Panel]]:
         axes.set_xticks(result.horizons, [f"{h:g}" for h in result.horizons])
         axes.minorticks_off()
 
-    def stretch(axes: Any, x: str, y: str) -> None:
-        time = {"time": fans.time}
-        measured = fans.measured, canvas.DARK, 1.4, "measured"
-        for row in rows:
-            near = fans.time[row] <= fans.time[row][0] + _FAN
-            for of, color, width, label in (
-                measured,
-                (fans.predicted, canvas.BLUE, 0.9, _PREDICTED),
-            ):
-                across, up = (time | dict(of))[x][row], of[y][row]
-                label *= row == first
-                axes.plot(across[near], up[near], color=color, lw=width, label=label)
-        if x == "time":
-            starts = fans.time[rows, 0], fans.predicted[y][rows, 0]
-            axes.plot(*starts, ".", color=canvas.BLUE, ms=4)
-        else:
-            axes.set_aspect("equal", "datalim")
+    def draw(axes: Any) -> None:
+        _draw_stretch(axes, result, lambda of, row: (of["x"][row], of["y"][row]))
+        axes.set_aspect("equal", "datalim")
 
-    path, axes_panel = [], canvas.axes_panel
+    x_label = "time after the start [s]"
+    panels = []
     for key in ("lateral", "yaw_rate"):
         title = f"Error of the {_NAMES[key]} over the horizon"
-        labels = "time after the start [s]", f"rms error of the {_NAMES[key]} [{QUANTITIES[key]}]"
-        path.append(axes_panel(partial(errors_of, quantity=key), title, *labels))
-    title = f"A stretch of {name}, with predictions"
-    path.append(axes_panel(partial(stretch, x="x", y="y"), title, "x [m]", "y [m]"))
-    title, note, series = f"The same stretch of {name}", "dots: starts of a prediction", []
-    for key, unit in {"yaw_rate": "rad/s", "a_y": "m/s²"}.items():
-        labels = "time [s]", f"{_NAMES[key]} [{unit}]"
-        series.append(axes_panel(partial(stretch, x="time", y=key), title, *labels, note))
-    return {"path": path, "series": series}
+        y_label = f"rms error of the {_NAMES[key]} [{QUANTITIES[key]}]"
+        panels.append(axes_panel(partial(errors_of, quantity=key), title, x_label, y_label))
+    return [*panels, axes_panel(draw, f"A stretch of {name}, with predictions", "x [m]", "y [m]")]
+
+
+def _series_panels(result: Replay) -> list[Panel]:
+    """Yaw rate and lateral acceleration of the same stretch, measured and predicted."""
+    name, fans, rows = _stretch(result)
+
+    def draw(axes: Any, key: str) -> None:
+        _draw_stretch(axes, result, lambda of, row: (fans.time[row], of[key][row]))
+        axes.plot(fans.time[rows, 0], fans.predicted[key][rows, 0], ".", color=BLUE, ms=4)
+
+    title, note = f"The same stretch of {name}", "dots: starts of a prediction"
+    units = {"yaw_rate": "rad/s", "a_y": "m/s²"}
+    return [
+        axes_panel(partial(draw, key=key), title, "time [s]", f"{_NAMES[key]} [{unit}]", note)
+        for key, unit in units.items()
+    ]
+
+
+def _draw_stretch(
+    axes: Any, result: Replay, series: Callable[[Mapping[str, Any], int], tuple[Any, ...]]
+) -> None:
+    """Draw the first second of every window of a stretch, measured and predicted.
+
+    Args:
+        series: x and y of the line of one window.
+    """
+    _, fans, rows = _stretch(result)
+    label = f"predicted, {_FAN:g} s"
+    styles = (fans.measured, DARK, 1.4, "measured"), (fans.predicted, BLUE, 0.9, label)
+    for k, row in enumerate(rows):
+        near = fans.time[row] <= fans.time[row][0] + _FAN
+        for of, color, width, label in styles:
+            x, y = series(of, row)
+            axes.plot(x[near], y[near], color=color, lw=width, label=label * (k == 0))
+
+
+def _stretch(result: Replay) -> tuple[str, Fans, np.ndarray]:
+    """The longest log, and the numbers of its windows that are drawn, from its middle."""
+    name, fans = max(result.fans.items(), key=lambda item: len(item[1].time))
+    first = max((len(fans.time) - _SHOWN) // 2, 0)
+    return name, fans, np.arange(first, min(first + _SHOWN, len(fans.time)))
 
 
 def _trajectory_head(fit: TrajectoryFit) -> str:
@@ -234,12 +210,12 @@ def trajectory_text(fit: TrajectoryFit) -> str:
         f"{fit.blocks} blocks of windows count as independent",
         "speed and steering are those of the log; axle loads are static; no drive force",
     ]
-    first = Section("Answer", [*fit.warnings, _noise(fit)])
+    first = Section("Answer", [*fit.conclusions, *fit.warnings, _noise(fit)])
     sections = [first, Section("Found", (), rows), Section("Notes", notes)]
     return f"{_trajectory_head(fit)}\n{report_text(sections)}"
 
 
-def trajectory_figure(fit: TrajectoryFit) -> canvas.Picture:
+def trajectory_figure(fit: TrajectoryFit) -> Picture:
     """Lateral force of both axles with its 95 % band, over the points that ``derive``
     gives, with the steering as late as the yaw rate shows."""
     generator, panels = np.random.default_rng(0), []
@@ -248,23 +224,16 @@ def trajectory_figure(fit: TrajectoryFit) -> canvas.Picture:
     def draw(axes: Any, axle: str) -> None:
         tire, rows = fit.axles[axle], fit.rows[axle]
         some = generator.permutation(len(rows))[:1500]
-        canvas.dots(
-            axes,
-            rows["alpha"][some],
-            rows["fy"][some],
-            1.4,
-            canvas.GREY,
-            label="derived from the log",
-        )
+        dots(axes, rows["alpha"][some], rows["fy"][some], 1.4, GREY, label="derived from the log")
         reach = np.percentile(np.abs(rows["alpha"]), 99.5)
         alpha = np.linspace(-reach, reach, 121)
         at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
         drawn = [np.asarray(forces(sample, at).fy) for sample in tire.drawn(generator, 60)]
         low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
-        axes.fill_between(alpha, low, high, color=canvas.BLUE, alpha=0.3, lw=0, label="95 %")
-        axes.plot(alpha, forces(tire.tire, at).fy, color=canvas.BLUE, lw=1.4, label=tire.name)
+        axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
+        axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)
 
     for axle in fit.axles:
         title = f"{axle.capitalize()} axle, by trajectory"
-        panels.append(canvas.axes_panel(partial(draw, axle=axle), title, *labels))
-    return canvas.together(panels, _trajectory_head(fit), _noise(fit), "braking positive, SI")
+        panels.append(axes_panel(partial(draw, axle=axle), title, *labels))
+    return together(panels, _trajectory_head(fit), _noise(fit), "braking positive, SI")

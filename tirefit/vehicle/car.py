@@ -30,6 +30,7 @@ _STABLE, _MOST_PARTS = 0.5, 50
 """Largest step of the integration over the car's shortest time constant; most steps
 from one sample to the next."""
 
+AXLES = ("front", "rear")
 AT_ONCE = 1e-9  # time constant [s] that means no lag
 _TOUCH = 1e-9  # play [rad] that means no play, with distinct sides of the gap
 
@@ -41,17 +42,11 @@ class LinearTire(AbstractTire):
         stiffness: force over slip angle and load [1/rad].
     """
 
-    stiffness: float
+    stiffness: Float[Array, ""] | float
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         force = jnp.asarray(self.stiffness * inputs.fz * inputs.alpha)
         return TireForces(None, force, None)
-
-
-def linear(tire: AbstractTire, fz: Any, v: float) -> LinearTire:
-    """The linear tire of the same slope at zero slip."""
-    force = lambda alpha: tire(TireInputs(alpha=alpha, fz=fz, v=v)).fy  # noqa: E731
-    return LinearTire(float(jax.grad(force)(0.0)) / fz)
 
 
 class Car(eqx.Module):
@@ -209,7 +204,7 @@ def predicted(
     steering: jax.Array,
     step: float | Values,
     parts: int,
-    changes: Changes | None = None,
+    changes: Changes = NO_CHANGES,
 ) -> tuple[State, jax.Array]:
     """The states at every sample, from a start state: (n,) each; and the lag (n, 2) of the slip
     angles [rad].
@@ -219,12 +214,11 @@ def predicted(
         v_x, steering: (n,) at the samples, interpolated by :func:`cubic`.
         step: time between samples [s].
         parts: steps of Runge-Kutta of the fourth order from one sample to the next.
-        changes: numbers or (n,), each held until the next sample; None for none.
+        changes: numbers or (n,), each held until the next sample.
     """
     width, count = step / parts, len(v_x) - 1
-    lags = changes is not None
     each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1]  # noqa: E731
-    held: Any = jax.tree.map(each, changes) if lags else NO_CHANGES
+    held: Changes = jax.tree.map(each, changes)
 
     @jax.jit  # traced once for the four slopes of a step
     def slope(
@@ -243,7 +237,6 @@ def predicted(
 
     def onward(carried: _Moving, given: Any) -> tuple[_Moving, _Moving]:
         speeds, angles, change = given
-        speed, change = speeds[0], change if lags else held
 
         def steered(part: jax.Array) -> tuple[Any, Any]:
             share = part / parts
@@ -256,27 +249,25 @@ def predicted(
         def small(k: jax.Array, carried: _Moving) -> _Moving:
             now, late = carried
 
-            def at(part: jax.Array, move: State) -> State:
-                moved = jax.tree.map(lambda s, m: s + m, now, move)
-                return slope(moved, *steered(part), change, late)
+            def at(share: float, move: State) -> State:
+                moved = jax.tree.map(lambda s, m: s + share * width * m, now, move)
+                return slope(moved, *steered(k + share), change, late)
 
-            k1 = at(k, jax.tree.map(jnp.zeros_like, now))
-            k2 = at(k + 0.5, jax.tree.map(lambda d: width / 2 * d, k1))
-            k3 = at(k + 0.5, jax.tree.map(lambda d: width / 2 * d, k2))
-            k4 = at(k + 1.0, jax.tree.map(lambda d: width * d, k3))
+            k1 = slope(now, *steered(k), change, late)
+            k2 = at(0.5, k1)
+            k3 = at(0.5, k2)
+            k4 = at(1.0, k3)
             then = jax.tree.map(
                 lambda s, a, b, c, d: s + width / 6 * (a + 2 * b + 2 * c + d), now, k1, k2, k3, k4
             )
-            if lags:
-                moved = slips(k + 1.0, then) - slips(k, now)
-                late = _later(late, moved / width, change.relaxation / speed, width)
-            return then, late
+            rate = (slips(k + 1.0, then) - slips(k, now)) / width
+            return then, _later(late, rate, change.relaxation / speeds[0], width)
 
         carried = jax.lax.fori_loop(0, parts, small, carried)
         return carried, carried
 
     first = State(*(jnp.asarray(s, float) for s in start)), jnp.zeros(2)
-    given = _with_bends(v_x), _with_bends(steering), held if lags else None
+    given = _with_bends(v_x), _with_bends(steering), held
     _, later = jax.lax.scan(onward, first, given)
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, later)
 

@@ -8,20 +8,25 @@ is a simulator, whose parameters are factors on its tires; the first channel is 
 the log over their noise.
 """
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from pydantic import PositiveFloat
+from pydantic import PositiveFloat, model_validator
 
 from tirefit.data.merged import merged
-from tirefit.data.vehicle.vehicle import Vehicle
-from tirefit.diagnosis.effects import Effect, atoms_of
+from tirefit.data.vehicle.motion import Motion
+from tirefit.data.vehicle.vehicle import POSE, Vehicle
+from tirefit.diagnosis.effects import Atom, Effect, atoms_of, effects_by_id
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder
 from tirefit.diagnosis.engine.search import Effort, Search, searched
+from tirefit.diagnosis.extended import AnyDocument, read_checked
 from tirefit.diagnosis.summary.case import Concluded
 from tirefit.diagnosis.summary.closure import changed, closure_of, fits_of, of_the_ladder, on_files
 from tirefit.diagnosis.summary.document import of_any_subject
@@ -41,20 +46,22 @@ from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
-from tirefit.vehicle.car import car_of
-from tirefit.vehicle.effects import CAR_EFFECTS
+from tirefit.vehicle.car import AXLES, Changes, State, car_of
+from tirefit.vehicle.effects import CAR_EFFECTS, Samples
+from tirefit.vehicle.errors import Measured
 from tirefit.vehicle.model import PARAMETERS as FACTORS
-from tirefit.vehicle.model import Model
-from tirefit.vehicle.start import started
+from tirefit.vehicle.model import Model, as_driven, steered
 from tirefit.vehicle.subject import Windows
 from tirefit.vehicle.windows import (
     CHANNELS,
     LEAST_WINDOWS,
     CutLog,
     cut_in_windows,
-    derived_rows,
     joined_windows,
     known_vehicle,
+    samples_of,
+    started_tires,
+    stated_delay,
     steering_problems,
 )
 
@@ -65,8 +72,6 @@ EFFORT = Effort(singles=8, variants=1, beam=2, width=3, pairs=2, near=5.0)
 """Sets that are refitted: fewer than for rows, as a refit integrates the car."""
 
 _ROUNDS = 2  # number of times that the noise is estimated for the car without effects
-_STEPS = 40  # usual number of refits of a search
-_OTHER_NOISE = 0.25  # change of the log noise above which the search is repeated
 
 ALL = "all"
 """The first channel: all channels, in the unit of their noise."""
@@ -80,7 +85,7 @@ class CarExtension(NamedTuple):
     speed: PositiveFloat
 
 
-Logs = Mapping[str, CutLog[Any]]
+Logs = Mapping[str, CutLog]
 """Name of a log -> its windows."""
 
 
@@ -137,14 +142,11 @@ def diagnose_vehicle(
     without = listed(without)
     check_effects(stated, effects, without)
     given = axle_tire(front), axle_tire(rear)
-    tell = Steps(progress, _STEPS)
+    tell = Steps(progress, 40)  # usual number of refits of a search
     tell("reading logs")
     log_windows = cut_in_windows(logs, stated, window)
     held_out = cut_in_windows(holdout, stated, window) if holdout else {}
-    tires = [
-        started(tire, derived_rows(log_windows, stated, axle))
-        for axle, tire in zip(("front", "rear"), given, strict=True)
-    ]
+    tires, _, _ = started_tires(given, log_windows, stated)
     library = [e for e in effects if e.id not in without]
     case, others = studied(log_windows, stated, tires, library, window, tell), None
     if held_out:
@@ -152,7 +154,7 @@ def diagnose_vehicle(
         others = held_out, replace(subject_of(held_out, stated, tires, library)[0], **noise)
     fitted = (
         f"the {axle} tire, {tire.name}, starts as fitted to the forces of derive"
-        for axle, tire, of in zip(("front", "rear"), tires, given, strict=True)
+        for axle, tire, of in zip(AXLES, tires, given, strict=True)
         if tire is not of
     )
     notes = ["speed and steering are those of the log; axle loads are static", *fitted]
@@ -193,19 +195,13 @@ class Steps:
 
 
 def _searched(subject: Windows) -> Search:
-    """The search of the effects of a subject, with its noise; repeated if the remainder of its
-    best set shows another noise."""
-    subject = replace(subject, noise=subject.rms(subject.coefficients()))
+    """The search of the effects of a subject, with its noise."""
+    missed = subject.over_noise(subject.given_residual)
+    subject = replace(subject, noise=subject.noise * np.sqrt(np.mean(missed**2, axis=0)))
     for _ in range(_ROUNDS):
         subject = subject.following(subject.refit([subject.start], [()])[0])
-        fit = subject.refit([subject.start], [()])[0]
-        subject = subject.with_noise_of(fit)
-    search = searched(subject, EFFORT)
-    judged = subject.with_noise_of(search.ranked[0])
-    wide = (windows.noise * np.sqrt(windows.inflation) for windows in (judged, subject))
-    if np.any(np.abs(np.log(np.divide(*wide))) > _OTHER_NOISE):
-        return searched(judged, EFFORT)
-    return search
+        subject = subject.with_noise_of(subject.refit([subject.start], [()])[0])
+    return searched(subject, EFFORT)
 
 
 def check_effects(vehicle: Vehicle, effects: Sequence[Effect], without: Sequence[str]) -> None:
@@ -228,8 +224,7 @@ def subject_of(
     lacks = {name: needs for name, needs in lacks.items() if needs}
     atoms = atoms_of(library)
     scales = tuple(a.effect.scale for a in atoms)
-    stated = vehicle.steering.delay if vehicle.steering else 0.0
-    model = Model(atoms, scales, cut.data.logged.shape[-1], stated)
+    model = Model(atoms, scales, cut.data.logged.shape[-1], stated_delay(vehicle))
     testable = tuple(k for k, a in enumerate(atoms) if a.effect.id not in lacks)
     car = car_of(vehicle, tires[0].tire, tires[1].tire)
     step = 1 / vehicle.filter.sample_rate
@@ -249,15 +244,7 @@ def _document_of(
     library: Sequence[Effect],
     seed: int,
 ) -> Diagnosis:
-    """The document of the verdict on the windows of logs.
-
-    Args:
-        others: logs that were held out, and their windows; None without.
-        vehicle: the file of the car, or its name.
-        model: the car and its tires in words.
-        notes: what was assumed.
-        library: effects that were looked for.
-    """
+    """The document of the verdict on the windows of logs, with logs that were held out."""
     base, generator, ladder = case.base, np.random.default_rng(seed), case.ladder
     held = of_the_ladder(ladder)
     if others is not None:
@@ -283,7 +270,7 @@ def _document_of(
         data=DataSummary(
             name=", ".join(log_windows),
             path=", ".join(log.path for log in log_windows.values()),
-            sha256=", ".join(log.sha256 for log in log_windows.values()),
+            sha256=", ".join(log.track.sha256 for log in log_windows.values()),
             convention="",
             channels=tuple(gaps),
             assumptions=(f"{of_windows} fits best", *notes),
@@ -307,7 +294,7 @@ def _document_of(
         settings=Settings(
             rig=None,
             effects=tuple(e.id for e in library),
-            holdout=tuple(log.sha256 for log in (others[0] if others else {}).values()),
+            holdout=tuple(log.track.sha256 for log in (others[0] if others else {}).values()),
         ),
         seed=seed,
         library=tuple(library),
@@ -349,3 +336,87 @@ def _held_out(
     closure = _closure(other, ALL, left[AS_GIVEN], left[case.verdict.key], generator)
     missed = {key: other.over_noise(rest).ravel() for key, rest in left.items()}
     return on_files(ladder, closure, missed, 1.0, ", ".join(logs))
+
+
+# --- the effects of a document applied to a log -----------------------------------------
+
+
+@dataclass(frozen=True)
+class Applied:
+    """Named effects with their sizes.
+
+    Attributes:
+        model: with their atoms; z: its coefficients.
+        speed: mean speed [m/s] of the logs that were diagnosed.
+    """
+
+    model: Model
+    z: np.ndarray
+    speed: float
+
+    def samples(self, motion: Motion, rows: Any, vehicle: Vehicle, tires: Any) -> Samples:
+        """The quantities on which effects depend, at rows (w, k) of the motion of a log;
+        the time is the middle of that of the diagnosis."""
+        samples = samples_of(motion, rows, vehicle, tires)
+        across, turn = motion.a_y[rows] / vehicle.gravity, motion.yaw_rate[rows] / motion.v_x[rows]
+        speed = samples.speed / self.speed
+        return samples._replace(speed=speed, time=0 * samples.time, across=across, turn=turn)
+
+    def changed(self, windows: Measured, vehicle: Vehicle) -> tuple[Measured, Changes]:
+        """Windows of a log with the effects of the steering and without the errors of the log;
+        and the changes of the car (w, k) in them."""
+        fields = State._fields[: 5 if vehicle.columns.motion == POSE else 2]
+
+        def of_window(window: Measured) -> tuple[Measured, Changes]:
+            samples = window.samples
+            assert samples is not None  # every window of a replay with effects has them
+            setting, series = self.model.setting(self.z, samples), dict(window.series)
+            step = 1 / vehicle.filter.sample_rate
+            angle = steered(setting.steering, window.steering, samples.across, step)
+            series["yaw_rate"] -= setting.reading.yaw_rate
+            driven = as_driven([series[name] for name in fields], setting.reading, window.v_x)
+            series |= {name: getattr(driven, name) for name in fields}
+            each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), window.v_x.shape)  # noqa: E731
+            changes = jax.tree.map(each, setting.car)
+            return window._replace(steering=angle, series=series), changes
+
+        numbers = jax.tree.map(jnp.asarray, windows)
+        return jax.tree.map(np.asarray, jax.vmap(of_window)(numbers))
+
+
+def applied(source: Diagnosis | str | os.PathLike[str]) -> Applied:
+    """The effects named by a diagnosis of a car, or by its ``vehicle_diagnosis.json``.
+
+    Raises:
+        DataError: not a diagnosis of a car, or of another version.
+    """
+    name, command = "vehicle_diagnosis.json", "tirefit diagnose --vehicle"
+    document = read_checked(source, _Document, name, command)
+    library, to = effects_by_id(CAR_EFFECTS), document.extension
+    atoms = tuple(Atom(library[k], to.variants[k]) for k in document.sizes)
+    scales = tuple(atom.effect.scale for atom in atoms)
+    of_tires = [np.log(document.extended_parameters[name]) for name in FACTORS]
+    amplitudes = np.divide([*document.sizes.values()], scales)
+    return Applied(Model(atoms, scales, 2), np.array([*of_tires, *amplitudes], float), to.speed)
+
+
+class _Document(AnyDocument):
+    """The parts of ``vehicle_diagnosis.json`` that a prediction needs."""
+
+    extension: CarExtension
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Effect -> amplitude."""
+        return {name.partition(": ")[0]: size.value for name, size in self.amplitudes.items()}
+
+    @model_validator(mode="after")
+    def _known(self) -> Any:
+        library, variants = effects_by_id(CAR_EFFECTS), self.extension.variants
+        for name in self.sizes:
+            if name not in library or variants.get(name) not in range(len(library[name].variants)):
+                raise ValueError(f"{name!r} is not an effect of a car, or has no such form")
+        for name in FACTORS:
+            if not self.extended_parameters.get(name, 0.0) > 0:
+                raise ValueError(f"extended_parameters.{name} is not a positive number")
+        return self

@@ -1,15 +1,14 @@
-"""Errors of the prediction of a car, by quantity and horizon."""
+"""Errors of predictions of a car over windows of its logs, by quantity and horizon."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.diagnosis.engine.left_out import jackknife_error
-from tirefit.vehicle.car import State
 from tirefit.vehicle.effects import Samples
 
 QUANTITIES = {
@@ -20,6 +19,9 @@ QUANTITIES = {
     "lateral": "m",
 }
 """Compared quantity -> unit; ``lateral`` is the distance across the measured heading."""
+
+Series = Mapping[str, Any]
+"""``v_y``, ``yaw_rate``, ``heading``, ``x``, ``y`` and ``a_y``, (w, k) each."""
 
 
 class Errors(NamedTuple):
@@ -40,58 +42,46 @@ class Errors(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Windows of one log: times (w, k); start states (w,); speed and steering (w, k);
-    measured values (w, k), NaN beyond the end of each; and samples of the effects."""
+    """Windows of a log: times and speed (w, k), wheel angle (w, l + k), which begins l samples
+    before; the measured series, NaN beyond the end of each; and samples of the effects."""
 
     time: np.ndarray
-    start: State
     v_x: np.ndarray
     steering: np.ndarray
-    measured: State
-    a_y: np.ndarray
+    series: Series
     samples: Samples | None = None
 
 
-def floor_of(tire: Errors, noisy: Sequence[Errors]) -> Errors:
-    """The effect of the noise of the log on the errors: their change by added noise, at
-    the start of a window and where it is compared."""
-    each = {k: [noised.of[k] - missed for noised in noisy] for k, missed in tire.of.items()}
-    return Errors({name: np.concatenate(parts) for name, parts in each.items()})
-
-
-def errors_of(states: State, a_y: np.ndarray, windows: Measured, steps: Sequence[int]) -> Errors:
-    """The errors of predicted states (w, k)."""
-    at, true = np.asarray(steps), windows.measured
-
-    def missed(name: str) -> np.ndarray:
-        return (getattr(states, name) - getattr(true, name))[:, at]
-
-    cos, sin = np.cos(true.heading[:, at]), np.sin(true.heading[:, at])
-    v_x = windows.v_x[:, at]
-    slip = np.arctan2(states.v_y[:, at], v_x) - np.arctan2(true.v_y[:, at], v_x)
-    return Errors(
-        {
-            "yaw_rate": missed("yaw_rate"),
-            "sideslip": slip,
-            "a_y": (a_y - windows.a_y)[:, at],
-            "heading": missed("heading"),
-            "lateral": cos * missed("y") - sin * missed("x"),
-        }
-    )
+def errors_of(predicted: Series, windows: Measured, steps: Sequence[int]) -> Errors:
+    """The errors of predicted series."""
+    at, v_x, true = np.asarray(steps), windows.v_x, windows.series
+    missed = {name: (predicted[name] - true[name])[:, at] for name in true}
+    cos, sin = np.cos(true["heading"][:, at]), np.sin(true["heading"][:, at])
+    slip = np.arctan2(predicted["v_y"], v_x) - np.arctan2(true["v_y"], v_x)
+    missed |= {"sideslip": slip[:, at], "lateral": cos * missed["y"] - sin * missed["x"]}
+    return Errors({name: missed[name] for name in QUANTITIES})
 
 
 def errors_without_slip(vehicle: Vehicle, windows: Measured, steps: Sequence[int]) -> Errors:
     """The errors of a car without slip: r = v_x tan(delta) / (l_f + l_r)."""
-    v_x, steering = windows.v_x, windows.steering
-    yaw = v_x * np.tan(steering) / (vehicle.l_f + vehicle.l_r)
+    v_x, start = windows.v_x, [windows.series[name][:, :1] for name in ("heading", "x", "y")]
+    yaw = v_x * np.tan(windows.steering[:, -v_x.shape[1] :]) / (vehicle.l_f + vehicle.l_r)
     sideways, rate = vehicle.l_r * yaw, vehicle.filter.sample_rate
-    integral = partial(cumulative_trapezoid, dx=1 / rate, axis=1, initial=0)
-    heading = windows.start.heading[:, None] + integral(yaw)
+    series = {"v_y": sideways, "yaw_rate": yaw}
+    series |= zip(("heading", "x", "y"), integrated(yaw, v_x, sideways, rate, start), strict=True)
+    series["a_y"] = np.gradient(sideways, 1 / rate, axis=1) + v_x * yaw
+    return errors_of(series, windows, steps)
+
+
+def integrated(
+    yaw_rate: np.ndarray, v_x: np.ndarray, v_y: np.ndarray, rate: float, start: Any = (0, 0, 0)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heading and position (..., k) of a motion with these rates at k samples, from its start."""
+    integral = partial(cumulative_trapezoid, dx=1 / rate, axis=-1, initial=0)
+    heading = start[0] + integral(yaw_rate)
     cos, sin = np.cos(heading), np.sin(heading)
-    x = windows.start.x[:, None] + integral(v_x * cos - sideways * sin)
-    y = windows.start.y[:, None] + integral(v_x * sin + sideways * cos)
-    a_y = np.gradient(sideways, 1 / rate, axis=1) + v_x * yaw
-    return errors_of(State(sideways, yaw, heading, x, y), a_y, windows, steps)
+    x = start[1] + integral(v_x * cos - v_y * sin)
+    return heading, x, start[2] + integral(v_x * sin + v_y * cos)
 
 
 _BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
@@ -100,13 +90,12 @@ FEWEST = 16
 
 
 class Fans(NamedTuple):
-    """Measured and predicted ``x``, ``y`` [m], ``yaw_rate`` [rad/s] and ``a_y`` [m/s2]
-    of each window of a log, (w, k) at times (w, k) [s] after ``epoch``, NaN beyond its end."""
+    """Measured and predicted series of each window of a log, at times (w, k) [s], NaN beyond its
+    end."""
 
     time: np.ndarray
-    measured: Mapping[str, np.ndarray]
-    predicted: Mapping[str, np.ndarray]
-    epoch: float = 0.0
+    measured: Series
+    predicted: Series
 
 
 def turning(fans: Iterable[Fans], horizon: float) -> tuple[float, float] | None:

@@ -12,66 +12,61 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from tirefit import __version__
 from tirefit.data.merged import merged
-from tirefit.data.records import Row, frame
 from tirefit.data.vehicle.motion import Motion, not_ahead, road_wheel, with_noise
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle
+from tirefit.diagnosis.effects.state import slope_at_rest
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.display import Record
 from tirefit.files import listed
 from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
-from tirefit.models import AbstractTire
+from tirefit.models import TireInputs
 from tirefit.models.mf import Pair
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, Outcome, UsageError
-from tirefit.vehicle.applied import applied
 from tirefit.vehicle.car import (
+    NO_CHANGES,
     Car,
     Changes,
+    LinearTire,
     State,
     accelerations,
     axle_loads,
     car_of,
-    linear,
     predicted,
     steps_a_sample,
 )
-from tirefit.vehicle.diagnose import Steps
+from tirefit.vehicle.diagnose import Applied, Steps, applied
 from tirefit.vehicle.errors import (
+    FEWEST,
     QUANTITIES,
     Errors,
     Fans,
     Measured,
+    Series,
     errors_of,
     errors_without_slip,
-    floor_of,
+    integrated,
     turning,
 )
-from tirefit.vehicle.mcap import recorded
 from tirefit.vehicle.windows import (
+    LEAD,
     CutLog,
     cut_logs,
-    integrated,
     known_vehicle,
     left_out,
-    starts_in,
     steering_problems,
     stretches,
 )
-
-if TYPE_CHECKING:
-    import pandas
-
 
 SCHEMA = "tirefit.replay/1"
 
@@ -79,14 +74,18 @@ HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
 """Times [s] after the start at which the prediction is compared."""
 
 EVERY = 0.25
-"""Time [s] from one start to the next; a multiple of it in a log of many."""
+"""Time [s] from one start to the next."""
 
-DRAWS = 24
-"""Number of draws of the tires' parameters, for the band."""
+_MOST = 10_000
+"""Most windows of a log, evenly spread. They overlap, so that more of them hardly change the
+errors. With 10,000 windows a replay of 1,000,000 rows at 50 Hz takes 42 s of processor time."""
+
 NOISES = 4
 """Number of draws of the noise of the log, for the floor."""
-_NORMAL_95 = 1.96
 _AHEAD = 0.5  # horizon [s] at which models are compared; the nearest one is used
+_AS_WELL = 1.05  # ratio of two rms errors up to which one model predicts as well as the other
+_OFF, _ERRORS = 0.05, 3.0  # smallest error of the turning that is reported, and its standard errors
+_NAMES = {"yaw_rate": "yaw rate", "lateral": "lateral position"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,8 +98,6 @@ class Replay(Record):
         models: model -> errors; ``tire``, ``linear tire``, ``no slip``, ``with the
             effects`` if effects were given, and ``floor``: the change of the errors of
             ``tire`` if noise of the same size is added to the log.
-        held: quantity -> share of the windows, by horizon, whose measured value is in
-            the 95 % band of the tires' parameters; empty if neither tire has one.
         fans: the predictions of each log, for pictures.
         notes: what was assumed.
     """
@@ -113,7 +110,6 @@ class Replay(Record):
     horizons: tuple[float, ...]
     windows: tuple[int, ...]
     models: Mapping[str, Errors]
-    held: Mapping[str, list[float | None]]
     fans: Mapping[str, Fans]
     notes: tuple[str, ...]
 
@@ -135,6 +131,48 @@ class Replay(Record):
         :func:`tirefit.vehicle.errors.turning`."""
         return turning(self.fans.values(), self.horizons[self.place])
 
+    @property
+    def conclusions(self) -> list[str]:
+        """Sentences on what predicts better, and on what limits the prediction; empty where
+        nothing can be concluded."""
+        sentences = []
+        if worse := self._worse("tire", "linear tire"):
+            sentences.append(f"The tires predict worse than linear tires: they miss {worse}.")
+        if worse := self._worse("with the effects", "tire"):
+            sentences.append(f"The effects make the prediction worse: with them it misses {worse}.")
+        rms = {k: of.rms()["yaw_rate"][self.place] or 0.0 for k, of in self.models.items()}
+        # Rms error over that of the noise from which models can be compared.
+        if rms["tire"] < 2.0 * rms["floor"]:
+            return sentences
+        if rms["no slip"] <= _AS_WELL * rms["tire"]:
+            text = "The tires are not what limits: a car without slip predicts as well."
+            sentences.append(text)
+        elif rms["linear tire"] <= _AS_WELL * rms["tire"]:
+            text = "The tires' bend is not what limits: linear tires predict as well."
+            sentences.append(text)
+        ratio = self.turning
+        if ratio is not None and abs(ratio[0] - 1) > max(_OFF, _ERRORS * ratio[1]):
+            text = f"The car turns {ratio[0]:.2f} ± {ratio[1]:.2f} times as much as predicted:"
+            text += " `tirefit diagnose --vehicle` tells steering, masses and tires apart."
+            sentences.append(text)
+        return sentences
+
+    def _worse(self, model: str, other: str) -> str:
+        """Where a model predicts worse than another one by the largest ratio, such as ``the yaw
+        rate after 5 s by 23 rad/s instead of 0.57``; empty if it is nowhere worse."""
+        if model not in self.models:
+            return ""
+        worst, most = "", _AS_WELL
+        errors, reference = (self.models[k].rms() for k in (model, other))
+        for name, words in _NAMES.items():
+            each = zip(self.horizons, self.windows, errors[name], reference[name], strict=True)
+            for horizon, count, wrong, less in each:
+                if count >= FEWEST and wrong and less and wrong > most * less:
+                    most = wrong / less
+                    worst = f"the {words} after {horizon:g} s by {wrong:.2g} {QUANTITIES[name]}"
+                    worst += f" instead of {less:.2g}"
+        return worst
+
     def to_dict(self) -> dict[str, Any]:
         """The numbers, as in ``replay.json``."""
         return {
@@ -145,25 +183,8 @@ class Replay(Record):
             "windows": self.windows,
             "units": QUANTITIES,
             "rms": {name: errors.rms() for name, errors in self.models.items()},
-            "held": self.held,
             "notes": self.notes,
         }
-
-    def to_frame(self) -> "pandas.DataFrame":
-        """The rms errors as a pandas data frame: columns kind (the model), name (the
-        quantity and the horizon in s), value, unit."""
-        rows = [
-            Row(model, f"{name} {horizon:g}", value, unit=QUANTITIES[name])
-            for model, errors in self.models.items()
-            for name, values in errors.rms().items()
-            for horizon, value in zip(self.horizons, values, strict=True)
-        ]
-        return frame(rows)[["kind", "name", "value", "unit"]]
-
-    def to_mcap(self) -> bytes:
-        """The content of an MCAP file with the measured and the predicted motion of each log, for
-        Foxglove and PlotJuggler; see :func:`tirefit.vehicle.mcap.recorded`."""
-        return recorded(self)
 
     def files(self, name: str = "") -> dict[str, str]:
         """``replay.json``."""
@@ -178,7 +199,6 @@ def replay(
     *,
     horizons: Sequence[float] = HORIZONS,
     effects: Diagnosis | str | Path | None = None,
-    steering_delay: float | None = None,
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
 ) -> Replay:
@@ -193,9 +213,7 @@ def replay(
         horizons: times [s] after a start at which the prediction is compared.
         effects: a diagnosis of the car, or its ``vehicle_diagnosis.json``: the car is
             also predicted with its effects.
-        steering_delay: delay [s] of the wheels behind the logged steering; that of the
-            vehicle if None.
-        seed: of the draws of the tires' parameters.
+        seed: of the noise that is added.
         progress: called with the share done and the present step.
 
     Returns:
@@ -219,66 +237,94 @@ def replay(
     tell = Steps(progress, len(logs) + 5)
     tell("reading logs")
     vehicle = known_vehicle(vehicle)
-    horizons = _checked(vehicle, horizons, steering_delay or 0.0)
-    if steering_delay is not None and vehicle.steering is not None:
-        late = vehicle.steering.model_copy(update={"delay": steering_delay})
-        vehicle = vehicle.model_copy(update={"steering": late})
+    horizons = _checked(vehicle, horizons)
     tires = axle_tire(front), axle_tire(rear)
     fitted = {run for tire in tires for run in tire.runs}
-    rate, generator = vehicle.filter.sample_rate, np.random.default_rng(seed)
+    generator = np.random.default_rng(seed)
     named = None if effects is None else applied(effects)
-    apply = named and partial(named.channels, vehicle, tires)
-    thinned: list[str] = []
-    log_windows = cut_logs(
-        logs,
-        vehicle,
-        partial(_windows, vehicle, horizons, generator, apply, thinned, tell),
-        f"as long as the shortest horizon, {horizons[0]:g} s",
-        "shorter horizons",
-    )
-    joined, *noisy, changed = (
+
+    def cut(track: Track, motion: Motion) -> list[Measured] | None:
+        """The windows of a log, and the same of the log with noise, :data:`NOISES` times."""
+        tell("windows of a log")
+        rows = _rows_of(motion, vehicle, horizons)
+        if rows is None:
+            return None
+        at, there, steered = rows
+        samples = named and named.samples(motion, at, vehicle, tires)
+        windows = []
+        noisy = [with_noise(track, motion, vehicle, generator) for _ in range(NOISES)]
+        for log in (motion, *noisy):
+            each = _series(log, vehicle).items()
+            series = {name: np.where(there, x[at], np.nan) for name, x in each}
+            steering = road_wheel(log, vehicle)[steered]
+            windows.append(Measured(log.time[at], log.v_x[at], steering, series, samples))
+        return windows
+
+    long_enough = f"as long as the shortest horizon, {horizons[0]:g} s"
+    log_windows = cut_logs(logs, vehicle, cut, long_enough, "shorter horizons")
+    joined, *noisy = (
         jax.tree.map(lambda *each: np.concatenate(each), *same)
         for same in zip(*(log.windows for log in log_windows.values()), strict=True)
     )
-    steps = [round(h * rate) for h in horizons]
-    car: Car = _traced(car_of(vehicle, tires[0].tire, tires[1].tire))
-    parts = steps_a_sample(car, float(joined.v_x.min()), rate)
+    car = car_of(vehicle, tires[0].tire, tires[1].tire)
     tell("predictions")
-    predict = partial(_predicted, step=1 / rate, parts=parts)
-
-    def compared(car: Car, windows: Measured = joined, **more: Any) -> Errors:
-        return errors_of(*predict(car, windows, **more), windows, steps)
-
-    predictions = predict(car, joined)
-    tire = errors_of(*predictions, joined, steps)
+    prediction = _predicted(car, joined, vehicle)
+    steps = [round(h * vehicle.filter.sample_rate) for h in horizons]
+    tire = errors_of(prediction, joined, steps)
     tell("predictions of other cars")
-    models = {
-        "tire": tire,
-        "linear tire": compared(_linear(car, joined)),
-        "no slip": errors_without_slip(vehicle, joined, steps),
-    }
-    if named is not None:
-        changes = named.changes(changed.samples)
-        models["with the effects"] = compared(car, changed, parts=2 * parts, changes=changes)
+    models = {"tire": tire, **_others(car, joined, vehicle, steps, named)}
     tell("predictions with noise")
-    models["floor"] = floor_of(tire, [compared(car, windows) for windows in noisy])
-    tell("band of the tires' parameters")
+    noised = [errors_of(_predicted(car, noise, vehicle), noise, steps).of for noise in noisy]
+    models["floor"] = Errors(
+        {k: np.concatenate([of[k] - missed for of in noised]) for k, missed in tire.of.items()}
+    )
+    left = merged(
+        (name, (*log.missing, *left_out(log.motion, not_ahead(log.motion, vehicle), vehicle)))
+        for name, log in log_windows.items()
+    )
     return Replay(
         {k: not fitted.isdisjoint(log.runs) for k, log in log_windows.items()},
         tuple(horizons),
         tuple(np.isfinite(tire.of["yaw_rate"]).sum(axis=0).tolist()),
         models,
-        _held(compared, car, tires, generator),
-        _fans(log_windows, *predictions),
-        _notes(vehicle, tires, thinned, log_windows),
+        _fans(log_windows, prediction),
+        (*_notes(vehicle, tires), *left),
     )
 
 
-def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[float]:
+def _fans(log_windows: Mapping[str, CutLog], prediction: Series) -> dict[str, Fans]:
+    """The windows of each log as they are drawn."""
+    fans, first = {}, 0
+    for name, log in log_windows.items():
+        windows = log.windows[0]
+        rows = slice(first, first + len(windows.v_x))
+        first, there = rows.stop, np.isfinite(windows.series["a_y"])
+        of_log = {k: np.where(there, x[rows], np.nan) for k, x in prediction.items()}
+        fans[name] = Fans(np.where(there, windows.time, np.nan), windows.series, of_log)
+    return fans
+
+
+def _others(
+    car: Car, windows: Measured, vehicle: Vehicle, steps: Sequence[int], named: Applied | None
+) -> dict[str, Errors]:
+    """Errors of the car on linear tires, of one without slip, and of the car with effects."""
+    speed = float(np.median(windows.v_x[np.isfinite(windows.series["a_y"])]))
+    axles = zip((car.front, car.rear), axle_loads(car), strict=True)
+    slopes = [slope_at_rest(tire, TireInputs(fz=load, v=speed), "y") / load for tire, load in axles]
+    linear = car_of(vehicle, *map(LinearTire, slopes))
+    models = {
+        "linear tire": errors_of(_predicted(linear, windows, vehicle), windows, steps),
+        "no slip": errors_without_slip(vehicle, windows, steps),
+    }
+    if named is not None:
+        changed, changes = named.changed(windows, vehicle)
+        with_effects = _predicted(car, changed, vehicle, changes)
+        models["with the effects"] = errors_of(with_effects, changed, steps)
+    return models
+
+
+def _checked(vehicle: Vehicle, horizons: Sequence[float]) -> list[float]:
     problems = steering_problems(vehicle, "a prediction")
-    if not 0 <= delay < math.inf:
-        reason = f"a steering delay of {delay:g} s"
-        problems.append(InputProblem(reason, "give seconds, zero or more"))
     given = [float(h) for h in horizons]
     least = 1 / vehicle.filter.sample_rate
     if not (given and sorted({*given}) == given and least <= given[0] and given[-1] < math.inf):
@@ -289,12 +335,7 @@ def _checked(vehicle: Vehicle, horizons: Sequence[float], delay: float) -> list[
     return given
 
 
-def _notes(
-    vehicle: Vehicle,
-    tires: tuple[GivenTire, ...],
-    thinned: Sequence[str],
-    log_windows: Mapping[str, CutLog[Any]],
-) -> tuple[str, ...]:
+def _notes(vehicle: Vehicle, tires: tuple[GivenTire, ...]) -> list[str]:
     notes = [
         "speed and steering are those of the log; start states are from the log, low-passed"
         f" at {vehicle.filter.bandwidth:.3g} Hz with zero phase",
@@ -311,157 +352,68 @@ def _notes(
         notes.append(
             "the log has no pose: heading and position are integrals of yaw rate and speeds"
         )
-    left = merged(
-        (name, (*log.missing, *left_out(log.motion, not_ahead(log.motion, vehicle), vehicle)))
-        for name, log in log_windows.items()
-    )
-    return (*notes, *dict.fromkeys(thinned), *left)
+    return notes
 
 
-def _traced(module: Any) -> Any:
-    """The module with its numbers as arrays, so that others use the same program."""
-    return jax.tree.map(lambda x: jnp.asarray(x, float), module)
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Rows of windows (w, k), which of them the log has, and the rows of the steering (w, l + k)."""
 
 
-def replace_tires(car: Car, front: AbstractTire, rear: AbstractTire) -> Car:
-    """The same car on other tires."""
-    return eqx.tree_at(lambda c: (c.front, c.rear), car, _traced((front, rear)))
-
-
-def _linear(car: Car, windows: Measured) -> Car:
-    """The same car on linear tires."""
-    speed = float(np.median(windows.v_x[np.isfinite(windows.a_y)]))
-    axles = zip((car.front, car.rear), axle_loads(car), strict=True)
-    return replace_tires(car, *(linear(tire, fz, speed) for tire, fz in axles))
-
-
-def _windows(
-    vehicle: Vehicle,
-    horizons: Sequence[float],
-    generator: np.random.Generator,
-    apply: Any,
-    thinned: list[str],
-    tell: Steps,
-    track: Track,
-    motion: Motion,
-) -> list[Measured] | None:
-    """The windows of a log, from a start every :data:`EVERY` seconds where the log is
-    settled and the car fast enough, to the longest horizon; None of none. Behind them
-    the same windows of the log with noise, :data:`NOISES` times, and with what
-    ``apply`` makes of the channels and the rows."""
-    tell("windows of a log")
+def _rows_of(motion: Motion, vehicle: Vehicle, horizons: Sequence[float]) -> _Rows | None:
+    """The windows of a log, from a start every :data:`EVERY` seconds where the log is settled
+    and the car fast enough, to the longest horizon; None of none."""
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
-    step = max(round(EVERY * rate), 1)
     good = motion.settled & (motion.v_x > vehicle.v_min)
-    good &= np.isfinite(_channels(motion, vehicle)).all(axis=0)
-    begun, thinner = starts_in(stretches(good, motion.part), least, step)
+    values = *_series(motion, vehicle).values(), road_wheel(motion, vehicle)
+    good &= np.isfinite(values).all(axis=0)
+    begun = [
+        (k, first, last)
+        for first, last in stretches(good, motion.part)
+        for k in range(first, last - least + 1, max(round(EVERY * rate), 1))
+    ]
     if not begun:
         return None
-    if thinner > step:
-        thinned.append(f"a log is long: its windows start every {thinner / rate:.3g} s")
-    starts, ends = np.array(begun).T
-    rows = starts[:, None] + np.arange(most)
-    there = rows < ends[:, None]
+    even = np.linspace(0, len(begun) - 1, min(len(begun), _MOST)).round().astype(int)
+    starts, firsts, ends = np.array(begun)[even].T[:, :, None]
+    steered = starts + np.arange(-round(LEAD * rate), most)
     # The last sample is repeated beyond the end, where nothing is compared.
-    rows = np.minimum(rows, ends[:, None] - 1)
-
-    def cut(motion: Motion, apply: Any = None) -> Measured:
-        channels, samples = _channels(motion, vehicle), None
-        if apply is not None:
-            channels, samples = apply(motion, channels, rows)
-        v_x, a_y, steer, *state = channels
-        *measured, a_y = (np.where(there, x[rows], np.nan) for x in (*state, a_y))
-        return Measured(
-            motion.time[rows],
-            State(*(x[starts] for x in state)),
-            v_x[rows],
-            steer[rows],
-            State(*measured),
-            a_y,
-            samples,
-        )
-
-    noisy = (with_noise(track, motion, vehicle, generator) for _ in range(NOISES))
-    return [cut(motion), *map(cut, noisy), cut(motion, apply)]
+    steered, there = np.clip(steered, firsts, ends - 1), steered[:, -most:] < ends
+    return steered[:, -most:], there, steered
 
 
-def _channels(motion: Motion, vehicle: Vehicle) -> tuple[Any, ...]:
-    """Speed, lateral acceleration, road wheel angle and the state, (n,) each."""
+def _series(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
+    """The measured series (n,) of a log."""
     heading, x, y = motion.heading, motion.x, motion.y
     if vehicle.columns.motion != POSE:
-        heading, x, y = integrated(motion, vehicle.filter.sample_rate)
-    steer = road_wheel(motion, vehicle)
-    return motion.v_x, motion.a_y, steer, motion.v_y, motion.yaw_rate, heading, x, y
-
-
-@partial(jax.jit, static_argnames=("step", "parts"))
-def _states(
-    car: Car,
-    start: State,
-    v_x: jax.Array,
-    steering: jax.Array,
-    changes: Changes | None,
-    step: float,
-    parts: int,
-) -> tuple[State, jax.Array]:
-    """States (w, k) of every window, and the lateral acceleration (w, k)."""
-
-    def of_window(
-        start: State, v_x: jax.Array, steering: jax.Array, changes: Changes | None
-    ) -> tuple[State, jax.Array]:
-        states, _ = predicted(car, start, v_x, steering, step, parts, changes)
-        acting = () if changes is None else (changes,)
-        samples = v_x, steering, states.v_y, states.yaw_rate, *acting
-        return states, jax.vmap(partial(accelerations, car))(*samples)[0]
-
-    return jax.vmap(of_window)(start, v_x, steering, changes)
+        rates = (np.nan_to_num(x) for x in (motion.yaw_rate, motion.v_x, motion.v_y))
+        heading, x, y = integrated(*rates, vehicle.filter.sample_rate)
+    state = State(motion.v_y, motion.yaw_rate, heading, x, y)
+    return state._asdict() | {"a_y": motion.a_y}
 
 
 def _predicted(
-    car: Car, windows: Measured, step: float, parts: int, changes: Changes | None = None
-) -> tuple[State, np.ndarray]:
-    """The predicted states (w, k), and the lateral acceleration (w, k)."""
-    given = windows.start, windows.v_x, windows.steering, changes
-    return jax.tree.map(np.asarray, _states(car, *given, step, parts))
+    car: Car, windows: Measured, vehicle: Vehicle, changes: Changes = NO_CHANGES
+) -> dict[str, np.ndarray]:
+    """The predicted series of every window."""
+    rate, slowest = vehicle.filter.sample_rate, float(windows.v_x.min())
+    parts = steps_a_sample(car, slowest, rate)
+    # Numbers as arrays, so that other tires and cars use the same program.
+    car = jax.tree.map(lambda x: jnp.asarray(x, float), car)
+    changes = jax.tree.map(lambda x: np.broadcast_to(x, windows.v_x.shape), changes)
+    given = car, windows._replace(samples=None), changes, 1 / rate, parts
+    return jax.tree.map(np.asarray, _integrated(*given))
 
 
-def _held(
-    compared: Callable[[Car], Errors],
-    car: Car,
-    tires: tuple[GivenTire, ...],
-    generator: np.random.Generator,
-) -> dict[str, list[float | None]]:
-    """Share of the windows within the band of the tires' parameters, by horizon."""
-    if all(tire.fit is None for tire in tires):
-        return {}
-    pairs = zip(*(tire.drawn(generator, DRAWS) for tire in tires), strict=True)
-    drawn = [compared(replace_tires(car, *pair)) for pair in pairs]
-    held = {}
-    for name in QUANTITIES:
-        missed = np.stack([errors.of[name] for errors in drawn])
-        inside = np.abs(missed.mean(axis=0)) <= _NORMAL_95 * missed.std(axis=0)
-        there = np.isfinite(missed[0])
-        held[name] = [
-            float(inside[t, k].mean()) if t.any() else None for k, t in enumerate(there.T)
-        ]
-    return held
+@jax.jit
+def _integrated(
+    car: Car, windows: Measured, changes: Changes, step: Any, parts: Any
+) -> dict[str, jax.Array]:
+    def of_window(window: Measured, changes: Changes) -> dict[str, jax.Array]:
+        start = State(*(window.series[name][0] for name in State._fields))
+        steering = window.steering[-len(window.v_x) :]
+        states, late = predicted(car, start, window.v_x, steering, step, parts, changes)
+        motion = window.v_x, steering, states.v_y, states.yaw_rate, changes, late
+        return states._asdict() | {"a_y": jax.vmap(partial(accelerations, car))(*motion)[0]}
 
-
-def _fans(
-    log_windows: Mapping[str, CutLog[Any]], states: State, lateral: np.ndarray
-) -> dict[str, Fans]:
-    """The windows of the figures, for each log."""
-    predicted, fans, first = states._asdict() | {"a_y": lateral}, {}, 0
-    for name, log in log_windows.items():
-        windows = log.windows[0]
-        rows = slice(first, first + len(windows.v_x))
-        first = rows.stop
-        there = np.isfinite(windows.a_y)
-        fans[name] = Fans(
-            np.where(there, windows.time, np.nan),
-            windows.measured._asdict() | {"a_y": windows.a_y},
-            {k: np.where(there, values[rows], np.nan) for k, values in predicted.items()},
-            log.epoch,
-        )
-    return fans
+    return jax.vmap(of_window)(windows, changes)

@@ -40,24 +40,16 @@ _BLOCKS = 40
 """Largest number of blocks of windows of the sandwich, whose scores are independent."""
 
 
-def slopes_and_values(
-    function: Callable[..., Any], by: int | tuple[int, ...] = 0
-) -> Callable[..., Any]:
-    """A function that returns the derivatives by some arguments, and the values."""
-
-    def twice(*arguments: Any) -> tuple[Any, Any]:
-        values = function(*arguments)
-        return values, values
-
-    return jax.jacfwd(twice, by, has_aux=True)
-
-
 def linearised(missed: Callable[..., Any], parts: int) -> Callable[..., Any]:
     """Residuals (w, k, c) and their derivatives by z (w, k, c, p) and by the start of
     the own window (w, k, c, s), compiled."""
 
     def of_window(z: jax.Array, start: jax.Array, window: Data) -> tuple[jax.Array, ...]:
-        slopes, residual = slopes_and_values(missed, (0, 1))(z, start, window, parts)
+        def twice(z: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array]:
+            residual = missed(z, start, window, parts)
+            return residual, residual
+
+        slopes, residual = jax.jacfwd(twice, (0, 1), has_aux=True)(z, start)
         return residual, *slopes
 
     return jax.jit(jax.vmap(of_window, (None, 0, 0)))
@@ -197,35 +189,19 @@ def minimised(
 def minimised_inside(
     squares: Squares,
     start: End,
-    held: np.ndarray | None = None,
+    held: np.ndarray | bool = False,
     rest: tuple[int, float] = (MAX_STEPS, 0.0),
 ) -> End:
-    """As :func:`minimised`. If free elements end at a bound, where the squares have no slope, the
-    search also begins in the middle of their range, and the lower end counts.
-
-    Args:
-        held: (p,) whether an element keeps its value; None: none does.
-    """
-    held = np.zeros(len(start.z), bool) if held is None else held
+    """As :func:`minimised`, with held elements (p,) at their value. If free ones end at a bound,
+    where the squares have no slope, the search also begins in the middle of their range, and the
+    lower end counts."""
     bounds = np.where(held, start.z, -np.inf), np.where(held, start.z, np.inf)
     end = minimised(squares, start, bounds, rest=rest)
-    at_bound = (np.abs(end.z) > AT_BOUND) & ~held
+    at_bound = (np.abs(end.z) > AT_BOUND) & np.logical_not(held)
     if not at_bound.any():
         return end
     inside = squares.begun(jnp.where(at_bound, 0.0, end.z), end.starts)
     return min(end, minimised(squares, inside, bounds, rest=rest), key=squares.at)
-
-
-def left_to_gain(squares: Squares, end: End) -> float:
-    """Share of the squares that one whole step of z would take off if the residuals were linear,
-    without elements at a bound. A search that stops as no shorter step helps leaves more of it.
-    """
-    score, information, *_ = squares.eliminated(end)
-    inside = np.abs(end.z) < AT_BOUND
-    slope = (np.asarray(score.sum(axis=0)) + np.asarray(squares.pull * end.z))[inside]
-    normal = np.asarray(information.sum(axis=0)) + np.diag(squares.pull)
-    gain = slope @ np.linalg.pinv(normal[np.ix_(inside, inside)], hermitian=True) @ slope
-    return float(gain) / squares.at(end)
 
 
 def sandwich(squares: Squares, end: End) -> tuple[np.ndarray, int, np.ndarray]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from tirefit.data.read import read_table
 from tirefit.data.readers.remote import file_at
-from tirefit.data.vehicle.motion import Motion, read_motion, road_wheel
+from tirefit.data.vehicle.motion import road_wheel
 from tirefit.data.vehicle.vehicle import CHECKS, POSE, Columns, Vehicle
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine.fit import Start
@@ -35,30 +35,20 @@ from tirefit.fitting.mf.result import TireLike
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem
+from tirefit.vehicle.car import AXLES
 from tirefit.vehicle.diagnose import WINDOW, Steps, check_effects, studied
 from tirefit.vehicle.effects import SIMULATOR_EFFECTS
 from tirefit.vehicle.model import PARAMETERS, TIRES
-from tirefit.vehicle.start import started
-from tirefit.vehicle.windows import CutLog, cut_in_windows, derived_rows, known_vehicle
-
-_NOISE = 1.0
-"""Noise added to the simulator's states, over that of the log. A simulator is compared as closely
-as the log shows the car: below that, effects stand for steps and order of an integration."""
+from tirefit.vehicle.windows import (
+    CutLog,
+    cut_in_windows,
+    known_vehicle,
+    started_tires,
+    stated_delay,
+)
 
 _SPUN, _MORE = math.radians(40.0), 2.0
 """Largest sideslip of a simulated car, and its ratio to that of the car, above which it spins."""
-
-_STEPS = 80  # usual number of refits of both searches
-
-_FACTORS = {"yaw_rate": {"deg/s": math.degrees(1.0)}, "v_y": {"km/h": 3.6}}
-"""State of a simulator -> its unit that is often confused with the SI unit, and the factor."""
-
-_UNLIMITED = 3.0
-"""Friction of one over that of the other, above which its tires do not reach their limit."""
-
-_BEND = 0.1
-"""Change [log] of the stiffness that may make up for the bend of a brush with the largest factor
-on its friction, which loses a tenth of the force of a linear tire at 0.28 of its limit."""
 
 _ALIKE = 9.21  # chi-square of three factors about their mean that one of 100 equal ones exceeds
 
@@ -66,35 +56,21 @@ _WITHOUT_SLIP = 0.01
 """Rms of the yaw rate that slip explains, over the whole, below which a simulator has none."""
 
 _RELATED, _NEAR = 0.95, 0.15
-"""Least correlation of a state with that of the log, and largest distance [log] of its factor
-from that of a unit or a sign, that show the wrong unit or sign."""
+"""Least correlation of a lateral speed with that of the log, and largest distance [log] of its
+factor from that of a unit, that show the wrong unit or sign."""
 
 
-_Stated = tuple[str, str, Callable[[Vehicle, float], tuple[float, float]]]
-
-
-def _arm(name: str, sign: float) -> _Stated:
-    """A distance of the car that an amplitude in wheelbases makes longer (sign 1) or shorter."""
-    return (
-        name,
-        "m",
-        lambda car, x: (getattr(car, name) + sign * x * car.wheelbase, car.wheelbase),
-    )
-
+_Stated = tuple[str, str, Callable[[Vehicle, float], float]]
 
 _STATED: dict[str, _Stated] = {
-    "centre_of_gravity": _arm("l_f", -1.0),
-    "front_axle": _arm("l_f", 1.0),
-    "rear_axle": _arm("l_r", 1.0),
-    "yaw_inertia": ("yaw_inertia", "kg m2", lambda car, x: (car.yaw_inertia * math.exp(x),) * 2),
-    "steering_delay": (
-        "steering.delay",
-        "s",
-        lambda car, x: ((car.steering.delay if car.steering else 0.0) + x, 1.0),
-    ),
+    "centre_of_gravity": ("l_f", "m", lambda car, x: car.l_f - x * car.wheelbase),
+    "front_axle": ("l_f", "m", lambda car, x: car.l_f + x * car.wheelbase),
+    "rear_axle": ("l_r", "m", lambda car, x: car.l_r + x * car.wheelbase),
+    "yaw_inertia": ("yaw_inertia", "kg m2", lambda car, x: car.yaw_inertia * math.exp(x)),
+    "steering_delay": ("steering.delay", "s", lambda car, x: stated_delay(car) + x),
 }
-"""Effect -> the quantity of ``vehicle.toml`` that it changes, its unit, and the function of the
-amplitude that gives its value and the size of its slope."""
+"""Effect -> the quantity of ``vehicle.toml`` that it changes, its unit, and its value as a function
+of the amplitude."""
 
 
 def compare_with_simulator(
@@ -144,7 +120,7 @@ def compare_with_simulator(
     library = [effect for effect in effects if effect.id not in without]
     if len(logs) != len(sim_logs):
         raise DataError(f"{len(sim_logs)} simulated logs of {len(logs)}", "give one for each log")
-    tell = Steps(progress, _STEPS)
+    tell = Steps(progress, 80)  # usual number of refits of both searches
     tell("reading logs")
     log_windows = cut_in_windows(logs, stated, window)
     sim_vehicle = _of_sim_logs(stated, sim_logs)
@@ -152,19 +128,23 @@ def compare_with_simulator(
         pairs = zip(logs, sim_logs, strict=True)
         whole = [_with_inputs(*pair, sim_vehicle, Path(folder)) for pair in pairs]
         try:
-            motions = [read_motion(file_at(path), sim_vehicle)[1] for path in whole]
-            triples = zip(log_windows.values(), motions, sim_logs, strict=True)
-            DataError.raise_for([x for triple in triples for x in _unlike(*triple, sim_vehicle)])
             simulated = cut_in_windows(whole, sim_vehicle, window)
         except DataError as error:
             given = dict(zip(map(str, whole), map(str, sim_logs), strict=True))
-            named = (replace(x, file=given.get(x.file, x.file)) for x in error.problems)
-            DataError.raise_for(list(named))
-            raise
-    tires = [
-        started(axle_tire(tire), derived_rows(log_windows, stated, axle))
-        for axle, tire in (("front", front), ("rear", rear))
-    ]
+            advice = "; a simulated log needs the signs and the units of its log"
+            problems = [
+                replace(x, file=given.get(x.file, x.file), remedy=x.remedy + advice)
+                for x in error.problems
+            ]
+            raise DataError(problems) from error
+    triples = zip(log_windows.values(), simulated.values(), sim_logs, strict=True)
+    DataError.raise_for([x for triple in triples for x in _unlike(*triple, sim_vehicle)])
+    files = {"simulator": ", ".join(map(str, sim_logs)), "car": ", ".join(map(str, logs))}
+    if no_slip := _no_slip(simulated.values(), sim_vehicle):
+        states = tuple(Source(name, "states", file) for name, file in files.items())
+        return Comparison(sources=states, meanings=(no_slip,))
+    given = axle_tire(front), axle_tire(rear)
+    tires, _, _ = started_tires(given, log_windows, stated)
     car = studied(log_windows, stated, tires, library, window, tell)
     noisy = _noisy(simulated, car.base.noise)
     simulator = studied(noisy, sim_vehicle, tires, library, window, tell)
@@ -174,16 +154,13 @@ def compare_with_simulator(
     ranked = dict.fromkeys(effect for of in helping.values() for effect in of)
     atoms = tuple(sorted([forms[effect] for effect in ranked][:MOST_EFFECTS]))
     sources = [
-        _described(name, case, helping[name], atoms, stated, ", ".join(map(str, files)))
-        for name, case, files in (("simulator", simulator, sim_logs), ("car", car, logs))
+        _described(name, case, helping[name], atoms, stated, files[name])
+        for name, case in (("simulator", simulator), ("car", car))
     ]
     note = "both are described by the same car with the effects that either needs; factors on the"
     note += " tires are those on the tires at the start"
     result = compared(sources)
-    if no_slip := _no_slip(simulated.values(), sim_vehicle):
-        return _bare(result, no_slip)
-    numbers = _without_bends(result.numbers)
-    meant = _meanings({number.name: number for number in (*numbers, *result.effects)})
+    meant = _meanings({number.name: number for number in (*result.numbers, *result.effects)})
     alike = [
         f"{effect} in the {name} may be {' or '.join(twins)} instead: these logs cannot distinguish"
         " them"
@@ -192,7 +169,7 @@ def compare_with_simulator(
         if twins
     ]
     meanings = (*_spins(log_windows.values(), simulated.values()), *meant, *alike)
-    return replace(result, numbers=numbers, notes=(*result.notes, note), meanings=meanings)
+    return replace(result, notes=(*result.notes, note), meanings=meanings)
 
 
 def _first_of_twins(case: Concluded) -> dict[str, tuple[str, ...]]:
@@ -214,35 +191,17 @@ def _forms(case: Concluded, effects: Iterable[str]) -> dict[str, int]:
     return {effect: forms[effect] for effect in effects}
 
 
-def _unlimited(numbers: Mapping[str, Apart]) -> dict[str, str]:
-    """Axle -> the one of simulator and car whose tires have no friction limit."""
-    unlimited = {}
-    for axle in ("front", "rear"):
-        friction = numbers[f"{axle}.friction"]
-        (low, _), (high, name) = sorted((x.value, name) for name, x in friction.values.items())
-        if friction.differs and high > _UNLIMITED * low:
-            unlimited[axle] = name
-    return unlimited
-
-
-def _without_bends(numbers: Sequence[Apart]) -> tuple[Apart, ...]:
-    """The factors on the tires; the stiffness of an axle without a friction limit does not differ
-    if it only makes up for the bend of the brush that stands for it."""
-    factors = {number.name: number for number in numbers}
-    for axle in _unlimited(factors):
-        stiffness = factors[f"{axle}.stiffness"]
-        if np.ptp(np.log([x.value for x in stiffness.values.values()])) < _BEND:
-            factors[stiffness.name] = stiffness._replace(differs=False)
-    return tuple(factors.values())
-
-
 def _meanings(numbers: Mapping[str, Apart]) -> Iterator[str]:
     """What differences mean: tires without a friction limit, or another mass."""
-    for axle, name in _unlimited(numbers).items():
-        yield (
-            f"the {axle} tires of the {name} do not saturate in these logs: they have no"
-            " friction limit, or a far higher one"
-        )
+    for axle in AXLES:
+        friction = numbers[f"{axle}.friction"]
+        (low, _), (high, name) = sorted((x.value, name) for name, x in friction.values.items())
+        # Of three times the friction of the other, tires do not reach their limit.
+        if friction.differs and high > 3.0 * low:
+            yield (
+                f"the {axle} tires of the {name} do not saturate in these logs: they have no"
+                " friction limit, or a far higher one"
+            )
     names = "front.stiffness", "rear.stiffness", "yaw_inertia: yaw_inertia"
     if not all(name in numbers and numbers[name].differs for name in names):
         return
@@ -257,7 +216,7 @@ def _meanings(numbers: Mapping[str, Apart]) -> Iterator[str]:
         )
 
 
-def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Iterator[str]:
+def _spins(logs: Iterable[CutLog], simulated: Iterable[CutLog]) -> Iterator[str]:
     """A sentence if the simulated car spins where the car does not."""
     car, simulator = (
         max(float(np.nanmax(np.abs(np.arctan2(m.v_y, m.v_x)[m.settled]))) for m in motions)
@@ -265,23 +224,13 @@ def _spins(logs: Iterable[CutLog[Any]], simulated: Iterable[CutLog[Any]]) -> Ite
     )
     if simulator > max(_SPUN, _MORE * car):
         yield (
-            "the simulated car spins: its sideslip reaches"
-            f" {math.degrees(simulator):.0f} deg, that of"
-            f" the car {math.degrees(car):.0f} deg. What differs is uncertain: give a log in which"
-            " the simulator does not spin"
+            f"the simulated car spins: its sideslip reaches {math.degrees(simulator):.0f} deg, that"
+            f" of the car {math.degrees(car):.0f} deg. What differs is uncertain: give a log in"
+            " which the simulator does not spin"
         )
 
 
-def _bare(result: Comparison, meaning: str) -> Comparison:
-    """The comparison with one sentence in place of numbers and effects."""
-    sources = tuple(
-        source._replace(kind="states", numbers={}, effects={}, standing={})
-        for source in result.sources
-    )
-    return replace(result, sources=sources, numbers=(), effects=(), meanings=(meaning,))
-
-
-def _no_slip(simulated: Iterable[CutLog[Any]], vehicle: Vehicle) -> str:
+def _no_slip(simulated: Iterable[CutLog], vehicle: Vehicle) -> str:
     """A sentence if the yaw rate of the simulated car is that of its wheels without slip, and its
     sideways speed in proportion to the yaw rate; else empty."""
     parts = []
@@ -330,35 +279,27 @@ def _headers(columns: Columns, name: str) -> list[str]:
 
 
 def _unlike(
-    log: CutLog[Any], theirs: Motion, file: str | Path, vehicle: Vehicle
+    log: CutLog, simulated_log: CutLog, file: str | Path, vehicle: Vehicle
 ) -> Iterator[InputProblem]:
-    """Problems of states of a simulator in another unit or of another sign than in the log."""
-    ours = log.motion
-    there = ours.settled & (ours.time >= theirs.time[0]) & (ours.time <= theirs.time[-1])
-    for name, units in _FACTORS.items():
-        if name == "v_y" and not vehicle.columns.a_y_follows:
-            continue  # the simulator's own a_y or pose is compared with it
-        logged = getattr(ours, name)[there]
-        simulated = np.interp(ours.time[there], theirs.time, getattr(theirs, name))
-        good = np.isfinite(simulated) & np.isfinite(logged)
-        logged, simulated = logged[good], simulated[good]
-        if not good.any() or min(np.ptp(simulated), np.ptp(logged)) == 0.0:
-            continue  # a state that never changes shows neither unit nor sign
-        correlation = np.corrcoef(simulated, logged)[0, 1]
-        ratio = float(np.std(simulated) / np.std(logged))
-        for unit, factor in {**units, "": 1.0}.items():
-            sign = "" if correlation > 0 else "of the other sign"
-            near = min(abs(math.log(ratio * by)) for by in (factor, 1 / factor)) < _NEAR
-            if abs(correlation) > _RELATED and near and (unit or sign):
-                what = " and ".join(filter(None, (sign, unit and f"in another unit, as {unit}")))
-                reason = f"{name} is {math.copysign(ratio, correlation):.3g} times that of the log"
-                reason += f" (correlation {correlation:.2f}): it is {what}"
-                remedy = "write it with the sign and the unit of the log"
-                if name == "v_y":
-                    remedy += "; if it has these, give a_y of the simulator as well"
-                # Of a pose, the yaw rate is the change of the heading.
-                header = (_headers(vehicle.columns, name) or _headers(vehicle.columns, "yaw"))[0]
-                yield InputProblem(reason, remedy, str(file), column=header)
+    """A problem of a lateral speed of a simulator in another unit or of another sign than in the
+    log. The other states contradict the inputs if they are."""
+    if not vehicle.columns.a_y_follows:
+        return  # the simulator's own a_y or pose is compared with it
+    ours, theirs = log.motion, simulated_log.motion
+    simulated = np.interp(ours.time, theirs.time, theirs.v_y, left=np.nan, right=np.nan)
+    good = ours.settled & np.isfinite(simulated) & np.isfinite(ours.v_y)
+    simulated, logged = simulated[good], ours.v_y[good]
+    if not good.any() or min(np.ptp(simulated), np.ptp(logged)) == 0.0:
+        return  # a state that never changes shows neither unit nor sign
+    correlation = np.corrcoef(simulated, logged)[0, 1]
+    ratio = float(np.std(simulated) / np.std(logged))
+    in_kmh = abs(abs(math.log(ratio)) - math.log(3.6)) < _NEAR
+    reversed_sign = correlation < 0 and abs(math.log(ratio)) < _NEAR
+    if abs(correlation) > _RELATED and (in_kmh or reversed_sign):
+        reason = f"v_y is {math.copysign(ratio, correlation):.3g} times that of the log: it is in"
+        reason += f" another unit, as km/h, or of the other sign (correlation {correlation:.2f})"
+        remedy = "if it has those of the log, give a_y of the simulator as well"
+        yield InputProblem(reason, remedy, str(file), column=str(vehicle.columns.v_y))
 
 
 def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Path) -> Path:
@@ -383,11 +324,12 @@ def _with_inputs(log: str | Path, sim: str | Path, vehicle: Vehicle, folder: Pat
 
 
 def _noisy(log_windows: Mapping[str, Any], noise: np.ndarray) -> dict[str, Any]:
-    """Cut logs with as much noise again on their channels as the log has."""
+    """Cut logs of a simulator with as much noise as the log has: they are compared as closely as
+    the log shows the car. Below that, effects stand for steps and order of an integration."""
     generator, noisy = np.random.default_rng(0), {}
     for name, log in log_windows.items():
         data, rows = log.windows
-        added = _NOISE * noise * generator.standard_normal(data.logged.shape)
+        added = noise * generator.standard_normal(data.logged.shape)
         noisy[name] = log._replace(windows=(data._replace(logged=data.logged + added), rows))
     return noisy
 
@@ -412,11 +354,9 @@ def _described(
     for k, atom in enumerate(fit.atoms):
         effect, scale = base.atoms[atom].effect, float(base.priors.scale[atom])
         size, std = float(fit.amplitude[k]) * scale, float(errors[TIRES + k]) * scale
-        key, unit, slope = f"{effect.id}: amplitude", effect.unit, 1.0
-        if effect.id in _STATED:
-            quantity, unit, of = _STATED[effect.id]
-            key, (size, slope) = f"{effect.id}: {quantity}", of(vehicle, size)
-        sizes[key] = Number(size, std * slope, unit)
+        quantity, unit, of = _STATED.get(effect.id, ("amplitude", effect.unit, lambda _, x: x))
+        slope = abs(of(vehicle, size + 1e-6) - of(vehicle, size - 1e-6)) / 2e-6
+        sizes[f"{effect.id}: {quantity}"] = Number(of(vehicle, size), std * slope, unit)
     standing = standing_of(case.verdict, [untestable.effect for untestable in case.untestable])
     for effect_id, (helps, *_) in helping.items():
         standing[effect_id], standing[helps] = standing[helps], standing.get(effect_id, "possible")

@@ -23,27 +23,15 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import Values
 from tirefit.vehicle.car import Car, axle_loads, steps_a_sample
 from tirefit.vehicle.effects import Samples
-from tirefit.vehicle.model import TIRES, Linear, Model, Slopes, inputs, moved
+from tirefit.vehicle.model import TIRES, Model, Moved, moved
 from tirefit.vehicle.shooting import Data, Squares, minimised
 from tirefit.vehicle.windows import JoinedWindows
-
-_COARSER = 2.0
-"""Step of the integration over that of a replay: one time constant of the car at its slowest
-speed, where the method is stable up to 2.8."""
 
 _TOLERANCE, _STEPS = 1e-4, 10
 """Relative gain in cost of a step below which a refit ends, one unit of chi square at ten
 thousand residuals; largest number of its steps."""
 
-_STARTS, _SHORTER = 5, 4.0
-"""Number of trials of the best start states of a car without a refit; a step that makes a
-window worse is divided by the second number."""
-
 _MOST_OFF = 1.5  # largest logarithm of a factor on a tire
-
-_FAR = 0.7
-"""Logarithm of a factor on the tires from which a refit also begins at the tires as given:
-without an effect, the tires are distorted to replace it."""
 
 _COLUMNS = TIRES + MOST_EFFECTS
 """Number of columns of the compiled program that differentiates the inputs."""
@@ -88,6 +76,9 @@ class Windows:
     begin: Start | None = None
     tick: Callable[[], None] = field(default=lambda: None)
 
+    floor: float = 1.0  # mean square of the noise, over itself
+    is_covered: bool = True  # every part has the slips and speeds of the others
+
     # --- the linearised car ------------------------------------------------------------
 
     @cached_property
@@ -96,29 +87,35 @@ class Windows:
         # As arrays, so that another car uses the same compiled program.
         car = jax.tree.map(lambda x: jnp.asarray(x, float), self.car)
         slowest = float(np.min(self.cut.data.v_x))
-        steps = steps_a_sample(self.car, slowest, _COARSER / self.step)
+        # Twice the step of a replay: one time constant of the car, of 2.8 that are stable.
+        steps = steps_a_sample(self.car, slowest, 2.0 / self.step)
         grid = jnp.asarray(self.step), steps
         return car, grid, *_filled((self.cut.data, self.cut.rows))
 
     def linear(
-        self, z: np.ndarray, starts: Values, columns: Sequence[int] = ()
-    ) -> tuple[Linear, np.ndarray]:
-        """The motion from all coefficients and start states (w, s), linearised, and its
-        derivatives (w, k, c, q) by some coefficients."""
+        self,
+        z: np.ndarray,
+        starts: Values,
+        columns: Sequence[int] = (),
+        forces: np.ndarray | None = None,
+    ) -> Moved:
+        """The motion from all coefficients and start states (w, s), and its derivatives by some
+        coefficients, or by forces of both axles to the right (w, k, 2, q) [N]."""
         car, grid, data, rows = self._given
-        count, slopes, columns = len(self.cut.log), [], list(columns)
-        for first in range(0, max(len(columns), 1), _COLUMNS):
-            some = columns[first : first + _COLUMNS]
-            ways = np.zeros((self.model.size, _COLUMNS))
-            ways[some, range(len(some))] = 1.0
-            given, more = inputs(self.model, grid[0], jnp.asarray(z), ways, data, rows)
-            slopes.append([np.asarray(x)[:count, ..., : len(some)] for x in more])
-        motion = moved(self.model.channels, car, grid, _filled(starts), data, given)
-        now = jax.tree.map(lambda part: np.asarray(part)[:count], motion)
-        relaxation = np.asarray(given[1])[:count, :, -1]
-        now = Linear(now, self.cut.data.v_x, relaxation, self.step, grid[1])
-        joined = [np.concatenate(x, axis=-1) for x in zip(*slopes, strict=True)]
-        return now, now.by_inputs(Slopes(*joined))
+        size = len(columns) if forces is None else forces.shape[-1]
+        ways = np.zeros((self.model.size, max(size, 1)))
+        ways[list(columns), range(len(columns))] = 1.0
+        along = np.zeros((*self._shape[:2], 2, ways.shape[1])) if forces is None else forces
+        parts = []
+        for first in range(0, ways.shape[1], _COLUMNS):
+            some = (ways[:, first : first + _COLUMNS], along[..., first : first + _COLUMNS])
+            empty = _COLUMNS - some[0].shape[1]  # sets of every size share the compiled program
+            way, force = (np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, empty)]) for x in some)
+            windows = _filled(starts), data, rows, _filled(force)
+            parts.append(moved(self.model, car, grid, jnp.asarray(z), way, windows))
+        now: Moved = jax.tree.map(lambda x: np.asarray(x)[: self._shape[0]], parts[-1])
+        by = np.concatenate([part.by for part in parts], axis=-1)
+        return now._replace(by=by[: self._shape[0], ..., :size])
 
     def coefficients(
         self,
@@ -132,55 +129,32 @@ class Windows:
         whole[[TIRES + k for k in atoms]] = amplitude
         return whole
 
-    def at(self, fit: Fit, columns: Sequence[int] = ()) -> tuple[Linear, np.ndarray]:
+    def at(self, fit: Fit, columns: Sequence[int] = ()) -> Moved:
         """:meth:`linear` at a fit."""
         z = self.coefficients(fit.z, fit.atoms, fit.amplitude)
         return self.linear(z, fit.state, columns)
 
     @property
-    def is_covered(self) -> bool:
-        """Windows of every part have the slips and speeds of the others."""
-        return True
+    def _shape(self) -> tuple[int, ...]:
+        """Numbers of windows, samples and channels."""
+        return self.cut.data.logged.shape
 
     @property
     def _states(self) -> int:
         """Number of start states of a window."""
         return self.cut.data.start.shape[1]
 
-    def projected(self, now: Linear, columns: np.ndarray) -> np.ndarray:
+    def projected(self, now: Moved, columns: np.ndarray) -> np.ndarray:
         """Columns (w, k, c, q) whitened and orthogonal to the start states: (m, q)."""
         weight = 1 / (self.noise * np.sqrt(self.inflation))[:, None]
-        by_start = now.by_start(self._states)
-        flat = [(x * weight).reshape(len(x), -1, x.shape[3]) for x in (columns, by_start)]
+        flat = [(x * weight).reshape(len(x), -1, x.shape[3]) for x in (columns, now.by_start)]
         unit, _ = np.linalg.qr(flat[1])
         left = flat[0] - unit @ (np.swapaxes(unit, 1, 2) @ flat[0])
         return left.reshape(-1, columns.shape[3])
 
-    def _residual(self, now: Linear) -> np.ndarray:
+    def _residual(self, now: Moved) -> np.ndarray:
         """(m,) logged - predicted, whitened and orthogonal to the start states."""
-        return -self.projected(now, now.motion.missed[..., None])[:, 0]
-
-    def at_best_starts(self, z: np.ndarray) -> Linear:
-        """:meth:`linear` without a refit, from the best start states found: a window that a
-        step makes worse goes back and tries a shorter one."""
-        best, weight = np.asarray(self.cut.data.start), (1 / self.noise)[:, None]
-        least, step = np.full(len(best), np.inf), np.zeros(best.shape)
-        for _ in range(_STARTS):
-            now, w = self.linear(z, best - step)[0], len(best)
-            rest = (now.motion.missed * weight[:, 0]).reshape(w, -1)
-            squares = np.sum(rest**2, axis=1)
-            better = squares < least
-            slopes = (now.by_start(self._states) * weight).reshape(w, -1, self._states)
-            unit, size = np.linalg.qr(slopes)
-            onward = np.linalg.solve(size, np.swapaxes(unit, 1, 2) @ rest[..., None])[..., 0]
-            best = np.where(better[:, None], best - step, best)
-            step = np.where(better[:, None], onward, step / _SHORTER)
-            least = np.where(better, squares, least)
-        return self.linear(z, best)[0]
-
-    def rms(self, z: np.ndarray) -> np.ndarray:
-        """Rms (c,) of predicted - logged, from the best start states."""
-        return np.sqrt(np.mean(self.at_best_starts(z).motion.missed ** 2, axis=(0, 1)))
+        return -self.projected(now, now.missed[..., None])[:, 0]
 
     # --- what the engine asks of its subject ---------------------------------------------
 
@@ -204,16 +178,11 @@ class Windows:
         """Of the refit without effects; at first the tires and the states as given."""
         return self.begin or Start(np.zeros(TIRES), np.zeros(0), self.cut.data.start)
 
-    @property
-    def floor(self) -> float:
-        """Mean square of the noise, over itself."""
-        return 1.0
-
     @cached_property
     def unit(self) -> np.ndarray:
         """(m,) from residuals to the rms over the noise of all channels, for samples that
         the start states leave free."""
-        each = int(np.prod(self.cut.data.logged.shape[1:]))
+        each = int(np.prod(self._shape[1:]))
         scale = np.sqrt(self.inflation * each / (each - self._states))
         return np.full(len(self.cut.log) * each, scale)
 
@@ -223,8 +192,9 @@ class Windows:
         return self.residual_of(self.coefficients())
 
     def residual_of(self, z: np.ndarray) -> np.ndarray:
-        """(m,) whitened residual at all coefficients, from the best start states."""
-        return self._residual(self.at_best_starts(z))
+        """(m,) whitened residual at all coefficients without a refit, from the measured start
+        states: what these explain is projected out, so that no window ends worse than it was."""
+        return self._residual(self.linear(z, self.cut.data.start))
 
     def over_noise(self, residual: np.ndarray) -> np.ndarray:
         """Errors (n, c) of each sample over the noise, of a whitened residual (m,)."""
@@ -237,32 +207,27 @@ class Windows:
         if number < LEAST_LOGS:
             number, what = min(_BLOCKS, count), "blocks of time"
             part = np.arange(count) * number // count
-        each = int(np.prod(self.cut.data.logged.shape[1:]))
+        each = int(np.prod(self._shape[1:]))
         return Folds(np.repeat(part, each), f"{number} {what} left out in turn")
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
         fits = []
         for start, atoms in zip(starts, sets, strict=True):
-            tries = [self._refit(start, atoms)]
-            if np.max(np.abs(start.z)) > _FAR:
-                fresh = Start(0 * start.z, start.amplitude, self.cut.data.start)
-                tries.append(self._refit(fresh, atoms))
-            fits.append(max(tries, key=lambda fit: fit.log_evidence))
+            fits.append(self._refit(start, atoms))
             self.tick()
         return fits
 
     def _refit(self, start: Start, atoms: tuple[int, ...]) -> Fit:
         size, fill = TIRES + len(atoms), MOST_EFFECTS - len(atoms)
         places = [*range(TIRES), *(TIRES + k for k in atoms)]
-        # Sets of every size share the compiled programs.
 
         def run(fitted_z: Values, starts: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             z = np.zeros(self.model.size)
             z[places] = np.asarray(fitted_z)[:size]
-            now, by = self.linear(z, starts, places)
-            by = np.pad(by, ((0, 0), (0, 0), (0, 0), (0, fill)))
-            return now.motion.missed, by, now.by_start(self._states)
+            now = self.linear(z, starts, places)
+            by = np.pad(now.by, ((0, 0), (0, 0), (0, 0), (0, fill)))
+            return now.missed, by, now.by_start
 
         index, priors = list(atoms), self.priors
         sides = [
@@ -275,12 +240,12 @@ class Windows:
         first = squares.begun(begun, jnp.asarray(start.state))
         end = minimised(squares, first, sides, _TOLERANCE, _STEPS)
         z, states = np.asarray(end.z)[:size], end.starts
-        now, by = self.linear(self.coefficients(z[:TIRES], atoms, z[TIRES:]), states, places)
+        now = self.linear(self.coefficients(z[:TIRES], atoms, z[TIRES:]), states, places)
         return fitted(
             atoms,
             [self.atoms[k].effect.id for k in atoms],
             Start(z[:TIRES], z[TIRES:], np.asarray(states)),
-            (self._residual(now), self.projected(now, by)),
+            (self._residual(now), self.projected(now, now.by)),
             np.ones(size),
             z,
             priors.sign[index],
@@ -289,50 +254,59 @@ class Windows:
 
     def tangents(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
-        return self.projected(*self.at(fit, range(TIRES, self.model.size)))
+        now = self.at(fit, range(TIRES, self.model.size))
+        return self.projected(now, now.by)
 
     @cached_property
     def covariates(self) -> dict[str, np.ndarray]:
         """Quantities (w, k) that vary over the windows, at the start fit."""
-        front, rear = np.moveaxis(self._at_start.motion.angles, 2, 0)
+        front, rear = np.moveaxis(self._at_start.angles, 2, 0)
         rows = self.cut.rows
         values = {"front slip": front, "rear slip": rear, "speed over its mean": rows.speed,
                   "forward acceleration": rows.along, "share of the time": rows.time}  # fmt: skip
         return {k: np.asarray(v) for k, v in values.items() if np.ptp(v) > UNSEEN}
 
     @cached_property
-    def _at_start(self) -> Linear:
-        return self.linear(self.coefficients(self.start.z), self.start.state)[0]
+    def _at_start(self) -> Moved:
+        return self.linear(self.coefficients(self.start.z), self.start.state)
 
     @cached_property
     def discrepancy(self) -> Discrepancy:
         """An unlisted force: of each axle, as a function of one covariate, and of both
         axles, of any course in time."""
-        now, loads = self._at_start, axle_loads(self.car)
-        shape = now.motion.missed.shape[:2]
+        now, start = self._at_start, self.start
+        loads = np.array(axle_loads(self.car))[:, None]
         columns, cells = list[np.ndarray](), list[Cell]()
-        kinds: list[tuple[str, list[int], str, np.ndarray, np.ndarray]] = []
+
+        def by_force(axles: slice, shapes: np.ndarray) -> np.ndarray:
+            """Derivatives (w, k, c, q) by forces of these shapes (w k, q)."""
+            forces = np.zeros((*self._shape[:2], 2, shapes.shape[1]))
+            sizes = _USUAL * shapes.reshape(*self._shape[:2], 1, -1)
+            forces[:, :, axles] = sizes * loads[axles]
+            return self.linear(self.coefficients(start.z), start.state, forces=forces).by
+
+        def add(quantity: str, covariate: str, by: np.ndarray, places: np.ndarray) -> None:
+            columns.append(self.projected(now, by))
+            first, settings = cells[-1].end if cells else 0, covariate == "window"
+            end = first + len(places)
+            cells.append(Cell(quantity, covariate, first, end, places, settings, settings))
+
         for covariate, values in self.covariates.items():
             ends = np.quantile(values, [0.01, 0.99]) if "slip" in covariate else (-np.inf, np.inf)
             # Number of places at which an unlisted force has its values.
             count = 12 if covariate == "share of the time" else 8
-            by = places_of(np.clip(values, *ends).ravel(), None, count)
-            kinds += [("front force", [0], covariate, *by), ("rear force", [1], covariate, *by)]
-        window = np.repeat(np.eye(shape[0]), shape[1], axis=0)
-        kinds.append(("side force", [0, 1], "window", window, np.arange(shape[0])))
-        for quantity, axles, covariate, shapes, places in kinds:
-            sizes = _USUAL * shapes.reshape(*shape, -1)
-            each = [now.by_force(k, sizes * float(loads[k])) for k in axles]
-            columns.append(self.projected(now, np.sum(each, axis=0)))
-            first, settings = cells[-1].end if cells else 0, covariate == "window"
-            end = first + len(places)
-            cells.append(Cell(quantity, covariate, first, end, places, settings, settings))
+            shapes, places = places_of(np.clip(values, *ends).ravel(), None, count)
+            for axle, quantity in enumerate(("front force", "rear force")):
+                add(quantity, covariate, by_force(slice(axle, axle + 1), shapes), places)
+        windows = np.arange(self._shape[0])
+        of_all = by_force(slice(None), np.ones((self._shape[0] * self._shape[1], 1)))
+        add("side force", "window", of_all * np.eye(len(windows))[:, None, None], windows)
         return Discrepancy(np.concatenate(columns, axis=1), tuple(cells))
 
     def groups(self) -> dict[str, np.ndarray]:
         """Covariates (m,) by whose values the size of an effect may differ."""
-        shape = self.cut.data.logged.shape
-        values = {**self.covariates, "yaw rate": self._at_start.motion.states.yaw_rate}
+        shape = self._shape
+        values = {**self.covariates, "yaw rate": self._at_start.states.yaw_rate}
         if self.cut.log.max():
             values["log"] = np.repeat(self.cut.log[:, None], shape[1], axis=1)
         return {
@@ -343,10 +317,10 @@ class Windows:
 
     def following(self, fit: Fit) -> "Windows":
         """The same windows with effects that depend on the motion of a fit."""
-        now, rows = self.at(fit)[0], self.cut.rows
-        rows = rows._replace(
-            across=now.motion.lateral / float(self.car.gravity),
-            turn=now.motion.states.yaw_rate / self.cut.data.v_x,
+        now = self.at(fit)
+        rows = self.cut.rows._replace(
+            across=now.lateral / float(self.car.gravity),
+            turn=now.states.yaw_rate / np.asarray(self.cut.data.v_x),
         )
         return replace(self, cut=self.cut._replace(rows=rows), begin=fit.start)
 
@@ -354,7 +328,7 @@ class Windows:
         """The same windows with the noise of the remainder of a fit with all listed effects
         and unlisted forces, and with the ratio of the scatter of sums over windows to that
         of independent samples as inflation."""
-        atoms, shape = self.tangents(fit), self.cut.data.logged.shape
+        atoms, shape = self.tangents(fit), self._shape
         seen = np.concatenate([fit.columns, atoms, self.discrepancy.additive], axis=1)
         of_fit, listed = len(fit.pull), len(fit.pull) + atoms.shape[1]
         pull = np.full(seen.shape[1], SIZES[1] ** -2.0)

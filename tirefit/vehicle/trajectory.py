@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -37,40 +37,51 @@ from tirefit.fitting.verdict.family import NEAR_PEAK
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import Values, constrain, with_values
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, Outcome, UsageError, did_you_mean
-from tirefit.vehicle.car import Car, car_of, delayed, predicted, steps_a_sample
+from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_you_mean
+from tirefit.vehicle.car import AXLES, Car, car_of, delayed, predicted, steps_a_sample
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import as_driven, logged
+from tirefit.vehicle.replay import replay
 from tirefit.vehicle.shooting import (
     AT_BOUND,
     Data,
     Squares,
-    left_to_gain,
     linearised,
     minimised_inside,
     profile_ends,
     sandwich,
 )
-from tirefit.vehicle.start import UNKNOWNS, started, within
 from tirefit.vehicle.windows import (
     CHANNELS,
     cut_in_windows,
-    derived_rows,
     known_vehicle,
-    lateness,
+    started_tires,
     steering_problems,
 )
+
+
+class Unknown(NamedTuple):
+    """An unknown of the car."""
+
+    unit: str
+    prior: float  # standard error of a weak prior at zero; of a factor's logarithm
+    is_factor: bool
+    meaning: str
+
+
+UNKNOWNS = {
+    "yaw_inertia": Unknown("kg m2", 0.5, True, "about the cg"),
+    "steering_ratio": Unknown("-", 0.3, True, "of wheel to map"),
+    "steering_offset": Unknown("rad", 0.1, False, "added to the angle"),
+    "steering_delay": Unknown("s", 0.1, False, "wheels after the log"),
+    "sideslip_zero": Unknown("rad", 0.05, False, "logged less the car's"),
+}
+"""Parameters that may be estimated with the tires."""
 
 WINDOW = 0.5
 """Length [s] of a window."""
 _SHAPES = "brush", "brush-d", "magic-formula"  # to compare where the peak is not reached
 _ROUNDS = 3  # times that the noise of the channels is estimated again
-_LEFT = 1e-3
-"""Share of the squares that one more step may promise where a search has converged: 1e-9 on the
-f1tenth car, 0.15 where start states and tires explain the same."""
-_FAR = 3.0  # standard errors of its prior from which the value of an unknown is reported
-_MOST_SLIPS = 99.5
-"""Percentile of the derived slip angles that counts as their largest: few are errors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,25 +89,22 @@ class TrajectoryFit(Record):
     """The result of :func:`fit_trajectory`.
 
     Attributes:
-        front, rear: the tires of the axles.
         parameters: ``front.cpa2``, ``yaw_inertia``, ... -> estimate.
         noise: channel -> rms of predicted - logged, used as its noise.
         windows: number of windows; ``blocks`` of them are independent.
         vehicle: with what was found of it.
         strained: unknowns that end further from their usual value than three standard errors
             of their prior.
-        converged: whether the search ended where one more step promises less than 0.1 % of the
-            squares.
+        converged: whether the search ended where one more step promises no gain.
         axles: ``front``, ``rear`` -> the tire with its uncertainty and the content of a
             ``fit.json``; :func:`tirefit.replay` takes it.
         rows: ``front``, ``rear`` -> slip angle and force as derived, for comparison.
+        conclusions: those of :func:`tirefit.replay` of the same logs with the fitted car.
     """
 
     text_by: ClassVar[str] = "tirefit.report.vehicle:trajectory_text"
     plot_by: ClassVar[str] = "tirefit.report.vehicle:trajectory_figure"
 
-    front: AbstractTire
-    rear: AbstractTire
     parameters: Mapping[str, Estimate]
     noise: Mapping[str, float]
     windows: int
@@ -106,6 +114,7 @@ class TrajectoryFit(Record):
     converged: bool
     axles: Mapping[str, GivenTire] = field(default_factory=dict)
     rows: Mapping[str, TireData] = field(default_factory=dict)
+    conclusions: tuple[str, ...] = ()
 
     @property
     def logs(self) -> tuple[str, ...]:
@@ -121,27 +130,22 @@ class TrajectoryFit(Record):
     def limits(self) -> dict[Outcome, str]:
         """Whether the search converged, the parameters that are not determined, and the
         axles whose friction follows from the shape of the model."""
-        loose = ", ".join(
-            name for name, parameter in self.parameters.items() if not parameter.identified
-        )
-        below = [
+        shares = ", ".join(
             f"{100 * share:.0f} % ({axle})"
             for axle, share in self.reached.items()
             if share < NEAR_PEAK
-        ]
+        )
         used = {tire.name for tire in self.axles.values()}
-        others = (f"front={name},rear={name}" for name in _SHAPES if name not in used)
-        shape = (
-            f"{Outcome.SHAPE_DEPENDENT}: the slip angles reach {', '.join(below)} of the peak;"
-            f" compare with {' and '.join(others)}"
-        )
-        strained = (
-            f"{', '.join(self.strained)} far from any usual value: an effect that is not fitted,"
-            " such as a lag of the steering, acts in its place, and may in that of the tires"
-        )
+        others = " and ".join(f"front={name},rear={name}" for name in _SHAPES if name not in used)
+        loose = ", ".join(name for name, of in self.parameters.items() if not of.identified)
+        strained = ", ".join(self.strained)
         return {
-            Outcome.SYSTEMATIC_MISFIT: strained if self.strained else "",
-            Outcome.SHAPE_DEPENDENT: shape if below else "",
+            Outcome.SYSTEMATIC_MISFIT: strained
+            and f"{strained} far from any usual value: an effect that is not fitted, such as a lag"
+            " of the steering, acts in its place, and may in that of the tires",
+            Outcome.SHAPE_DEPENDENT: shares
+            and f"{Outcome.SHAPE_DEPENDENT}: the slip angles reach {shares} of the peak;"
+            f" compare with {others}",
             Outcome.NOT_CONVERGED: "" if self.converged else "the search did not converge",
             Outcome.NOT_IDENTIFIED: loose and f"these logs do not determine {loose}",
         }
@@ -157,6 +161,7 @@ class TrajectoryFit(Record):
                 "blocks": self.blocks,
                 "converged": self.converged,
                 "strained": self.strained,
+                "conclusions": self.conclusions,
                 "parameters": {k: asdict(v) for k, v in self.parameters.items()},
                 "noise": dict(self.noise),
                 "vehicle": self.vehicle.model_dump(),
@@ -179,7 +184,7 @@ class TrajectoryFit(Record):
 
 def _reached(tire: AbstractTire, rows: TireData) -> float:
     """Share of the peak of a tire that the slip angles of its rows reach."""
-    largest = np.percentile(np.abs(rows["alpha"]), _MOST_SLIPS)
+    largest = np.percentile(np.abs(rows["alpha"]), 99.5)  # few of the derived ones are errors
     alpha = np.append(largest, np.linspace(0.0, 1.0, 200) * np.pi / 2)
     at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
     force = np.abs(np.asarray(forces(tire, at).fy))
@@ -226,20 +231,6 @@ def fit_trajectory(
     require_x64("a fit by trajectory")
     vehicle = known_vehicle(vehicle)
     given = {"front": axle_tire(front), "rear": axle_tire(rear)}
-    _check(vehicle, unknowns, given)
-    tell = progress or (lambda share, note: None)
-    tell(0.02, "reading logs")
-    log_windows = cut_in_windows(logs, vehicle, window)
-    parts = [log.windows[0] for log in log_windows.values()]
-    data = Data(*(jnp.concatenate(field) for field in zip(*parts, strict=True)))
-    rows = {axle: derived_rows(log_windows, vehicle, axle) for axle in given}
-    tell(0.05, "starting with the tires of derive")
-    tires = [within(started(tire, rows[axle]), tire, rows[axle]) for axle, tire in given.items()]
-    late = lateness(log_windows, vehicle)
-    return _Problem(vehicle, tires, tuple(unknowns), data, late).solved(rows, tell)
-
-
-def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenTire]) -> None:
     problems = steering_problems(vehicle, "a fit by trajectory")
     for name in (name for name in unknowns if name not in UNKNOWNS):
         remedy = f"{did_you_mean(name, UNKNOWNS)}valid: {', '.join(UNKNOWNS)}"
@@ -249,6 +240,21 @@ def _check(vehicle: Vehicle, unknowns: Sequence[str], given: Mapping[str, GivenT
             reason = f"the {axle} tire {tire.name} has no free parameters"
             problems.append(InputProblem(reason, "name a model, such as brush"))
     UsageError.raise_for(problems)
+    tell = progress or (lambda share, note: None)
+    tell(0.02, "reading logs")
+    log_windows = cut_in_windows(logs, vehicle, window)
+    parts = [log.windows[0] for log in log_windows.values()]
+    data = Data(*(jnp.concatenate(field) for field in zip(*parts, strict=True)))
+    tell(0.05, "starting with the tires of derive")
+    tires, rows, late = started_tires([*given.values()], log_windows, vehicle)
+    problem = _Problem(vehicle, tires, tuple(unknowns), data, late)
+    fit = problem.solved(dict(zip(AXLES, rows, strict=True)), tell)
+    tell(0.9, "replaying the logs")
+    try:
+        conclusions = replay(logs, fit.vehicle, *fit.axles.values()).conclusions
+    except DataError as error:  # the estimated car contradicts its logs
+        conclusions = [f"These logs cannot be replayed with the estimated car: {error}"]
+    return replace(fit, conclusions=tuple(conclusions))
 
 
 class _Problem:
@@ -292,9 +298,7 @@ class _Problem:
 
     def car(self, z: Values) -> Car:
         inertia = self.unknown(z, "yaw_inertia", 1.0)
-        car = car_of(self.vehicle, self.tire(z, 0), self.tire(z, 1), inertia)
-        ahead = self.unknown(z, "cg_ahead")
-        return replace(car, l_f=car.l_f - ahead, l_r=car.l_r + ahead)
+        return car_of(self.vehicle, self.tire(z, 0), self.tire(z, 1), inertia)
 
     def missed(self, z: jax.Array, start: jax.Array, window: Data, parts: int) -> jax.Array:
         """Predicted - logged (k, c) of one window."""
@@ -304,9 +308,7 @@ class _Problem:
         steering = delayed(window.steering, delay / step)[lead:]
         steering = steering * self.unknown(z, "steering_ratio", 1.0)
         steering = steering + self.unknown(z, "steering_offset")
-        # The log is for the point at which the centre of gravity was assumed.
-        ahead = -self.unknown(z, "cg_ahead")
-        reading = Reading(sideslip=self.unknown(z, "sideslip_zero"), ahead=ahead)
+        reading = Reading(sideslip=self.unknown(z, "sideslip_zero"))
         first = as_driven(start, reading, window.v_x[0])
         states, _ = predicted(self.car(z), first, window.v_x, steering, step, parts)
         return logged(len(self.names), states, reading, window.v_x).T - window.logged
@@ -327,75 +329,64 @@ class _Problem:
         squares = squares._replace(noise=noise)
         covariance, blocks, widened = sandwich(squares, end)
         std, reach = np.sqrt(np.diag(covariance)), stdtrit(max(blocks - 1, 1), 0.975)
-        ends, car = at + reach * np.outer((-1, 1), std), self.car(at)
-        # Distance of each unknown from its usual value, in standard errors of its prior.
-        strain = np.abs(at * np.sqrt(self.pulls()))[self.first[-1] :]
+        ends = at + reach * np.outer((-1, 1), std)
+        # Unknowns further from their usual value than three standard errors of their prior.
+        strained = (np.abs(at * np.sqrt(self.pulls())) > 3.0)[self.first[-1] :]
         # Profiles of a search that stopped short would begin at no minimum.
-        converged = bool(end.converged) and left_to_gain(squares, end) < _LEFT
-        for k, axle in enumerate(("front", "rear") if converged else ()):
-            if _reached((car.front, car.rear)[k], rows[axle]) < NEAR_PEAK:
+        for k, axle in enumerate(AXLES if end.converged else ()):
+            if _reached(self.tire(at, k), rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
                     level = reach**2 * widened[e]
                     tell(0.4 + 0.5 * e / self.first[-1], f"interval of parameter {e + 1}")
                     ends[:, e] = profile_ends(squares, end, e, std[e], level)
         parameters = self.estimates(at, std, ends)
         axles = {
-            axle: self.axle(k, axle, at, covariance, parameters, rows[axle])
-            for k, axle in enumerate(("front", "rear"))
+            axle: self.axle(k, at, covariance, parameters, rows[axle])
+            for k, axle in enumerate(AXLES)
         }
         return TrajectoryFit(
-            car.front,
-            car.rear,
             parameters,
             {c: float(s) for c, s in zip(self.names, noise, strict=True)},
             windows,
             blocks,
-            self.found_vehicle(parameters),
-            tuple(n for n, off in zip(self.unknowns, strain, strict=True) if off > _FAR),
-            converged,
+            self.fitted_vehicle(parameters),
+            tuple(np.array(self.unknowns)[strained].tolist()),
+            bool(end.converged),
             axles,
             rows,
         )
 
     def pulls(self) -> jax.Array:
         """Precision (p,) of the weak priors of the unknowns at zero."""
-        scale = {"cg_ahead": self.vehicle.l_f + self.vehicle.l_r}
-        priors = [(UNKNOWNS[name].prior * scale.get(name, 1.0)) ** -2 for name in self.unknowns]
+        priors = [UNKNOWNS[name].prior ** -2 for name in self.unknowns]
         return jnp.asarray([*np.zeros(self.first[-1]), *priors])
 
     def estimates(self, z: np.ndarray, std: np.ndarray, ends: np.ndarray) -> dict[str, Estimate]:
         """Estimates of all parameters, from z with its standard errors (p,) and the
         ends (2, p) of the intervals."""
+        elements: list[tuple[str, str, Any, Any]] = [
+            (f"{axle}.{label}", free.spec.unit, partial(constrain, spec=free.spec), free.spec)
+            for axle, layout in zip(AXLES, self.layouts, strict=True)
+            for label, free in layout.elements
+        ]
+        for name in self.unknowns:
+            scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
+            factor = lambda log, scale=scale: scale * np.exp(log)  # noqa: E731
+            natural = factor if UNKNOWNS[name].is_factor else float
+            elements.append((name, UNKNOWNS[name].unit, natural, None))
+        # Identified if below half of the standard error of a prior.
+        below = 2 * std * np.sqrt(self.pulls()) < 1
         parameters = {}
-
-        Of = Callable[..., Any]
-
-        def add(name: str, unit: str, k: int, natural: Of, identified: Of) -> None:
+        for k, (name, unit, natural, spec) in enumerate(elements):
             low, high = sorted(float(natural(end)) for end in ends[:, k])
             slope = abs(natural(z[k] + 1e-6) - natural(z[k] - 1e-6)) / 2e-6
+            identified = below[k] and abs(z[k]) < AT_BOUND
+            identified &= spec is None or limited(spec, low, high)
             value, error = float(natural(z[k])), float(slope * std[k])
-            known = bool(identified(low, high) and abs(z[k]) < AT_BOUND)
-            parameters[name] = Estimate(value, error, unit, (low, high), known)
-
-        for axle, layout in enumerate(self.layouts):
-            for k, (label, free) in enumerate(layout.elements):
-                add(
-                    f"{('front', 'rear')[axle]}.{label}",
-                    free.spec.unit,
-                    self.first[axle] + k,
-                    partial(constrain, spec=free.spec),
-                    partial(limited, free.spec),
-                )
-        for k, name in enumerate(self.unknowns):
-            unknown, at = UNKNOWNS[name], self.first[-1] + k
-            scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
-            by = (lambda log, scale=scale: scale * np.exp(log)) if unknown.is_factor else float
-            # Identified if below half of the prior standard error.
-            wide = 0.5 / np.sqrt(self.pulls()[at])
-            add(name, unknown.unit, at, by, lambda *_, k=at, wide=wide: std[k] < wide)
+            parameters[name] = Estimate(value, error, unit, (low, high), bool(identified))
         return parameters
 
-    def found_vehicle(self, parameters: Mapping[str, Estimate]) -> Vehicle:
+    def fitted_vehicle(self, parameters: Mapping[str, Estimate]) -> Vehicle:
         """The vehicle with the estimated values."""
         vehicle, steering = self.vehicle, self.steering
 
@@ -409,24 +400,18 @@ class _Problem:
                 "delay": value("steering_delay", steering.delay),
             }
         )
-        zero, ahead = value("sideslip_zero"), value("cg_ahead")
-        pose = len(self.names) == 3
+        zero, pose = value("sideslip_zero"), len(self.names) == 3
         name, turned = ("yaw_offset", zero) if pose else ("sideslip_offset", -zero)
         changed = {
             "yaw_inertia": value("yaw_inertia", vehicle.yaw_inertia),
-            "l_f": vehicle.l_f - ahead,
-            "l_r": vehicle.l_r + ahead,
             "steering": steering,
             name: getattr(vehicle, name) + turned,
         }
-        if ahead:
-            changed |= {"mass_front": None, "mass_rear": None}
         return vehicle.model_copy(update=changed)
 
     def axle(
         self,
         k: int,
-        axle: str,
         z: np.ndarray,
         covariance: np.ndarray,
         estimates: Mapping[str, Estimate],
@@ -436,9 +421,9 @@ class _Problem:
         layout, elements = self.layouts[k], slice(*self.first[k : k + 2])
         fit = layout, z[elements], covariance[elements, elements]
         parameters = {
-            name.removeprefix(f"{axle}."): asdict(estimate)
+            name.removeprefix(f"{AXLES[k]}."): asdict(estimate)
             for name, estimate in estimates.items()
-            if name.startswith(f"{axle}.")
+            if name.startswith(f"{AXLES[k]}.")
         }
         content = {
             "schema": FIT_SCHEMA,

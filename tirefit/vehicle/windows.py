@@ -2,18 +2,16 @@
 the quantities at their samples on which effects depend, and least squares over all windows
 with the start states eliminated."""
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from tirefit.data.read import read_frame
 from tirefit.data.readers.remote import file_at
@@ -32,34 +30,40 @@ from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.diagnosis.effects.state import peak_ratio, slope_at_rest
 from tirefit.files import listed
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import FitConfig
+from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.fitting.source import GivenTire
-from tirefit.models import AbstractTire, TireInputs
+from tirefit.fitting.store import at_estimate
+from tirefit.models import MODELS, AbstractTire, TireInputs
 from tirefit.results import DataError, InputProblem, UsageError
-from tirefit.vehicle.car import axle_loads
+from tirefit.vehicle.car import AXLES, State, axle_loads
 from tirefit.vehicle.effects import Samples
 from tirefit.vehicle.shooting import Data
-
-Piece = TypeVar("Piece")
 
 _START_ROWS = 4000
 """Approximate number of rows to which the first tire of an axle is fitted."""
 
 
-class CutLog(NamedTuple, Generic[Piece]):
-    """A log, cut up, and the names of its runs."""
+class CutLog(NamedTuple):
+    """A log, cut into windows, with its path and the names of its runs."""
 
     motion: Motion
-    windows: Piece
+    windows: Any
     runs: tuple[str, ...]
+    track: Track
     missing: tuple[str, ...] = ()  # see ``Track``, and what ``[keep]`` leaves out
     path: str = ""
-    sha256: str = ""
-    epoch: float = 0.0  # see ``Track``
 
 
 def known_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
     """The vehicle of a ``vehicle.toml``, or the given one."""
     return vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+
+
+def stated_delay(vehicle: Vehicle) -> float:
+    """Delay [s] of the wheels behind the logged steering that ``vehicle.toml`` states."""
+    return vehicle.steering.delay if vehicle.steering else 0.0
 
 
 def steering_problems(vehicle: Vehicle, what: str) -> list[InputProblem]:
@@ -74,10 +78,10 @@ def steering_problems(vehicle: Vehicle, what: str) -> list[InputProblem]:
 def cut_logs(
     logs: Sequence[str | Path],
     vehicle: Vehicle,
-    cut: Callable[[Track, Motion], Piece | None],
+    cut: Callable[[Track, Motion], Any],
     long_enough: str,
     shorter: str,
-) -> dict[str, CutLog[Piece]]:
+) -> dict[str, CutLog]:
     """Motion and windows of each log, under the name of the log.
 
     Args:
@@ -91,7 +95,7 @@ def cut_logs(
             channels contradict each other, or without a stretch that is long enough.
     """
     UsageError.raise_for(name_problems(logs))
-    log_windows: dict[str, CutLog[Piece]] = {}
+    log_windows: dict[str, CutLog] = {}
     problems: list[InputProblem] = []
     for path in logs:
         file = file_at(path)
@@ -112,19 +116,14 @@ def cut_logs(
         windows = cut(track, motion)
         if windows is None:
             reason = f"no stretch above {vehicle.v_min:.3g} m/s is {long_enough}"
-            reason += f": the longest is {_longest(motion, vehicle):.2g} s"
+            good = motion.settled & (motion.v_x > vehicle.v_min)
+            rows = max((last - first for first, last in stretches(good, motion.part)), default=0)
+            reason += f": the longest is {rows / vehicle.filter.sample_rate:.2g} s"
             remedy = f"use {shorter}, or lower keep.v_min of vehicle.toml"
             problems.append(InputProblem(reason, remedy, str(file)))
         else:
-            log_windows[run_name(file)] = CutLog(
-                motion,
-                windows,
-                names_of_runs(file, track),
-                (*track.missing, *left),
-                str(file),
-                track.sha256,
-                track.epoch,
-            )
+            runs, missing = names_of_runs(file, track), (*track.missing, *left)
+            log_windows[run_name(file)] = CutLog(motion, windows, runs, track, missing, str(file))
     DataError.raise_for(problems)
     return log_windows
 
@@ -141,13 +140,6 @@ def left_out(
     return tuple(messages)
 
 
-def _longest(motion: Motion, vehicle: Vehicle) -> float:
-    """Length [s] of the longest stretch of a log in which the car drives forward."""
-    good = motion.settled & (motion.v_x > vehicle.v_min)
-    rows = [last - first for first, last in stretches(good, motion.part)]
-    return max(rows, default=0) / vehicle.filter.sample_rate
-
-
 def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
     """First row of each unbroken stretch of good rows (n,), and the row after its end;
     ``part`` (n,) numbers the stretches between gaps of the log."""
@@ -156,45 +148,8 @@ def stretches(good: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
     return [(int(first), int(last)) for first, last in ends if good[first]]
 
 
-_MOST = 10_000
-"""Most windows of a log. They overlap, so that more of them hardly change the errors. With
-10,000 windows a replay of 1,000,000 rows at 50 Hz takes 42 s of processor time and 3.5 GB."""
-
-
-def starts_in(
-    each: Sequence[tuple[int, int]], least: int, step: int
-) -> tuple[list[tuple[int, int]], int]:
-    """Starts of windows in stretches, and the rows from one to the next.
-
-    Args:
-        each: first row of each stretch, and the row after its end.
-        least: rows of the shortest window.
-        step: rows from one start to the next; a multiple of it in a long log.
-
-    Returns:
-        (start, end of its stretch) of each window, about :data:`_MOST` or fewer unless
-        there are as many stretches; and the step.
-    """
-    room = sum(max(last - first - least, 0) for first, last in each)
-    step *= max(math.ceil(room / step / _MOST), 1)
-    return [(k, last) for first, last in each for k in range(first, last - least + 1, step)], step
-
-
-def integrated(motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heading and position (n,) of a log of rates, relative to its first sample."""
-    yaw, v_x, v_y = (np.nan_to_num(v) for v in (motion.yaw_rate, motion.v_x, motion.v_y))
-    integral = partial(cumulative_trapezoid, dx=1 / rate, initial=0)
-    heading = integral(yaw)
-    cos, sin = np.cos(heading), np.sin(heading)
-    return heading, integral(v_x * cos - v_y * sin), integral(v_x * sin + v_y * cos)
-
-
-_LEAD = 0.3
+LEAD = 0.3
 """Time [s] of steering before a window, for its delay beyond the stated one."""
-
-_LESS = 0.5  # share of the curvature left unexplained up to which a later steering explains more
-
-_EXACT = 1e-9  # smallest standard error of a state, of a log without noise
 
 CHANNELS = {2: ("v_y", "yaw_rate"), 3: ("heading", "x", "y")}
 """Names of the logged channels of a log of rates, and of one of poses."""
@@ -205,10 +160,13 @@ def windows_of(
 ) -> tuple[Data, np.ndarray] | None:
     """:class:`Data` of a log, and the rows (w, k) of its motion; None without a window."""
     rate = vehicle.filter.sample_rate
-    stated = vehicle.steering.delay if vehicle.steering else 0.0
-    count, lead = round(window * rate) + 1, round((_LEAD + stated) * rate)
+    count, lead = round(window * rate) + 1, round((LEAD + stated_delay(vehicle)) * rate)
     logged, command = logged_channels(track, motion, vehicle)
-    state = states_of(motion, vehicle)
+    fields = State._fields[: 5 if vehicle.columns.motion == POSE else 2]
+    state, noisy = (
+        np.column_stack([getattr(of, name) for name in fields])
+        for of in (motion, with_noise(track, motion, vehicle, np.random.default_rng(0)))
+    )
     steering = road_wheel(replace(motion, command=command), vehicle)
     good = motion.settled & (motion.v_x > vehicle.v_min)
     good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
@@ -222,23 +180,18 @@ def windows_of(
     rows = np.array(starts)[:, None] + np.arange(-lead, count)
     at = rows[:, lead:]
     # The noise of the log, through its filter.
-    noisy = states_of(with_noise(track, motion, vehicle, np.random.default_rng(0)), vehicle)
-    std = np.tile(np.std((noisy - state)[good], axis=0) + _EXACT, (len(at), 1))
+    # Above zero, for a log without noise.
+    std = np.tile(np.std((noisy - state)[good], axis=0) + 1e-9, (len(at), 1))
     cut = motion.v_x[at], steering[rows], logged[at], state[at[:, 0]], std
     return Data(*map(jnp.asarray, cut)), at
 
 
 def cut_in_windows(
     logs: Sequence[str | Path], vehicle: Vehicle, window: float
-) -> dict[str, CutLog[tuple[Data, np.ndarray]]]:
+) -> dict[str, CutLog]:
     """:func:`cut_logs` by :func:`windows_of` of a length [s]."""
-    return cut_logs(
-        listed(logs),
-        vehicle,
-        partial(windows_of, vehicle=vehicle, window=window),
-        f"{window:g} s long",
-        "a shorter window",
-    )
+    cut = partial(windows_of, vehicle=vehicle, window=window)
+    return cut_logs(listed(logs), vehicle, cut, f"{window:g} s long", "a shorter window")
 
 
 def logged_channels(
@@ -254,8 +207,8 @@ def logged_channels(
     ahead, left = vehicle.cg_from_tracked
     command = raw.get("steering")
     if command is None:  # a log with blanks: the filtered one, which has the stated delay
-        late = vehicle.steering.delay if vehicle.steering else 0.0
-        command = np.interp(motion.time + late, motion.time, motion.command, right=np.nan)
+        late = motion.time + stated_delay(vehicle)
+        command = np.interp(late, motion.time, motion.command, right=np.nan)
     if vehicle.columns.motion == POSE:
         yaw = raw["yaw"]
         cos, sin = np.cos(yaw), np.sin(yaw)
@@ -265,16 +218,6 @@ def logged_channels(
     v_y = cos * raw["v_y"] + sin * raw["v_x"] + ahead * raw["yaw_rate"]
     return np.column_stack([v_y, raw["yaw_rate"]]), command
 
-
-def states_of(motion: Motion, vehicle: Vehicle) -> np.ndarray:
-    """States (n, s) of the centre of gravity as measured, filtered: the first of
-    :class:`tirefit.vehicle.car.State`."""
-    place = [motion.heading, motion.x, motion.y] if vehicle.columns.motion == POSE else []
-    return np.column_stack([motion.v_y, motion.yaw_rate, *place])
-
-
-_MOST_SAMPLES = 4000
-"""Largest number of samples of all windows, evenly spread."""
 
 LEAST_WINDOWS = 8
 """Smallest number of windows of a diagnosis."""
@@ -294,26 +237,22 @@ class JoinedWindows(NamedTuple):
 
 
 def joined_windows(
-    log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, tires: Sequence[GivenTire]
+    log_windows: Mapping[str, CutLog], vehicle: Vehicle, tires: Sequence[GivenTire]
 ) -> tuple[JoinedWindows, set[str]]:
     """The windows of all logs, and the needs of effects that they meet."""
-    data, rows, log = [], [], []
-    passed = 0.0
-    for number, part in enumerate(log_windows.values()):
-        motion, (windows, at) = part.motion, part.windows
-        data.append(windows)
-        rows.append(samples_of(motion, at, vehicle, tires, passed))
-        log.append(np.full(len(at), number))
-        passed += float(motion.time[-1] - motion.time[0])
-    whole = jax.tree.map(lambda *part: np.concatenate(part), *data)
-    joint = jax.tree.map(lambda *part: np.concatenate(part), *rows)
-    speed = joint.speed / np.mean(joint.speed)
-    joint = joint._replace(speed=speed, time=joint.time / passed - 0.5)
+    parts, passed = [], 0.0
+    for number, log in enumerate(log_windows.values()):
+        data, at = log.windows
+        rows = samples_of(log.motion, at, vehicle, tires, passed)
+        parts.append(JoinedWindows(data, rows, np.full(len(at), number)))
+        passed += float(np.ptp(log.motion.time))
+    cut: JoinedWindows = jax.tree.map(lambda *part: np.concatenate(part), *parts)
+    speed = cut.rows.speed / np.mean(cut.rows.speed)
+    cut = cut._replace(rows=cut.rows._replace(speed=speed, time=cut.rows.time / passed - 0.5))
     has = {"heading"} if vehicle.columns.motion == POSE else {"rates"}
-    has |= {"acceleration"} if np.std(joint.along) > _VARIES else set()
+    has |= {"acceleration"} if np.std(cut.rows.along) > _VARIES else set()
     has |= {"speeds"} if np.std(speed) > _VARIES else set()
-    cut = JoinedWindows(whole, joint, np.concatenate(log))
-    most = max(_MOST_SAMPLES // speed.shape[1], LEAST_WINDOWS)
+    most = max(4000 // speed.shape[1], LEAST_WINDOWS)  # of 4000 samples, evenly spread
     if len(cut.log) > most:
         kept = np.linspace(0, len(cut.log) - 1, most).round().astype(int)
         cut = jax.tree.map(lambda part: part[kept], cut)
@@ -355,26 +294,41 @@ def _sliding(tire: AbstractTire, load: float, speed: float) -> float:
     return float(3 * peak_ratio(tire, load, speed) * load / slope)
 
 
-def derived_rows(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle, axle: str) -> TireData:
-    """Slip angle and force of an axle by the equations of ``derive``, of all logs.
+def started_tires(
+    tires: Sequence[GivenTire], log_windows: Mapping[str, CutLog], vehicle: Vehicle
+) -> tuple[list[GivenTire], list[TireData], float]:
+    """The tires of both axles, a model given by name fitted to the slip angles and forces of the
+    logs by the equations of ``derive``; these; and the :func:`lateness` of the steering."""
+    late = lateness(log_windows, vehicle)
+    rows = [derived_rows(log_windows, vehicle, axle, late) for axle in AXLES]
+    started = []
+    for tire, of_axle in zip(tires, rows, strict=True):
+        if tire.fit is None and tire.name in MODELS:
+            solved = solve_problem(build(of_axle, tire.name, FitConfig()), FitConfig())
+            layout = solved.problem.layout
+            made = at_estimate(solved.problem.model, layout, solved.z)
+            tire = replace(tire, tire=made, fit=(layout, solved.z, solved.covariance))
+        started.append(tire)
+    return started, rows, late
 
-    Slip angles of the front axle are those of the steering at :func:`lateness`: of a steering that
-    is late, the force may seem to fall with the slip.
-    """
-    late = lateness(log_windows, vehicle) if axle == "front" else 0.0
-    columns: dict[str, list[Any]] = {"alpha": [], "fy": [], "v": [], "run": []}
+
+def derived_rows(
+    log_windows: Mapping[str, CutLog], vehicle: Vehicle, axle: str, late: float
+) -> TireData:
+    """Slip angle and force of an axle by the equations of ``derive``, of all logs, with a steering
+    that is late by a time [s]: as logged, the force may seem to fall with the slip of the front
+    axle."""
+    parts = []
     for log in log_windows.values():
-        motion, (name, *_) = _later(log.motion, late), log.runs
-        alpha, force, speed = slip_and_force(motion, vehicle, axle)
-        good = motion.settled & (motion.v_x > vehicle.v_min)
+        alpha, force, speed = slip_and_force(_later(log.motion, late), vehicle, axle)
+        good = log.motion.settled & (log.motion.v_x > vehicle.v_min)
         good &= (np.abs(alpha) < np.pi / 2) & (speed > 0)  # not while the car spins
-        each: tuple[Any, ...] = alpha[good], force[good], speed[good]
-        for key, values in zip(columns, (*each, [name] * good.sum()), strict=True):
-            columns[key].extend(values)
-    step = max(len(columns["run"]) // _START_ROWS, 1)
-    cells = {k: np.array(v)[::step] for k, v in columns.items()}
-    load = axle_loads(vehicle)[axle == "rear"]
-    return read_frame(cells | {"fz": np.full(len(cells["run"]), load)}, ", ".join(log_windows))
+        parts.append((alpha[good], force[good], speed[good], [log.runs[0]] * good.sum()))
+    columns = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    step = max(len(columns[0]) // _START_ROWS, 1)
+    cells = {k: x[::step] for k, x in zip(("alpha", "fy", "v", "run"), columns, strict=True)}
+    cells["fz"] = np.full(len(cells["run"]), axle_loads(vehicle)[AXLES.index(axle)])
+    return read_frame(cells, ", ".join(log_windows))
 
 
 def _later(motion: Motion, late: float) -> Motion:
@@ -382,12 +336,12 @@ def _later(motion: Motion, late: float) -> Motion:
     return replace(motion, command=np.interp(motion.time - late, motion.time, motion.command))
 
 
-def lateness(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle) -> float:
-    """Delay [s] beyond the stated one, up to :data:`_LEAD`, at which steering and curvature of the
+def lateness(log_windows: Mapping[str, CutLog], vehicle: Vehicle) -> float:
+    """Delay [s] beyond the stated one, up to :data:`LEAD`, at which steering and curvature of the
     path have the largest correlation; 0 if that is negative, as of a reversed steering, or explains
     hardly more of the curvature."""
     correlations = dict[float, float]()
-    for late in np.arange(0.0, _LEAD, 1 / vehicle.filter.sample_rate):
+    for late in np.arange(0.0, LEAD, 1 / vehicle.filter.sample_rate):
         pairs = []
         for log in log_windows.values():
             motion = _later(log.motion, late)
@@ -397,4 +351,5 @@ def lateness(log_windows: Mapping[str, CutLog[Any]], vehicle: Vehicle) -> float:
         correlations[float(late)] = float(np.corrcoef(np.concatenate(pairs, axis=1))[0, 1])
     best = max(correlations, key=lambda late: abs(correlations[late]))
     first, largest = correlations[0.0], correlations[best]
-    return best if largest > 0 and 1 - largest**2 < _LESS * (1 - first**2) else 0.0
+    # It explains more if it leaves half of the curvature that the stated delay leaves.
+    return best if largest > 0 and 1 - largest**2 < 0.5 * (1 - first**2) else 0.0

@@ -39,7 +39,7 @@ _LEAVE_OUT = """\
 mf52, mf61, mf62: rows left out in turn to check the bands (default: the bins of three loads)"""
 _VEHICLE = "the files are logs of this car: fit the tires of both axles to its trajectories"
 _UNKNOWN = """\
---vehicle: also fit this (repeat for more): yaw_inertia, cg_ahead, steering_ratio, \
+--vehicle: also fit this (repeat for more): yaw_inertia, steering_ratio, \
 steering_offset, steering_delay, sideslip_zero (default: steering_offset and steering_delay)"""
 
 

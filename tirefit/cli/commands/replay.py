@@ -8,12 +8,10 @@ import typer
 from tirefit.cli import options as cli
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.readers.remote import file_at
-from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 
 _TIRE = "FIT.json|FILE.tir|MODEL"
 _EFFECTS = "also predict with the effects that tirefit diagnose --vehicle named"
-_MCAP = "also write measured and predicted motion for Foxglove, PlotJuggler"
 FIGURES, PAGE = {"replay.png": "path", "series.png": "series"}, "replay.html"
 FILES = ("replay.json", *FIGURES, PAGE)
 
@@ -32,11 +30,6 @@ def replay(
         cli.option("S", "prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)"),
     ] = None,
     effects: Annotated[cli.File, cli.option("VEHICLE_DIAGNOSIS.json", _EFFECTS)] = None,
-    steering_delay: Annotated[
-        cli.Number,
-        cli.option("S", "delay of the road wheels after the log [s]; default steering.delay"),
-    ] = None,
-    mcap: Annotated[cli.File, cli.path_option("FILE.mcap", _MCAP)] = None,
     seed: cli.Seed = 0,
     html: cli.Html = False,
 ) -> None:
@@ -49,16 +42,11 @@ def replay(
     if not logs:
         reason, remedy = "a log is missing", "name one log or more"
         raise UsageError(InputProblem(reason, remedy))
-    if mcap and mcap.suffix.lower() != ".mcap":
-        raise UsageError(InputProblem("the output is MCAP", "end it in .mcap", str(mcap)))
-    check_results([*(out / name for name in FILES), *([mcap] if mcap else [])])
+    check_results([out / name for name in FILES])
     cli.start_jax()
-    from tirefit.vehicle.mcap import writers
     from tirefit.vehicle.replay import HORIZONS
     from tirefit.vehicle.replay import replay as predicted
 
-    if mcap:
-        writers()  # fails before the work if the library is missing
     with claimed(out):
         with cli.progress_bar("replay", soon=0.0) as progress:
             result = predicted(
@@ -67,13 +55,8 @@ def replay(
                 front,
                 rear,
                 horizons=horizon or HORIZONS,
-                steering_delay=steering_delay,
                 effects=effects,
                 seed=seed,
                 progress=progress,
             )
         write_result(result, out, FILES, FIGURES, PAGE if html else "")
-        if mcap:
-            mcap.parent.mkdir(parents=True, exist_ok=True)
-            write_texts({mcap: result.to_mcap()})
-            cli.say(f"wrote {mcap}")

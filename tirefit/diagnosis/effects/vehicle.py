@@ -50,15 +50,14 @@ if that file states it, and if it does not."""
 def _error(key: str, prepared: "Prepared", rig: Rig) -> tuple[float | None, bool]:
     """Standard error [m, s, share], and whether it or the quantity is stated; None if the
     force was measured and neither is stated."""
-    (name, *errors), derived = _QUANTITIES[key], prepared.derived
+    (name, known, guess), derived = _QUANTITIES[key], prepared.derived
     if key in rig.vehicle:
         return rig.vehicle[key], True
     if derived is None:
         return None, False
     constants = prepared.data.source.constants
-    error = errors[0 if (stated := name in constants) else 1]
-    if key == "clock" and stated:
-        error = constants[name]
+    stated = name in constants
+    error = constants[name] if key == "clock" and stated else known if stated else guess
     if key == "position":
         # The wheelbase, if not stated, is about twice the arm of an axle.
         error *= derived.arm if stated else constants.get("wheelbase", 2 * derived.arm)
@@ -125,8 +124,11 @@ def of_a_known_force(prior: Prior, prepared: "Prepared", rig: Rig) -> Prior:
     name = "fx_std" if prepared.mode == "y" else "fy_std"
     if name not in prepared.data:
         return prior
-    size = _rms(np.asarray(prepared.covariates.across))
-    error = 2 * prior.center * _rms(prepared.column(name)) / max(size, NONZERO)
+    size, std = (
+        float(np.sqrt(np.mean(np.square(values))))
+        for values in (prepared.covariates.across, prepared.column(name))
+    )
+    error = 2 * prior.center * std / max(size, NONZERO)
     return prior._replace(scale=float(np.hypot(prior.scale, error)))
 
 
@@ -146,10 +148,6 @@ def notes_on_motion(rows: "Prepared", rig: Rig) -> tuple[str, ...]:
     if unstated := [of[0] for key, of in _QUANTITIES.items() if not _error(key, rows, rig)[1]]:
         message += f"; vehicle.toml does not state {', '.join(unstated)}: measure them"
     return (message,)
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _late(past: Values, delay: float, rows: Covariates) -> np.ndarray:
