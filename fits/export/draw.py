@@ -16,7 +16,7 @@ import yaml
 
 import tirefit
 from fits.export.avoidance import LOAD, shortest
-from tirefit.report.canvas import BLUE, DARK, GREEN, ORANGE, RED, Picture
+from tirefit.report.canvas import BLUE, DARK, GREEN, ORANGE, RED, WIDE, Picture, panel_title, tidy
 
 jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent
@@ -127,10 +127,10 @@ def properties() -> dict:
 
 
 def main() -> None:
-    picture = Picture(figsize=(9.0, 3.8), layout="constrained")
-    left, right = picture.subplots(1, 2)
+    picture = Picture(figsize=(WIDE, 6.4), layout="constrained")
+    upper, lower = picture.subplots(2, 1)
     data = tirefit.read(HERE / "a_rear.csv")
-    left.plot(
+    upper.plot(
         np.degrees(data["alpha"]),
         -data["fy"] / data["fz"],
         ".",
@@ -138,10 +138,10 @@ def main() -> None:
         color="#bbbbbb",
         label="measured",
     )
-    left.plot(np.degrees(ANGLES), own("a_rear"), color=DARK, label="fitted brush")
+    upper.plot(np.degrees(ANGLES), own("a_rear"), color=DARK, label="fitted brush")
     styles = zip(compared().items(), (BLUE, ORANGE, GREEN), "osD", strict=True)
     for (target, force), color, marker in styles:
-        left.plot(
+        upper.plot(
             np.degrees(ANGLES),
             force,
             marker,
@@ -151,17 +151,17 @@ def main() -> None:
             markevery=12,
             label=target,
         )
-    left.set(xlabel="slip angle [deg]", ylabel="$F_y / F_z$")
-    left.set_title("One tire in three programs", loc="left", fontsize=10)
-    left.legend(frameon=False, fontsize=8)
+    tidy(upper, "slip angle [deg]", "$F_y / F_z$")
+    panel_title(upper, "One tire in three programs")
+    upper.legend(frameon=False, fontsize=8)
     for tires, color in (("a", BLUE), ("d", RED)):
         planned = way(tires)
         label = f"tires {tires.upper()}: {planned.distance:.2f} m"
-        right.plot(planned.x, planned.y, color=color, label=label)
-    right.axhline(0.5, color=DARK, lw=0.8, ls=":")
-    right.set(xlabel="longitudinal distance [m]", ylabel="lateral displacement [m]")
-    right.set_title("Shortest path around, at 4 m/s", loc="left", fontsize=10)
-    right.legend(frameon=False, fontsize=9)
+        lower.plot(planned.x, planned.y, color=color, label=label)
+    lower.axhline(0.5, color=DARK, lw=0.8, ls=":")
+    tidy(lower, "longitudinal distance [m]", "lateral displacement [m]")
+    panel_title(lower, "Shortest path around, at 4 m/s")
+    lower.legend(frameon=False, fontsize=8)
     picture.savefig(HERE / "forces_and_path.png")
 
 

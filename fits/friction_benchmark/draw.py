@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
+from tirefit.report.canvas import COLORS, DARK, GREY, WIDE, Picture, legend_below, panel_title, tidy
 
 __all__ = ["draw"]
 
@@ -18,8 +18,8 @@ def draw(lines: list[dict[str, str]], path: Path) -> None:
         lines: rows of detectors.csv; hollow marks are thresholds that miss a drop.
     """
     uses = sorted({float(line["use"]) for line in lines})
-    picture = Picture(figsize=(8.2, 3.4), layout="constrained")
-    panels = picture.subplots(1, len(uses), sharex=True, sharey=True, squeeze=False)[0]
+    picture = Picture(figsize=(WIDE, 1 + 2.2 * len(uses)), layout="constrained")
+    panels = picture.subplots(len(uses), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     colors = [DARK, *COLORS]
     for axes, use in zip(panels, uses, strict=True):
         here = [line for line in lines if float(line["use"]) == use]
@@ -50,11 +50,11 @@ def draw(lines: list[dict[str, str]], path: Path) -> None:
                 if method == "ekf":
                     axes.plot([], [], _MARKS[k], color=color, label=detector)
         axes.set_xscale("log")
-        axes.set_title(f"{100 * use:.0f} % of the peak", fontsize=9)
-        tidy(axes, "false alarms an hour", "delay [s]" if use == uses[0] else "")
+        panel_title(axes, f"{100 * use:.0f} % of the peak")
+        tidy(axes, "false alarms an hour" if axes is panels[-1] else "", "delay [s]")
         axes.grid(color=GREY, linewidth=0.3)
     for method, style in STYLES.items():
         label = f"on surprises of {method}"
         panels[-1].plot([], [], style, color=DARK, linewidth=0.8, label=label)
-    panels[-1].legend(fontsize=7, frameon=False)
-    picture.savefig(path, dpi=85)
+    legend_below(picture, panels[-1].get_legend_handles_labels()[0])
+    picture.savefig(path)

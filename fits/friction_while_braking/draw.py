@@ -18,7 +18,7 @@ from fits.friction_while_braking.reference import AMPLITUDES, ASYMMETRIES, LESS,
 from tirefit.data.read import read_frame
 from tirefit.online.base import Flag, code
 from tirefit.online.result import changes
-from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
+from tirefit.report.canvas import COLORS, DARK, GREY, WIDE, Picture, legend_below, panel_title, tidy
 from tirefit.sim.braking import Braking, simulate_braking
 
 jax.config.update("jax_enable_x64", True)
@@ -158,15 +158,16 @@ def spread() -> None:
 
 
 def main() -> None:
-    picture = Picture(figsize=(8.2, 4.6), layout="constrained")
-    axes = picture.subplots(2, 3, sharex=True, sharey="row", height_ratios=[1, 2])
-    for (above, below), amplitude in zip(axes.T, AMPLITUDES, strict=True):
+    picture = Picture(figsize=(WIDE, 9.0), layout="constrained")
+    axes = picture.subplots(6, 1, sharex=True, height_ratios=[1, 2] * 3)
+    for above, below, amplitude in zip(axes[::2], axes[1::2], AMPLITUDES, strict=True):
         log, ours, source = estimates(amplitude)
         time = ours.time
         above.plot(time, log.columns["fx"] / 27e3, color=GREY, linewidth=0.3)
         above.plot(time, log.truth["fx"] / 27e3, color=DARK, linewidth=0.8)
-        above.set_title(f"{100 * amplitude:.0f} % of the peak", fontsize=9)
-        tidy(above, "", "$F_x / F_z$ [–]" if amplitude == AMPLITUDES[0] else "")
+        above.set_ylim(-0.05, 0.95)
+        panel_title(above, f"{100 * amplitude:.0f} % of the peak")
+        tidy(above, "", "$F_x / F_z$ [–]")
         target = reference()[f"{100 * amplitude:.0f} %: mu"]
         below.axhline(PEAK, color=DARK, linewidth=0.8, linestyle="--", label="peak")
         below.axhline(target, color=DARK, linewidth=0.8, linestyle=":", label="brush")
@@ -178,32 +179,31 @@ def main() -> None:
             time, source["rls"]["mu"], color=COLORS[3], linewidth=0.8, label="rls, settings of S"
         )
         below.set_ylim(0.2, 1.8)
-        tidy(below, "time [s]", "$\\mu$ [–]" if amplitude == AMPLITUDES[0] else "")
-    axes[1, 2].legend(fontsize=7, frameon=False, ncols=2)
-    picture.savefig(HERE / "friction.png", dpi=70)
+        tidy(below, "time [s]" if below is axes[-1] else "", "$\\mu$ [–]")
+    legend_below(picture, axes[-1].get_legend_handles_labels()[0], columns=3)
+    picture.savefig(HERE / "friction.png")
 
 
 def draw_tires() -> None:
     """S Figure 24, two tires, and 26, two terms with three asymmetries."""
-    picture = Picture(figsize=(8.2, 2.7), layout="constrained")
-    left, middle, right = picture.subplots(1, 3, sharex=True, sharey=True)
-    for axes, amplitude in ((left, 0.5), (middle, 0.75)):
+    picture = Picture(figsize=(WIDE, 6.2), layout="constrained")
+    upper, middle, lower = panels = picture.subplots(3, 1, sharex=True, sharey=True)
+    for axes, amplitude in ((upper, 0.5), (middle, 0.75)):
         _, ours, _ = estimates(amplitude)
         other = second_tire(amplitude)
         for color, run, name in ((COLORS[0], ours, "0.98"), (COLORS[1], other, "0.875")):
             axes.plot(run.time, run["rls"]["mu"], color=color, label=f"peak {name}")
-        axes.set_title(f"rls, {100 * amplitude:.0f} % of the first peak", fontsize=9)
-        tidy(axes, "time [s]", "$\\mu$ [–]" if axes is left else "")
+        panel_title(axes, f"rls, {100 * amplitude:.0f} % of the first peak")
     for color, d in zip(COLORS, ASYMMETRIES, strict=False):
         ours = two_terms(d)
-        right.plot(ours.time, ours["rls"]["mu"], color=color, label=f"d = {d:g}")
-    right.axhline(PEAK, color=DARK, linewidth=0.8, linestyle="--")
-    right.set_title("rls, two terms, 60 %", fontsize=9)
-    right.set_ylim(0.4, 1.6)
-    tidy(right, "time [s]", "")
-    for axes in (left, right):
-        axes.legend(fontsize=7, frameon=False)
-    picture.savefig(HERE / "tires_and_asymmetry.png", dpi=70)
+        lower.plot(ours.time, ours["rls"]["mu"], color=color, label=f"d = {d:g}")
+    lower.axhline(PEAK, color=DARK, linewidth=0.8, linestyle="--")
+    panel_title(lower, "rls, two terms, 60 %")
+    lower.set_ylim(0.4, 1.6)
+    for axes in panels:
+        tidy(axes, "time [s]" if axes is lower else "", "$\\mu$ [–]")
+        axes.legend(fontsize=8, frameon=False, loc="lower right", ncols=3)
+    picture.savefig(HERE / "tires_and_asymmetry.png")
 
 
 if __name__ == "__main__" and "spread" in sys.argv:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fits.posterior_peers.cases import CASES
-from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
+from tirefit.report.canvas import COLORS, DARK, GREY, WIDE, Picture, legend_below, panel_title, tidy
 
 __all__ = ["summary", "write_page"]
 
@@ -131,22 +131,19 @@ def write_page(folder: Path, into: Path) -> None:
 
 
 def draw(cases: dict[str, list[dict]], folder: Path) -> None:
-    """Coverage and width, one column per case; adjacent marks are methods."""
-    picture = Picture(figsize=(8.4, 4.6), dpi=100, layout="constrained")
-    count = [len({row["parameter"] for row in rows}) for rows in cases.values()]
-    panels = picture.subplots(
-        2, len(cases), sharex="col", sharey="row", squeeze=False, width_ratios=count
-    )
+    """Coverage and width, one row per case; adjacent marks are methods."""
+    picture = Picture(figsize=(WIDE, 1.2 + 2.1 * len(cases)), layout="constrained")
+    panels = picture.subplots(len(cases), 2, sharex="row", sharey="col", squeeze=False)
     colors = [DARK, *COLORS, GREY]
-    for (name, rows), (top, bottom) in zip(cases.items(), panels.T, strict=True):
+    for (name, rows), (left, right) in zip(cases.items(), panels, strict=True):
         parameters = list(dict.fromkeys(row["parameter"] for row in rows))
         for k, method in enumerate(METHODS):
             own = [row for row in rows if row["method"] == method]
             if not own:
                 continue
             at = np.arange(len(own)) + 0.1 * (k - len(METHODS) / 2 + 0.5)
-            style = {"color": colors[k], "ms": 4, "label": METHODS[method]}
-            top.errorbar(
+            style = {"color": colors[k], "ms": 3, "label": METHODS[method]}
+            left.errorbar(
                 at,
                 [100 * r["coverage"] for r in own],
                 [100 * r["error"] for r in own],
@@ -154,17 +151,15 @@ def draw(cases: dict[str, list[dict]], folder: Path) -> None:
                 lw=1,
                 **style,
             )
-            bottom.plot(at, [row["width"] for row in own], "o", **style)
-        top.axhline(95, color=GREY, lw=0.8)
-        bottom.axhline(1, color=GREY, lw=0.8)
-        bottom.set_yscale("log")
-        bottom.set_yticks([0.1, 0.2, 0.5, 1, 2], ["0.1", "0.2", "0.5", "1", "2"])
-        bottom.minorticks_off()
-        bottom.set_xticks(range(len(parameters)), parameters)
-        top.set_title(CASES[name].words, fontsize=9)
-        first = top is panels[0, 0]
-        tidy(top, "", "truth inside 95 % interval [%]" if first else "")
-        tidy(bottom, "", "width over emcee's [-]" if first else "")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    picture.legend(handles, labels, loc="outside lower center", ncol=4, fontsize=8)
+            right.plot(at, [row["width"] for row in own], "o", **style)
+        left.axhline(95, color=GREY, lw=0.8)
+        right.axhline(1, color=GREY, lw=0.8)
+        right.set_yscale("log")
+        right.set_yticks([0.1, 0.2, 0.5, 1, 2], ["0.1", "0.2", "0.5", "1", "2"])
+        right.minorticks_off()
+        right.set_xticks(range(len(parameters)), parameters)
+        panel_title(left, CASES[name].words)
+        tidy(left, "", "inside 95 % [%]")
+        tidy(right, "", "width over emcee's [-]")
+    legend_below(picture, panels[0, 0].get_legend_handles_labels()[0])
     picture.savefig(folder / "coverage.png")

@@ -12,6 +12,8 @@ from scipy.stats import norm
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem.layout import FreeParameter, Layout
 from tirefit.fitting.solve.inference import deviance
+from tirefit.fitting.solve.multistart import Solved
+from tirefit.fitting.uncertainty import extremes
 from tirefit.fitting.uncertainty.derived import derived_values, quantities
 from tirefit.fitting.uncertainty.extremes import _bowl
 from tirefit.fitting.uncertainty.posterior import sample
@@ -357,3 +359,22 @@ def test_quantities_of_a_bin_are_at_its_load():
 def test_runs_of_the_same_loads_are_compared_at_one_load():
     result, _ = bins((3000.0, 3000.0 + 10, 3000.0 + 20))
     assert set(result.reference) == {"fz", "v"}
+
+
+def test_a_search_at_a_jump_of_the_deviance_ends(monkeypatch):
+    """The deviance is (value - 1)^2 up to 2 and 9 beyond; the level is 4."""
+    searched = []
+
+    def settled(solved, quantity, z, target, spread):
+        searched.append(target)
+        return z, target, (target - 1) ** 2 if target < 2 else 9.0
+
+    fields = dict.fromkeys(Solved._fields) | {
+        "z": np.ones(1),
+        "covariance": np.eye(1),
+        "level": 4.0,
+    }
+    monkeypatch.setattr(extremes, "_settled", settled)
+    monkeypatch.setattr(extremes, "_bowl", lambda solved, z: (0.0, z, z))
+    end = extremes.extreme(Solved(**fields), lambda z: (1.0, np.ones(1)), 1)
+    assert 2 - 1e-3 < end < 2 and len(searched) < 25

@@ -199,7 +199,14 @@ class FitResult(Record):
     chains: np.ndarray | None = field(default=None, repr=False)
     walkers: np.ndarray | None = field(default=None, repr=False)
 
-    internal: ClassVar[tuple[str, ...]] = ("asked", "problem", "solved", "walkers")
+    internal: ClassVar[tuple[str, ...]] = (
+        "asked",
+        "problem",
+        "solved",
+        "walkers",
+        "files",
+        "limits",
+    )
 
     def __post_init__(self) -> None:
         for name in ("parameters", "least_squares", "derived"):
@@ -226,11 +233,10 @@ class FitResult(Record):
         return "least squares, profile likelihood"
 
     @property
-    def samples(self) -> "xarray.DataTree":
-        """The posterior samples as an xarray DataTree, as in ``posterior.nc``.
+    def samples(self) -> "xarray.Dataset":
+        """The posterior samples by parameter, each (chain, draw), as an xarray Dataset.
 
-        ArviZ 1.x reads it: ``arviz.summary(fit.samples)``; earlier ones read its part
-        ``fit.samples["posterior"].to_dataset()``.
+        Any ArviZ takes it: ``arviz.summary(fit.samples)``. ``posterior.nc`` has the rows too.
 
         Raises:
             UsageError: the fit was not sampled.
@@ -238,14 +244,14 @@ class FitResult(Record):
         Example:
             >>> swept = simulate("rig", values={"mu": 0.9}, seed=1)
             >>> found = sample(fit(swept.columns, "brush"))
-            >>> bool(abs(found.samples["posterior"]["mu"].mean() - 0.9) < 0.01)
+            >>> bool(abs(found.samples["mu"].mean() - 0.9) < 0.01)
             True
         """
         from tirefit.fitting.store import posterior_tree  # it imports this module
 
         if self.walkers is None:
             raise UsageError("the fit was not sampled", "samples = tirefit.sample(fit).samples")
-        return posterior_tree(self)
+        return posterior_tree(self)["posterior"].to_dataset()
 
     def predict(self, data: DataLike) -> dict[str, np.ndarray]:
         """Forces row by row with their standard deviations, as :func:`tirefit.predict`.

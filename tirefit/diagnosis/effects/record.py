@@ -8,7 +8,7 @@ would compile the fifty effects for 15 s of processor time. A tire with effects
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import resources
+from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -127,6 +127,12 @@ class Effect:
     singular: bool = False
     looks_like: tuple[str, ...] = ()
     told_apart_by: str = ""
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Copies and pickles of an effect of a library are that effect: its functions have no
+        name by which they could be copied. An effect of the user is copied by its functions."""
+        package = _PACKAGES.get(self)
+        return (_of_library, (package, self.id)) if package else super().__reduce_ex__(protocol)
 
     @property
     def misleads(self) -> bool:
@@ -248,6 +254,15 @@ Code = dict[str, Callable[..., Any] | dict[str, Any]]
 and ``Samples`` in the place of ``State`` and ``Covariates``."""
 
 
+_PACKAGES: dict[Effect, str] = {}
+"""Effect of a library -> the package that has its table."""
+
+
+def _of_library(package: str, id: str) -> Effect:
+    import_module(f"{package.removesuffix('.effects')}.effects")
+    return next(e for e, place in _PACKAGES.items() if (place, e.id) == (package, id))
+
+
 def library(package: str, codes: Code) -> tuple[Effect, ...]:
     """The effects of ``effects.toml`` in a package, each with its code."""
     tables = tomllib.loads((resources.files(package) / "effects.toml").read_text("utf-8"))
@@ -261,6 +276,7 @@ def library(package: str, codes: Code) -> tuple[Effect, ...]:
         if isinstance(count := fields.get("variants"), int):  # blended one formula each
             fields["variants"] = tuple(tuple(np.eye(count)[k].tolist()) for k in range(count))
         effects.append(Effect(id=id, **fields))
+    _PACKAGES.update(dict.fromkeys(effects, package))
     return tuple(effects)
 
 

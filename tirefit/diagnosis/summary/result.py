@@ -24,7 +24,7 @@ from tirefit.diagnosis.rows.runs import RunOffsets
 from tirefit.diagnosis.rows.structure import Structure
 from tirefit.diagnosis.summary.case import Untestable
 from tirefit.diagnosis.summary.views import Comparison, DataSummary, Region, Shape
-from tirefit.display import Record
+from tirefit.display import ByName, Record
 from tirefit.files import json_safe
 from tirefit.models import MODELS
 from tirefit.params import specs
@@ -319,14 +319,8 @@ class Diagnosis(Record):
     def amplitudes(self) -> Mapping[str, Amplitude]:
         """``effect: amplitude`` -> its value in the fit of the effects that help."""
         helping = {*self.verdict.helping}
-        return next(
-            (
-                candidate.parameters
-                for candidate in self.candidates
-                if {*candidate.effects} == helping
-            ),
-            {},
-        )
+        fits = (c.parameters for c in self.candidates if {*c.effects} == helping)
+        return ByName(next(fits, {}))
 
     @property
     def readings(self) -> Readings | None:

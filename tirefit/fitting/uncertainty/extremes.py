@@ -28,7 +28,11 @@ def _bowl(solved: Solved, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]
 
 
 _SEARCHES = 42
-"""Largest number of searches: of up to 30 the next goes twice as far as the previous one."""
+"""Largest number of searches: of up to 30 the next goes up to twice as far as the previous one."""
+
+_BEYOND = 1.5
+"""How far the next search goes, over the distance at which the root of the deviance would reach
+the level if it went on as a line: far outside the level a search takes ten times as many steps."""
 
 _ENDLESS = 1e3  # multiple of the estimate above which a quantity has no end
 
@@ -82,6 +86,8 @@ def extreme(solved: Solved, quantity: Quantity, sign: int) -> float:
     for _ in range(_SEARCHES):
         if outside is None:
             target, stride = inside + sign * stride, 2 * stride
+        elif abs(outside - inside) < _ON_LEVEL * spread:
+            break  # the deviance jumps here from one valley to another
         else:
             target = inside + np.clip(below / (below - above), 0.1, 0.9) * (outside - inside)
         there, reached, total = _settled(solved, quantity, z, target, spread)
@@ -94,5 +100,8 @@ def extreme(solved: Solved, quantity: Quantity, sign: int) -> float:
         elif not abs(reached) < _ENDLESS * abs(first):
             return float("nan")
         else:
+            if below < excess:
+                ahead = abs(target - inside) * excess / (below - excess)
+                stride = min(stride, _BEYOND * ahead)
             z, value, inside, below = there, reached, target, excess
     return float("nan") if outside is None else value
