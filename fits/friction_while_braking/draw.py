@@ -12,6 +12,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from PIL import Image
 
 import tirefit
 from fits.friction_while_braking.reference import AMPLITUDES, ASYMMETRIES, LESS, reference
@@ -181,7 +182,9 @@ def main() -> None:
         below.set_ylim(0.2, 1.8)
         tidy(below, "time [s]" if below is axes[-1] else "", "$\\mu$ [–]")
     legend_below(picture, axes[-1].get_legend_handles_labels()[0], columns=3)
-    picture.savefig(HERE / "friction.png")
+    picture.savefig(HERE / "friction.png", dpi=90)
+    # 96 colours: bands that overlap have thousands.
+    Image.open(HERE / "friction.png").quantize(96).save(HERE / "friction.png", optimize=True)
 
 
 def draw_tires() -> None:

@@ -106,8 +106,8 @@ def test_predictions_are_written_with_the_inputs_to_plot_them(run, tmp_path):
 
 
 OUTPUTS = {
-    "no folder": ("none/f.csv", "none/f.csv: the folder none does not exist"),
-    "in a file": ("d.csv/f.csv", "d.csv/f.csv: d.csv is a file, not a folder"),
+    "no folder": ("none/f.csv", "none/f.csv: there is no folder none"),
+    "in a file": ("d.csv/f.csv", "d.csv/f.csv: there is no folder d.csv"),
     "a folder": (".", "is a folder, where a file is to be written"),
     "empty": ("", "'--out': it is empty"),
     "an input": ("d.csv", "d.csv: it is an input file ("),

@@ -46,7 +46,7 @@ def test_the_page_of_a_fit_is_linked_to_its_sliders_beside_it(run, unrendered):
         (["."], 3, "neither a fit.json nor a .tir file in this folder"),
         (["brush"] * 7, 3, "7 tires: a page shows 1 to 6"),
         (["brush", "--data", "none.csv"], 3, "none.csv"),
-        (["brush", "--out", "none/tire.html"], 2, "the folder none does not exist"),
+        (["brush", "--out", "none/tire.html"], 2, "there is no folder none"),
         (["brush", "--out", "tire.txt"], 2, "tire.txt: the output is a HTML"),
         (["brusch"], 2, "did you mean brush"),
     ],

@@ -32,7 +32,6 @@ CASES = {
         "o/fit.tir",
         "--like",
     ),
-    "a .tir that is converted": (["convert", "o/fit.tir", "--out", "o"], "o/fit.tir", "FILE"),
     "a tire of a replay": (
         ["replay", LOG, *CAR, "--front", "o/replay.json", "--rear", "brush", "--out", "o"],
         "o/replay.json",

@@ -46,7 +46,7 @@ def test_missing_a_y_is_computed_from_the_speeds(tmp_path, reach):
 def test_without_a_y_a_wrong_sign_of_v_y_is_found_from_the_yaw_rate(tmp_path):
     columns = rates_log()
     columns["vy"] = -columns["vy"]
-    del columns["ay"]
+    del columns["ay"]  # its header says what it is: it would be compared
     path = write(tmp_path / "a.csv", columns)
     log = derive(path, vehicle(tmp_path, CAR + NO_A_Y + KEEP), believe=True)
     assert any("v_y or yaw_rate has the wrong sign" in said for said in log.warnings)
@@ -237,8 +237,7 @@ def test_a_wrong_reference_point_is_not_reported_as_a_wrong_sign(tmp_path):
     for at in (0.0, 0.33):
         settings = vehicle(tmp_path, f"tracked_point = [{at}, 0.0]\n" + text)
         (said,) = derive(F1TENTH / "d.csv.gz", settings).warnings
-        at = re.search(r"tracked_point = \[([\d.]+), 0\]", said)
-        assert float(at[1]) == pytest.approx(0.19, abs=0.005) and "sign" not in said
+        assert "tracked_point = [0.19" in said and "sign" not in said
 
 
 @pytest.fixture

@@ -112,7 +112,10 @@ IN_RATES = {
     "yaw rate in deg/s": (times(c3=DEG), "yaw_rate is in deg/s, but read in rad/s"),
     "yaw rate clockwise": (times(c3=-1), "yaw_rate has the wrong sign"),
     "both": (times(c3=-DEG), "read in rad/s and yaw_rate has the wrong"),
-    "km/h and g": (times(c1=3.6, c2=3.6, c4=1 / 9.80665), "times v_x r, which no unit explains"),
+    "km/h and g": (
+        times(c1=3.6, c2=3.6, c4=1 / 9.80665),
+        "a_y is in g, but read in m/s2 and v_x and v_y are in km/h",
+    ),
     "speeds exchanged": (exchange("c1", "c2"), "v_x and v_y are exchanged"),
     "a_y for the yaw rate": (exchange("c3", "c4"), "a_y and yaw_rate are exchanged"),
     "dead a_y": (times(c4=0), "a_y does not follow v_x r + dv_y/dt"),
@@ -345,6 +348,20 @@ def test_units_are_read_from_header_units_row_or_user(tmp_path):
     wrong = dict(zip(("time", "v [rad/s]", *names[2:]), values, strict=True))
     with pytest.raises(DataError, match="'rad/s' is not a unit of speed"):
         derived(tmp_path, wrong, columns | {"v_x": "v [rad/s]"})
+
+
+def test_an_unnamed_column_is_compared_but_refuses_nothing(tmp_path):
+    log = log_of()
+    log["a_x"] = log["c5"] / 9.80665
+    result = derived(tmp_path, log, RATES)
+    (said,) = result.warnings
+    assert "a_x is in g" in said and "[columns] does not name it" in said
+    # A column without numbers is not a channel.
+    log["a_x"] = np.array(["x"] * len(log["time"]))
+    path = tmp_path / "text.csv"
+    cells = [",".join(map(str, row)) for row in zip(*log.values(), strict=True)]
+    path.write_text("\n".join([",".join(log), *cells]))
+    assert derive(path, vehicle(tmp_path, RATES)).warnings == ()
 
 
 def test_a_steady_circle_with_a_mirrored_v_y_is_refused(tmp_path):

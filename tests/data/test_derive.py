@@ -441,6 +441,21 @@ def test_a_clean_log_raises_no_doubt(tmp_path):
     assert log.warnings == () and "warning" not in log.summary()
 
 
+def test_rows_near_an_edge_are_reported(tmp_path):
+    path = write_log(tmp_path / "a.csv", pose_log())
+    log = derive(path, pose_vehicle(tmp_path, after="margin = 0.05\n"))
+    (said,) = log.warnings
+    # 0.3 s of settling less the margin, at both ends, at 100 Hz.
+    assert said.startswith("50 samples are within 0.3 s of an edge")
+    assert "warning: 50 samples" in log.summary()
+
+
+def test_noise_removed_by_the_filter_is_reported(tmp_path):
+    path = write_log(tmp_path / "a.csv", pose_log(noise=30.0))
+    said = " ".join(derive(path, pose_vehicle(tmp_path)).warnings)
+    assert "of the variance of fy lies above 2.8 Hz" in said
+
+
 def test_a_matlab_log_gives_the_result_of_its_text_file(tmp_path):
     columns = pose_log()
     settings = pose_vehicle(tmp_path)

@@ -194,10 +194,19 @@ def test_prepared_data_can_be_fitted():
     script, rng = cornering(7055, rate=50, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng)
     result = prepared(seen)
-    data = result.to_data()
+    data, by_bin, by_segment = (result.to_data(by) for by in ("run", "bin", "segment"))
     assert "2 bins" in repr(result) and data.n == result.kept.sum()
     np.testing.assert_array_equal(data.usable("fy"), result.columns["fy"][result.kept])
-    assert data.runs == ("data",)
+    assert len(by_bin.runs) == 2 and data.runs == ("data",)
+    for code, name in enumerate(by_bin.runs):
+        rows = by_bin.used & (by_bin.run == code)
+        load = np.median(by_bin["fz"][rows])
+        assert float(name.split()[0]) == pytest.approx(load, rel=0.03)
+    swept = [p for p in result.segments if p.kind in ("sweep", "steady")]
+    kept = [p for p in swept if result.kept[p.begin : p.end].any()]
+    assert len(by_segment.runs) == len(kept)
+    with pytest.raises(UsageError, match="by = 'load'"):
+        result.to_data("load")
 
 
 def warmed_in(gamma=4 * DEG, keep_on=False):
@@ -229,10 +238,12 @@ def swept_rows(result, gamma):
     return sum(int(result.kept[p.begin : p.end].sum()) for p in parts), parts
 
 
-def test_a_condition_within_the_warm_up_is_cut_unless_its_end_is_declared():
+def test_a_condition_that_is_lost_in_the_warm_up_is_reported():
     _, seen = warmed_in()
     result = prepared(seen)
     assert swept_rows(result, 4 * DEG)[0] == 0
+    (note,) = [note for note in result.notes if "no kept rows" in note]
+    assert "1 of 2 conditions have no kept rows: 4 deg (alpha) (if" in note and "--warm-up" in note
     rows, parts = swept_rows(result, 0.0)
     assert rows and any(p.kind == "warm-up" for p in parts)
     assert swept_rows(prepared(seen, warm_up=2.0), 4 * DEG)[0]

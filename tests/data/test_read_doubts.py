@@ -112,8 +112,8 @@ LOGGED_WRONG = {
         {"omega": 40.0, "v": 12.0},
         "check the rolling radius",
     ),
-    "mirrored": (lambda kappa: -kappa, {}, "the sign (--convention)"),
-    "twice": (lambda kappa: 2 * kappa, {}, "the unit"),
+    "mirrored": (lambda kappa: -kappa, {}, "the opposite sign: declare the file's"),
+    "twice": (lambda kappa: 2 * kappa, {}, "it agrees if divided by 2:"),
 }
 
 
@@ -133,6 +133,15 @@ def test_a_slip_that_contradicts_the_speeds_is_reported(logged, others, said):
     text = next(text for text in source.warnings if "contradicts (v" in text)
     assert text == f"column 'kappa': {check.text}" and said in text
     assert f": by {apart:.3g} in the median" in text
+
+
+def test_a_slip_by_another_rolling_radius_is_reported_with_it():
+    turning = speeds(KAPPA)
+    sigma = turning["v"] / (turning["omega"] * 0.33) - 1
+    columns = frame(sigma, header="sigma_x", **turning)
+    columns["fx"] = LOAD * np.tanh(12 * sigma)
+    (text,) = warned(columns, rolling_radius=0.3, **BRAKING)
+    assert text.endswith("a rolling radius of 0.33 m would give it, not 0.3 m")
 
 
 def _bounded(kappa):

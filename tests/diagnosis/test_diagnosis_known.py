@@ -254,8 +254,6 @@ def test_tires_that_differ_from_run_to_run_are_named(frictions, stiffnesses, nam
         shown = np.array([told.values[f"r{k}"] for k in range(len(own))])
         np.testing.assert_allclose(shown[:, 0], own, atol=0.02)
         assert np.all(shown[:, 1] < 0.02) and told.p_value < 1e-9
-        whole = " ".join(diagnosis_text(found, full=True).split())
-        assert "friction: 2 runs, standard" in whole or "4 runs, standard" in whole
 
 
 def test_a_step_between_two_runs_is_a_run_effect():

@@ -339,8 +339,6 @@ def test_different_offsets_of_runs_are_reported_with_their_spread():
     assert np.all(np.abs(own[:, 0] - offsets) < 4 * own[:, 1])
     assert told.spread == pytest.approx(np.std(offsets, ddof=1), rel=0.2)
     assert told.p_value < 1e-6
-    said = " ".join(diagnosis_text(found, full=True).split())
-    assert "standard deviation between runs 0.00" in said and "r0 0.00" in said
     # One zero for all is one, and no spread.
     same = diagnose(read_frame(of_runs([0.004] * 5)), rig=rig, effects=effects)
     assert same.effects == ("slip_offset",)

@@ -90,7 +90,7 @@ def test_estimate_at_its_bound_has_a_one_sided_interval():
     # The lower end is where the sum of squares has risen by 3.84.
     np.testing.assert_allclose(least(m.ci95[0]) - least(1.0), 3.841, rtol=0.02)
     assert result.status == "at a bound"
-    assert "m; the interval is one-sided" in " ".join(result.warnings)
+    assert "the interval of m is one-sided" in " ".join(result.warnings)
 
 
 def test_bounds_away_from_the_first_guess_do_not_trap_the_fit():

@@ -1,6 +1,8 @@
 """Replays of logs of a known car."""
 
+import io
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -266,6 +268,69 @@ def test_the_axle_of_a_tir_file_has_two_tires():
     # The other tire is the mirror image: its force is that of the reverse slip.
     assert one(alpha) != pytest.approx(-one(-alpha), rel=1e-3)
     assert float(found) == pytest.approx(one(alpha) - one(-alpha), rel=1e-9)
+
+
+def messages(content):
+    """Topic -> times [s], and values by name, as the library reads them."""
+    reader = pytest.importorskip("mcap.reader")
+    found = {}
+    for schema, channel, message in reader.make_reader(io.BytesIO(content)).iter_messages():
+        assert schema.encoding == "jsonschema" and channel.message_encoding == "json"
+        values = json.loads(message.data)
+        assert set(values) <= set(json.loads(schema.data)["properties"])
+        found.setdefault(channel.topic, []).append({"t": message.log_time / 1e9, **values})
+    return {
+        topic: {key: np.array([row[key] for row in rows]) for key in rows[0]}
+        for topic, rows in found.items()
+    }
+
+
+def test_the_channels_of_mcap_are_the_log_and_have_the_errors_of_the_replay(drive, tmp_path):
+    """Predicted less measured at the same time has the rms of the replay, which is of a linear
+    tire here, so that it is no rounding. The stamps are absolute, as those of the log."""
+    head, *rows = (drive / "exact.csv").read_text().splitlines()
+    log = np.array([row.split(",") for row in rows], float)
+    log[:, 0] += 1.7e9
+    path = tmp_path / "exact.csv"
+    np.savetxt(path, log, "%.17g", ",", header=head, comments="")
+    weak = Brush(cpa2=0.7 * FRONT.cpa2, mu=FRONT.mu)
+    result = replay([path], drive / "vehicle.toml", weak, REAR)
+    found = messages(result.to_mcap())
+    measured = found.pop("/exact/measured")
+    for k, name in ((1, "x_m"), (2, "y_m"), (3, "heading_rad")):
+        np.testing.assert_allclose(
+            measured[name], np.interp(measured["t"], log[:, 0], log[:, k]), atol=0.01
+        )
+    rms = result.models["tire"].rms()
+    assert [*found] == [f"/exact/predicted_{1000 * h:.0f}_ms_ahead" for h in HORIZONS]
+    units = {"yaw_rate": "rad_per_s", "a_y": "m_per_s2", "heading": "rad"}
+    for k, (topic, one) in enumerate(found.items()):
+        assert len(one["t"]) == result.windows[k]
+        for name, unit in units.items():
+            at = np.searchsorted(measured["t"], one["t"] - 1e-6)
+            missed = one[f"{name}_{unit}"] - measured[f"{name}_{unit}"][at]
+            assert np.sqrt(np.mean(missed**2)) == pytest.approx(rms[name][k], rel=1e-6), topic
+    assert rms["yaw_rate"][2] > 0.02
+
+
+def test_the_command_writes_mcap_and_replaces_only_its_own(drive, tmp_path, monkeypatch):
+    pytest.importorskip("mcap")
+    out = tmp_path / "made" / "lap.mcap"
+    line = ["replay", f"{drive}/exact.csv", "--vehicle", f"{drive}/vehicle.toml"]
+    line += ["--front", "brush", "--rear", "brush", "--horizon", "0.5", "--out", str(tmp_path)]
+    for _ in range(2):
+        done = CliRunner().invoke(app, [*line, "--mcap", str(out)])
+        assert done.exit_code == 0 and f"wrote {out}" in done.stdout
+    assert "/exact/predicted_500_ms_ahead" in messages(out.read_bytes())
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"a recording")
+    for file, code, said in ((other, 3, "did not write it"), (drive / "exact.csv", 2, ".mcap")):
+        done = CliRunner().invoke(app, [*line, "--mcap", str(file)])
+        assert done.exit_code == code and said in done.stderr
+    assert other.read_bytes() == b"a recording"
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    done = CliRunner().invoke(app, [*line, "--mcap", str(out)])
+    assert done.exit_code == 2 and "pip install 'tirefit[logs]'" in done.stderr
 
 
 def test_wrong_requests_are_refused(drive, tmp_path):

@@ -73,7 +73,7 @@ def check_inputs_kept(made: Iterable[Path], inputs: Iterable[object] = ()) -> No
     DataError.raise_for(replaced_inputs(made, {**_named_files(), "": inputs}))
 
 
-_WRITTEN = ("out", "truth")
+_WRITTEN = ("out", "truth", "mcap")
 """Options that name files to write."""
 
 
@@ -111,7 +111,7 @@ def _is_of_others(path: Path, made: Collection[Path]) -> bool:
         return False
     if not content.strip() or _OURS.get(path.suffix, b"tirefit") in content:
         return False
-    if path.suffix in (".json", ".toml", ".html"):
+    if path.suffix in (".json", ".toml", ".html", ".mcap"):
         return True
     documents = [p for p in made if p.suffix in (".json", ".html") and p.parent == path.parent]
     return bool(documents) and all(not _is(p) or _is_of_others(p, ()) for p in documents)

@@ -109,6 +109,20 @@ _RULES = (
 )
 
 
+def drop_absent_noise(columns: dict[str, np.ndarray], headers: dict[str, str]) -> list[str]:
+    """Remove the noise of a slip that is zero in all rows, and return a sentence on each."""
+    slips = ("alpha", *SLIP_DEFINITIONS)
+    stds = [
+        name for name in columns if name.endswith("_std") and name.removesuffix("_std") in slips
+    ]
+    zero = [name for name in stds if not columns[name].any()]
+    for name in zero:
+        del columns[name]
+    return [
+        f"column {headers.pop(name, name)!r} is zero in all rows: no slip noise" for name in zero
+    ]
+
+
 def range_faults(
     columns: Mapping[str, np.ndarray], shown: Mapping[str, np.ndarray], headers: Mapping[str, str]
 ) -> list[BadRows]:

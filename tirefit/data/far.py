@@ -45,7 +45,7 @@ def far_values(
         columns: those to check; names that the data lack are ignored.
         locking: whether large slips sigma_x may be those of a wheel that locks.
     """
-    rows, by_place = np.flatnonzero(data.used), {}
+    rows, by_place = np.flatnonzero(data.used), dict[tuple[int, str], FarValue]()
     for column in columns:
         values = data.usable(column) if column in data else np.zeros(0)
         if len(values) < _FEWEST or not np.all(np.isfinite(values)):

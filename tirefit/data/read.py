@@ -197,20 +197,21 @@ def _checked(table: Table, options: Options) -> TireData:
     read_as = options.signs(table.layout, plan.columns, table.file)
     reading = _Reading(table, options, plan, read_as)
     lines = table.header_line, table.units_line or table.header_line
-    beside = {column.header for column in plan.columns.values() if column.beside}
-    reading.problems = [replace(p, row=lines[p.column in beside]) for p in plan.problems]
+    by_row = {column.header for column in plan.columns.values() if column.beside}
+    reading.problems = [replace(p, row=lines[p.column in by_row]) for p in plan.problems]
     reading.problems += read_as.problems
     reading.faults += table.faults
     reading.doubts += table.doubts
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)
+    reading.assumptions += check.drop_absent_noise(reading.columns, reading.headers)
     reading.faults += check.range_faults(reading.columns, reading.shown, reading.headers)
     definition = plan.slip or "sigma_x"
     if plan.slip is not None and plan.slip in reading.columns:  # not a constant
         _slip_to_sigma(reading, plan.slip)
     if options.rolling_radius is not None:
-        _use_rolling_radius(reading, options.rolling_radius)
+        _use_rolling_radius(reading, definition, options.rolling_radius)
     if options.forces and options.curve and not reading.bad().all():
         for name in FORCES:  # those that are zero in all rows were not measured
             if name in reading.columns and not np.any(reading.columns[name][~reading.bad()]):
@@ -245,8 +246,8 @@ def _checked(table: Table, options: Options) -> TireData:
         line=table.lines,
         constants=table.constants,
     )
-    beside = (f"{c}{end}" for c in CANONICAL for end in ("", "_std", "_sim"))
-    ordered = {name: reading.columns[name] for name in beside if name in reading.columns}
+    names = (f"{c}{end}" for c in CANONICAL for end in ("", "_std", "_sim"))
+    ordered = {name: reading.columns[name] for name in names if name in reading.columns}
     return TireData(table.name, ordered, ~reading.bad(), run, runs, source)
 
 
@@ -350,7 +351,7 @@ def _note_limits(reading: _Reading, header: str) -> None:
             reading.assumptions.append(note)
 
 
-def _use_rolling_radius(reading: _Reading, radius: float) -> None:
+def _use_rolling_radius(reading: _Reading, definition: str, radius: float) -> None:
     """Compute sigma_x = (v - omega R) / (omega R), or compare the slip column with it."""
     columns = reading.columns
     if without := " and ".join(name for name in ("omega", "v") if name not in columns):
@@ -363,7 +364,9 @@ def _use_rolling_radius(reading: _Reading, radius: float) -> None:
         good = ~reading.bad() & np.isfinite(sigma + columns["sigma_x"])
         if good.any():
             header = reading.headers.get("sigma_x", "sigma_x")  # a constant has no header
-            compared = signs.check_slip(columns["sigma_x"][good], sigma[good], radius)
+            given = columns["sigma_x"][good]
+            alpha = columns["alpha"][good] if "alpha" in columns else None
+            compared = signs.check_slip(given, sigma[good], definition, alpha, radius)
             reading.slip_check = compared
             reading.doubts += [f"column {header!r}: {compared.text}"] if compared.text else []
         return

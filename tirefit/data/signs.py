@@ -6,7 +6,7 @@ tire pushes to the side to which it leans, and a brake slows the wheel.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from tirefit.data.columns import Plan
 from tirefit.data.declared import Signs
 from tirefit.data.table import CANONICAL, SlipCheck
-from tirefit.data.units import slip_from_sigma
+from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, slip_ratio_from_sigma
 
@@ -217,26 +217,66 @@ def _undeclared(
     ]
 
 
-def check_slip(given: np.ndarray, computed: np.ndarray, radius: float) -> SlipCheck:
+_SLIGHT = 0.002  # difference of slips that rounding of a rolling radius may cause
+
+
+def check_slip(
+    given: np.ndarray,
+    computed: np.ndarray,
+    definition: str,
+    alpha: np.ndarray | None,
+    radius: float,
+) -> SlipCheck:
     """Compare a slip column with (v - omega R) / (omega R).
 
     Args:
         given: (n,) sigma_x of the slip column.
         computed: (n,) sigma_x of the speeds.
+        definition: in which the slip column was read, a key of ``SLIP_DEFINITIONS``.
+        alpha: (n,) slip angle [rad], if there is one.
         radius: R [m].
 
     Returns:
-        Their difference and, if it contradicts the slip, a sentence on it.
+        Their difference, and a sentence on its probable cause: the one that explains two
+        thirds of it.
     """
-    given, computed = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
-    difference = float(np.median(abs(given - computed)))
+    rolled = slip_ratio_from_sigma(computed)
+
+    def apart(sigma: np.ndarray) -> float:
+        return float(np.median(abs(slip_ratio_from_sigma(sigma) - rolled)))
+
+    def causes() -> Iterator[tuple[str, np.ndarray]]:
+        """Sentence on a cause -> the slip sigma_x (n,) that would then be right."""
+        logged = slip_from_sigma(given, definition, alpha)
+        meant = slip_from_sigma(computed, definition, alpha)
+        mirrored = "it has the opposite sign: declare the file's --convention"
+        yield mirrored, slip_to_sigma(-logged, definition, alpha)
+        for other in ("kappa", "sigma_x", "slip_ratio"):
+            if other != definition and (definition, other) != ("s", "kappa"):
+                text = f"it agrees if read as {other}: pass --slip {other}"
+                yield text, slip_to_sigma(logged, other)
+        clear = abs(meant) > max(np.median(abs(meant)), _SLIGHT)
+        factor = np.median(logged[clear] / meant[clear]) if clear.any() else 0.0
+        if factor > 0:
+            text = f"it agrees if divided by {factor:.3g}: check its unit and scale"
+            yield text, slip_to_sigma(logged / factor, definition, alpha)
+        ratio = np.median((1 + given) / (1 + computed))
+        text = f"a rolling radius of {radius / ratio:.4g} m would give it, not {radius:g} m"
+        yield text, (1 + given) / ratio - 1
+
+    difference = apart(given)
     # Median difference of slip ratios that noise and an offset of the slip may cause; a fifth of
     # the scatter of the slips if that is larger.
-    if difference <= max(0.01, 0.2 * np.std(given)):
-        return SlipCheck(radius, difference, False)
-    text = f"the slip contradicts (v - omega R)/(omega R): by {difference:.3g} in the median; check"
-    text += " the rolling radius, the slip definition (--slip), the sign (--convention), the unit"
-    return SlipCheck(radius, difference, True, text)
+    contradicts = difference > max(0.01, 0.2 * np.std(slip_ratio_from_sigma(given)))
+    possible = dict(causes())
+    cause = min(possible, key=lambda text: apart(possible[text]))
+    if difference <= _SLIGHT or apart(possible[cause]) > difference / 3:
+        cause = "check the rolling radius, the slip definition (--slip), the units"
+        if not contradicts:
+            return SlipCheck(radius, difference, False)
+    verb = "contradicts" if contradicts else "differs from"
+    text = f"the slip {verb} (v - omega R)/(omega R): by {difference:.3g} in the median; {cause}"
+    return SlipCheck(radius, difference, contradicts, text)
 
 
 # --- units ------------------------------------------------------------------------------

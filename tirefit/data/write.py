@@ -27,7 +27,7 @@ def output_problems(path: str | os.PathLike[str], ending: str = "") -> list[Inpu
     folder, other = path.parent, "choose another name with --out"
     checks = (
         (path.is_dir(), "is a folder, where a file is to be written", other),
-        (not folder.is_dir(), f"the folder {folder} does not exist", "make it first"),
+        (not folder.is_dir(), f"there is no folder {folder}", "make it first"),
         (not os.access(folder, os.W_OK | os.X_OK),
          f"no permission to write into the folder {folder.resolve()}", other),
         (ending and path.suffix.lower() != ending,
@@ -136,7 +136,8 @@ def _table(
     file is read back with the same units."""
     source, inputs = data.source, to_convention(data, {name: data[name] for name in names})
     # 12 digits: 0.1 converted to sigma_x and back is 0.1 again, as in the file.
-    table = {k: [float(f"{v:.12g}") for v in values] for k, values in inputs.items()} | {**beside}
+    table: dict[str, Any] = {k: [float(f"{v:.12g}") for v in x] for k, x in inputs.items()}
+    table |= beside
     if len(data.runs) > 1:
         table = {"run": [data.runs[code] for code in data.run]} | table
     for name in source.units_beside:

@@ -200,7 +200,7 @@ class AbstractSingleSample(AbstractEstimator):
 
     def update(self, state: Single, sample: Sample) -> Updated:
         made, usable, flag = self.from_sample(sample)
-        return choose(usable, made, state), flag, jnp.nan
+        return choose(usable, made, state), flag, jnp.asarray(jnp.nan)
 
     def estimate(self, state: Single) -> Estimate:
         return Estimate(*state)

@@ -82,7 +82,7 @@ def seen(y: Numbers, m: Numbers, y_std: Numbers = 0.0, m_std: Numbers = 0.0) -> 
 
     force_fits = (y + y_room >= LEAST_FORCE) & (y - y_room <= MOST_FRICTION)
     between = (moment(LEAST_FRICTION) - m_room <= m) & (m <= moment(MOST_FRICTION) + m_room)
-    return force_fits & between
+    return jnp.asarray(force_fits & between)
 
 
 class TireSensor(AbstractSingleSample):

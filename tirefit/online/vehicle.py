@@ -71,7 +71,7 @@ def brush_share(sigma_x: Array, alpha: Array, stiffness: Scalar, mu: Scalar) -> 
     sigma_y = jnp.tan(alpha) * (1 + sigma_x)
     # Not exactly zero at rest, where its direction is not differentiable.
     slip = jnp.sqrt(sigma_x * sigma_x + sigma_y * sigma_y + 1e-20)
-    force = mu * mu_rate(slip, stiffness, mu)
+    force = jnp.asarray(mu * mu_rate(slip, stiffness, mu))
     return force * sigma_x / slip, force * sigma_y / slip
 
 

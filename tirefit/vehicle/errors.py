@@ -45,9 +45,9 @@ class Measured(NamedTuple):
     """Windows of a log: times and speed (w, k), wheel angle (w, l + k), which begins l samples
     before; the measured series, NaN beyond the end of each; and samples of the effects."""
 
-    time: np.ndarray
-    v_x: np.ndarray
-    steering: np.ndarray
+    time: Any
+    v_x: Any
+    steering: Any
     series: Series
     samples: Samples | None = None
 
@@ -90,12 +90,13 @@ FEWEST = 16
 
 
 class Fans(NamedTuple):
-    """Measured and predicted series of each window of a log, at times (w, k) [s], NaN beyond its
-    end."""
+    """Measured and predicted series of each window of a log, at times (w, k) [s] after
+    ``epoch``, NaN beyond its end."""
 
     time: np.ndarray
     measured: Series
     predicted: Series
+    epoch: float = 0.0
 
 
 def turning(fans: Iterable[Fans], horizon: float) -> tuple[float, float] | None:

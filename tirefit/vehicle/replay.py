@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ import numpy as np
 
 from tirefit import __version__
 from tirefit.data.merged import merged
+from tirefit.data.records import Row, frame
 from tirefit.data.vehicle.motion import Motion, not_ahead, road_wheel, with_noise
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import POSE, Vehicle
@@ -58,6 +59,7 @@ from tirefit.vehicle.errors import (
     integrated,
     turning,
 )
+from tirefit.vehicle.mcap import recorded
 from tirefit.vehicle.windows import (
     LEAD,
     CutLog,
@@ -67,6 +69,9 @@ from tirefit.vehicle.windows import (
     steering_problems,
     stretches,
 )
+
+if TYPE_CHECKING:
+    import pandas
 
 SCHEMA = "tirefit.replay/1"
 
@@ -186,6 +191,22 @@ class Replay(Record):
             "notes": self.notes,
         }
 
+    def to_frame(self) -> "pandas.DataFrame":
+        """The rms errors as a pandas data frame: columns kind (the model), name (the
+        quantity and the horizon in s), value, unit."""
+        rows = [
+            Row(model, f"{name} {horizon:g}", value, unit=QUANTITIES[name])
+            for model, errors in self.models.items()
+            for name, values in errors.rms().items()
+            for horizon, value in zip(self.horizons, values, strict=True)
+        ]
+        return frame(rows)[["kind", "name", "value", "unit"]]
+
+    def to_mcap(self) -> bytes:
+        """The content of an MCAP file with the measured and the predicted motion of each log, for
+        Foxglove and PlotJuggler; see :func:`tirefit.vehicle.mcap.recorded`."""
+        return recorded(self)
+
     def files(self, name: str = "") -> dict[str, str]:
         """``replay.json``."""
         return {"replay.json": self.to_json()}
@@ -250,7 +271,7 @@ def replay(
         if rows is None:
             return None
         at, there, steered = rows
-        samples = named and named.samples(motion, at, vehicle, tires)
+        samples = None if named is None else named.samples(motion, at, vehicle, tires)
         windows = []
         noisy = [with_noise(track, motion, vehicle, generator) for _ in range(NOISES)]
         for log in (motion, *noisy):
@@ -300,7 +321,8 @@ def _fans(log_windows: Mapping[str, CutLog], prediction: Series) -> dict[str, Fa
         rows = slice(first, first + len(windows.v_x))
         first, there = rows.stop, np.isfinite(windows.series["a_y"])
         of_log = {k: np.where(there, x[rows], np.nan) for k, x in prediction.items()}
-        fans[name] = Fans(np.where(there, windows.time, np.nan), windows.series, of_log)
+        time = np.where(there, windows.time, np.nan)
+        fans[name] = Fans(time, windows.series, of_log, log.track.epoch)
     return fans
 
 
@@ -386,8 +408,8 @@ def _series(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
     """The measured series (n,) of a log."""
     heading, x, y = motion.heading, motion.x, motion.y
     if vehicle.columns.motion != POSE:
-        rates = (np.nan_to_num(x) for x in (motion.yaw_rate, motion.v_x, motion.v_y))
-        heading, x, y = integrated(*rates, vehicle.filter.sample_rate)
+        turn, ahead, left = (np.nan_to_num(x) for x in (motion.yaw_rate, motion.v_x, motion.v_y))
+        heading, x, y = integrated(turn, ahead, left, vehicle.filter.sample_rate)
     state = State(motion.v_y, motion.yaw_rate, heading, x, y)
     return state._asdict() | {"a_y": motion.a_y}
 

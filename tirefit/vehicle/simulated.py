@@ -143,8 +143,8 @@ def compare_with_simulator(
     if no_slip := _no_slip(simulated.values(), sim_vehicle):
         states = tuple(Source(name, "states", file) for name, file in files.items())
         return Comparison(sources=states, meanings=(no_slip,))
-    given = axle_tire(front), axle_tire(rear)
-    tires, _, _ = started_tires(given, log_windows, stated)
+    axles = axle_tire(front), axle_tire(rear)
+    tires, _, _ = started_tires(axles, log_windows, stated)
     car = studied(log_windows, stated, tires, library, window, tell)
     noisy = _noisy(simulated, car.base.noise)
     simulator = studied(noisy, sim_vehicle, tires, library, window, tell)

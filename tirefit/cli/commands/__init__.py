@@ -11,7 +11,7 @@ from tirefit import __version__
 COMMANDS = {
     "demo": "Fit and diagnose measured samples that ship with tirefit.",
     "fit": "Fit a model to measurements: parameters with intervals, figures, report.",
-    "convert": "Convert a Magic Formula to a brush or another version.",
+    "convert": "Convert a Magic Formula to a brush.",
     "export": "Write a tire as source code or as a file of another program.",
     "explore": "Write a page with sliders: forces, friction ellipse, stiffness and peak of tires.",
     "replay": "Predict measured drives of a car from its tires; report the error over time.",

@@ -8,9 +8,11 @@ import typer
 from tirefit.cli import options as cli
 from tirefit.cli.output import check_results, claimed, write_result
 from tirefit.data.readers.remote import file_at
+from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
 
 _TIRE = "FIT.json|FILE.tir|MODEL"
+_MCAP = "also write measured and predicted motion for Foxglove, PlotJuggler"
 _EFFECTS = "also predict with the effects that tirefit diagnose --vehicle named"
 FIGURES, PAGE = {"replay.png": "path", "series.png": "series"}, "replay.html"
 FILES = ("replay.json", *FIGURES, PAGE)
@@ -30,6 +32,7 @@ def replay(
         cli.option("S", "prediction time [s] (repeat for more; default: 0.25, 0.5, 1, 2, 5)"),
     ] = None,
     effects: Annotated[cli.File, cli.option("VEHICLE_DIAGNOSIS.json", _EFFECTS)] = None,
+    mcap: Annotated[cli.File, cli.path_option("FILE.mcap", _MCAP)] = None,
     seed: cli.Seed = 0,
     html: cli.Html = False,
 ) -> None:
@@ -42,11 +45,16 @@ def replay(
     if not logs:
         reason, remedy = "a log is missing", "name one log or more"
         raise UsageError(InputProblem(reason, remedy))
-    check_results([out / name for name in FILES])
+    if mcap and mcap.suffix.lower() != ".mcap":
+        raise UsageError(InputProblem("the output is MCAP", "end it in .mcap", str(mcap)))
+    check_results([*(out / name for name in FILES), *([mcap] if mcap else [])])
     cli.start_jax()
+    from tirefit.vehicle.mcap import writers
     from tirefit.vehicle.replay import HORIZONS
     from tirefit.vehicle.replay import replay as predicted
 
+    if mcap:
+        writers()  # fails before the work if the library is missing
     with claimed(out):
         with cli.progress_bar("replay", soon=0.0) as progress:
             result = predicted(
@@ -60,3 +68,7 @@ def replay(
                 progress=progress,
             )
         write_result(result, out, FILES, FIGURES, PAGE if html else "")
+        if mcap:
+            mcap.parent.mkdir(parents=True, exist_ok=True)
+            write_texts({mcap: result.to_mcap()})
+            cli.say(f"wrote {mcap}")

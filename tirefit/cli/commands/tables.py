@@ -109,7 +109,7 @@ def derive(
 
     if out.parent.is_dir() and not out.is_dir():  # others are refused with the CSV
         check_results([out, out.with_name(f"{out.stem}.derive.json")])
-    written = derive_files(files, vehicle, out, axle.value, cli.by_name(unit), believe)
+    written = derive_files(files, vehicle, out, axle.value, cli.by_name(unit), believe, cli.say)
     cli.say(written.summary())
 
 

@@ -3,7 +3,7 @@
 import csv
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from tirefit.data.columns import IsKnown, guess, is_number
 from tirefit.data.readers.cells import SPACES
@@ -54,7 +54,8 @@ def commented_header(lines: Sequence[str]) -> tuple[int, str] | None:
     """
     texts = enumerate(line.lstrip() for line in lines)
     first = next((i for i, text in texts if text and text[0] not in "#%"), 0)
-    for split in (*(re.compile(mark).split for mark in ",;\t"), _words) if lines else ():
+    marks: list[Callable[[str], list[str]]] = [re.compile(mark).split for mark in ",;\t"]
+    for split in [*marks, _words] if lines else ():
         width = len(row := split(lines[first].strip()))
         for index in range(first - 1, -1, -1) if all(_is_cell(c.strip()) for c in row) else ():
             text = lines[index].strip().lstrip("#% \t")

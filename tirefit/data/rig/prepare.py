@@ -16,7 +16,7 @@ from tirefit.data.rig.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs, number_
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.display import Record
-from tirefit.results import DataError
+from tirefit.results import DataError, UsageError
 from tirefit.settings import parse_settings
 
 CONDITIONS = ("fz", "gamma", "pressure", "v")
@@ -70,10 +70,27 @@ class Prepared(Record):
         what = f"{len(self.segments)} segments, {len(bins)} bins"
         return f"Prepared({self.data.name!r}, {kept} of {len(self.kept)} rows: {what})"
 
-    def to_data(self) -> TireData:
-        """The data to fit: the kept rows, filtered, in canonical columns."""
+    def to_data(self, by: str = "run") -> TireData:
+        """The data to fit: the kept rows, filtered, in canonical columns.
+
+        Args:
+            by: which rows become a run: "run" (of the file), "segment" or "bin".
+
+        Raises:
+            UsageError: ``by`` is something else.
+        """
         columns = {"time": self.series.time} | self.columns
-        return replace(self.data, columns=columns, used=self.kept)
+        data = replace(self.data, columns=columns, used=self.kept)
+        if by == "run":
+            return data
+        if by not in ("segment", "bin"):
+            raise UsageError(f"by = {by!r}", "run, segment or bin")
+        run, codes = np.zeros(len(data), int), dict[str, int]()
+        for number, part in enumerate(self.segments):
+            if self.kept[part.begin : part.end].any():
+                name = str(number + 1) if by == "segment" else part.bin or "none"
+                run[part.begin : part.end] = codes.setdefault(name, len(codes))
+        return replace(data, run=run, runs=tuple(codes))
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``NAME.prepare.json``, without the digests of the tables."""
@@ -164,8 +181,12 @@ def prepare(data: DataLike, config: PrepareConfig | dict[str, Any] | None = None
         raise DataError(reason, remedy, data.file)
     notes.append(how)
     if not any(part.direction for part in parts):
-        way = "check its column and unit (--column alpha=HEADER, --unit alpha=rad)"
-        notes.append(f"no sweep was found: if the rig swept a slip, {way}")
+        ranges = [f"{name} {np.min(raw[name]):.3g} to {np.max(raw[name]):.3g}" for name in slips]
+        notes.append(
+            f"no sweep was found ({', '.join(ranges)}; rad and ratio): if the rig swept a slip,"
+            " check its column and unit (--column alpha=HEADER, --unit alpha=rad)"
+        )
+    notes += _lost_conditions(parts, kept)
     if absurd.any():
         load = float(np.max(np.abs(data.columns["fz"][absurd])))
         notes.append(f"{absurd.sum()} rows have a load far from all others (up to {load:.3g} N)")
@@ -175,6 +196,19 @@ def prepare(data: DataLike, config: PrepareConfig | dict[str, Any] | None = None
     return Prepared(
         data, config, series, settings, names, tuple(parts), columns, kept, chosen, tuple(notes)
     )
+
+
+def _lost_conditions(parts: list[Segment], kept: np.ndarray) -> list[str]:
+    """A note on conditions without kept rows; one that was swept needs rows of sweeps."""
+    swept = {part.bin for part in parts if part.is_held and part.direction}
+    rows: dict[str, int] = {}
+    for part in parts:
+        if part.is_held and (part.direction or part.bin not in swept):
+            name = f"{part.bin} ({part.channel})" if part.channel else part.bin
+            rows[name] = rows.get(name, 0) + int(kept[part.begin : part.end].sum())
+    lost = [name for name, count in rows.items() if not count]
+    words = f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)}"
+    return [f"{words} (if their warm-up was cut, shorten it with --warm-up)"] if lost else []
 
 
 def _channels(data: TireData, series: Series, absurd: np.ndarray) -> dict[str, np.ndarray]:
@@ -244,12 +278,12 @@ def _windows(its_legs: Mapping[str, list[Leg]], second: int) -> list[Window]:
         if MOVED in hows:
             continue
         if SWEPT in hows:
-            windows.append(Window(begin, end))
+            windows.append(Window(begin, end, True))
             continue
         # Windows overlap by half, so that a hold of 1.5 s contains a whole one.
         last = max(end - second, begin)
         starts = {*range(begin, last, max(second // 2, 1)), last}
-        windows += [Window(a, min(a + second, end)) for a in sorted(starts)]
+        windows += [Window(a, min(a + second, end), False) for a in sorted(starts)]
     return [window for window in windows if window.end - window.begin >= 3]
 
 
@@ -265,7 +299,7 @@ def _held_slips(
         others = [leg for other in its_legs if other != name for leg in its_legs[other]]
         held = [leg for leg in all_legs if leg.how == HELD and leg.rows >= 3]
         if held and any(leg.how == SWEPT for leg in others):
-            windows = [Window(leg.begin, leg.end) for leg in held]
+            windows = [Window(leg.begin, leg.end, False) for leg in held]
             out[name] = settings_of(name, smooth[name], windows, series.pieces, shortest)
     return {name: settings for name, settings in out.items() if settings.is_held}
 
@@ -280,20 +314,17 @@ def _chosen_filter(
     how, bandwidth = "as declared", config.bandwidth
     if bandwidth is None:
         times = [(p.end - p.begin) / rate for p in parts if p.kind == "sweep"]
-        fast = float(np.quantile(times, _FASTEST)) if times else _CYCLES / _LOOK
-        bandwidth = float(f"{np.clip(_CYCLES / fast, _LOWEST, _HIGHEST):.2g}")
+        fast = float(np.quantile(times, _FASTEST)) if times else 0.0
+        bandwidth = _CYCLES / fast if times else _LOOK
+        bandwidth = float(np.clip(bandwidth, _LOWEST, _HIGHEST))
         how = f"{_CYCLES:.0f} cycles of it in the fast sweeps of {fast:.2g} s"
         how = how if times else "there is no sweep from which to choose it"
+        bandwidth = float(f"{bandwidth:.2g}")
     chosen = zero_phase(bandwidth, rate)
     if chosen is None:
         message = f"not filtered: {rate:.4g} rows per second are too few for"
         return None, f"{message} {bandwidth:g} Hz"
-    beyond = 0.0
-    for slip, force in FORCE_OF.items():
-        swept = [p for p in parts if p.direction and slip in p.channel.split("+")]
-        if swept and force in raw:
-            rows = np.concatenate([np.arange(p.begin, p.end) for p in swept])
-            beyond = max(beyond, chosen.force_beyond(series, raw[slip], raw[force], rows))
+    beyond = _followed(chosen, series, parts, raw)
     if beyond > _FOLLOWED:
         warning = f"beyond {bandwidth:g} Hz the force follows the slip by {beyond:.0%} of its peak"
         if config.bandwidth is None:
@@ -306,3 +337,17 @@ def _chosen_filter(
     if chosen.step > 1:
         message += f"; each row of {chosen.step} is kept, as those between are not independent"
     return chosen, message
+
+
+def _followed(
+    chosen: ZeroPhase, series: Series, parts: Sequence[Segment], raw: Mapping[str, np.ndarray]
+) -> float:
+    """The largest movement of a force with its slip beyond the bandwidth, see
+    :meth:`~tirefit.data.rig.series.ZeroPhase.force_beyond`."""
+    moves = [0.0]
+    for slip, force in FORCE_OF.items():
+        swept = [p for p in parts if p.direction and slip in p.channel.split("+")]
+        if swept and force in raw:
+            rows = np.concatenate([np.arange(p.begin, p.end) for p in swept])
+            moves.append(chosen.force_beyond(series, raw[slip], raw[force], rows))
+    return max(moves)

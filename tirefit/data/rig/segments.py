@@ -144,27 +144,45 @@ def with_warmth(
         temperature: (n,) of the tire [degC], smoothed, if it was measured.
         declared: seconds from the start for which the tire was not warm, if given.
     """
-    held, until = [part for part in parts if part.is_held], -np.inf
+    held = [part for part in parts if part.is_held]
+
+    def cut(until: float) -> list[Segment]:
+        """The segments with those that begin before ``until`` marked ``warm-up``."""
+        return [
+            replace(part, kind="warm-up") if part.is_held and time[part.begin] < until else part
+            for part in parts
+        ]
+
     if declared is not None:
-        until, how = time[0] + declared, f"the first {declared:g} s, as declared"
-    elif temperature is None or not held:
+        return cut(time[0] + declared), f"warm-up: the first {declared:g} s, as declared"
+    if temperature is None:
         how = "not searched, as there is no temperature; give its end with --warm-up"
-    else:
-        late = [part for part in held if part.begin >= held[len(held) // 2].begin]
-        hot = float(np.median(np.concatenate([temperature[p.begin : p.end] for p in late])))
-        begin, last = held[0].begin, max(len(time) // 3, 1)
-        start = float(np.median(temperature[begin : begin + max(len(time) // 200, 3)]))
-        rise, still = hot - start, float(np.median(temperature[-last // 10 :]) - temperature[-last])
-        warm = int(np.argmax((temperature - start) / max(rise, 1e-9) >= _WARM))
-        if rise < 5.0:  # smallest rise of temperature [K] by which a warm-up is found
-            how = f"none, as the tire was warm: {start:.0f} degC at the start, {hot:.0f} degC later"
-        elif still > 0.1 * rise:  # a tire that still warms in the last third is not warm
-            how = "none cut, as the tire was warming all the time; give its end with --warm-up"
-        else:
-            until, share = time[warm], f"{_WARM:.0%} of the way from {start:.0f} to {hot:.0f} degC"
-            how = f"until {until:.4g} s, when the tire was at {temperature[warm]:.0f} degC, {share}"
-    marked = [
-        replace(part, kind="warm-up") if part.is_held and time[part.begin] < until else part
-        for part in parts
-    ]
-    return marked, f"warm-up: {how}"
+        return parts, f"warm-up: {how}"
+    if not held:
+        return parts, "warm-up: none, as no condition is held"
+    late = [part for part in held if part.begin >= held[len(held) // 2].begin]
+    hot = float(np.median(np.concatenate([temperature[p.begin : p.end] for p in late])))
+    begin = held[0].begin
+    start = float(np.median(temperature[begin : begin + max(len(time) // 200, 3)]))
+    rise = hot - start
+    # Smallest rise of temperature [K] by which a warm-up is found.
+    if rise < 5.0:
+        message = f"{start:.0f} degC at the start, {hot:.0f} degC later"
+        return parts, f"warm-up: none, as the tire was warm at the start ({message})"
+    last = max(len(time) // 3, 1)
+    still = float(np.median(temperature[-last // 10 :]) - temperature[-last])
+    # Share of the rise above which a tire that still warms in the last third is not warm.
+    if still > 0.1 * rise:
+        message = f"{still:.0f} K in the last third of the test"
+        return parts, (
+            f"warm-up: none cut, as the tire was warming all the time ({message}); if part"
+            " of it was warm-up, give its end with --warm-up"
+        )
+    levels = (temperature - start) / rise
+    warm = int(np.argmax(levels >= _WARM))
+    message = (
+        f"warm-up: until {time[warm]:.4g} s, when the tire was at"
+        f" {temperature[warm]:.0f} degC, {_WARM:.0%} of the way from"
+        f" {start:.0f} to {hot:.0f} degC"
+    )
+    return cut(time[warm]), message

@@ -6,7 +6,6 @@ their scatter are the same setting. A row belongs to a setting while the channel
 near to it as during those sweeps.
 """
 
-import itertools
 from collections.abc import Mapping, Sequence, Set
 from typing import NamedTuple
 
@@ -27,6 +26,7 @@ class Window(NamedTuple):
 
     begin: int
     end: int
+    is_sweep: bool
 
 
 class Settings(NamedTuple):
@@ -57,15 +57,10 @@ def settings_of(
     if np.ptp(values) <= least:  # a single setting in all rows
         middle = np.array([np.median(values)])
         return Settings(name, middle, np.array([np.inf]), np.zeros(len(values), int))
+    middle, stray, windows = _candidates(values, windows)
     nowhere = Settings(name, np.zeros(0), np.zeros(0), np.full(len(values), -1))
     if not windows:
         return nowhere
-    parts = [np.percentile(values[begin:end], [2, 50, 98]) for begin, end in windows]
-    low, middle, high = np.transpose(parts)
-    # A window with three times the usual movement has no setting.
-    held = high - low <= max(_SHARE * float(np.ptp(values)), 3.0 * float(np.median(high - low)))
-    stray = np.maximum(high - middle, middle - low)[held]
-    middle, windows = middle[held], list(itertools.compress(windows, held))
     # Groups of candidates, and the deviation of the channel in each.
     order = np.argsort(middle)
     middle, stray = middle[order], stray[order]
@@ -84,7 +79,7 @@ def settings_of(
     width = np.maximum(width, max(_ROOM * usual, 0.2 * least))
     width = np.minimum(width, np.minimum(*_room(center)))
     calm = np.zeros(len(values), int)
-    calm[[(begin + end) // 2 for begin, end in windows]] = 1
+    calm[[(begin + end) // 2 for begin, end, _ in windows]] = 1
     held_until = np.concatenate([[0], np.cumsum(calm)])
     code = _assigned(values, center, width, pieces, shortest, held_until)
     used = np.unique(code[code >= 0])
@@ -94,6 +89,35 @@ def settings_of(
         center, width = center[used], width[used]
         code = _assigned(values, center, width, pieces, shortest, held_until)
     return Settings(name, center, width, code)
+
+
+def _candidates(
+    values: np.ndarray, windows: list[Window]
+) -> tuple[np.ndarray, np.ndarray, list[Window]]:
+    """Medians and deviations of the channel in windows in which it is held; the windows."""
+    middle, stray, scatter, trend = [], [], [], []
+    for begin, end, _ in windows:
+        part = values[begin:end]
+        low, half, high = np.percentile(part, [2, 50, 98])
+        third = max(len(part) // 3, 1)
+        middle.append(half)
+        stray.append(max(high - half, half - low))
+        scatter.append(high - low)
+        trend.append(abs(np.median(part[-third:]) - np.median(part[:third])))
+    if not middle:
+        return np.zeros(0), np.zeros(0), []
+    sweep = np.array([window.is_sweep for window in windows])
+    # Sweeps are longer and change the load: compare windows of the same kind only.
+    calm = np.array(scatter) <= _SHARE * float(np.ptp(values))
+    for kind in (sweep, ~sweep):
+        if kind.any():
+            usual = float(np.median(np.array(scatter)[kind]))
+            # A window with this multiple of the usual movement has no setting.
+            calm |= kind & (np.array(scatter) <= 3.0 * usual)
+    at_rest = np.array(trend) <= max(_SHARE * float(np.ptp(values)), 2 * float(np.median(trend)))
+    held = calm & (sweep | at_rest)
+    still = [window for window, is_held in zip(windows, held, strict=True) if is_held]
+    return np.array(middle)[held], np.array(stray)[held], still
 
 
 def _room(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,12 +1,10 @@
 """Divide a slip over time into legs: held, swept up or down, or moved."""
 
-import itertools
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.signal import find_peaks
 
 from tirefit.data.rig.series import runs_of
 
@@ -17,6 +15,7 @@ LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
 
 _REVERSAL = 0.02  # share of the range by which a slip goes back when a sweep turns
 _STILL = 0.008  # share of the range within which a slip is held
+_LONGER = 3  # factor by which windows are longer if the slip moves too little in shorter ones
 _NOISES = 8.0  # smallest change [standard deviations of the noise] that is a movement
 _PAUSE = 0.3
 """A stop shorter than this share of the sweeps next to it is their turning point: a sine
@@ -110,7 +109,14 @@ def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int
     np.add.at(mark, begins, 1)
     np.add.at(mark, begins + shortest, -1)
     inside = np.cumsum(mark)[:-1] > 0
-    return [(a, b) for a, b in runs_of(inside) if inside[a]]
+    kept = []
+    for a, b in ((a, b) for a, b in runs_of(inside) if inside[a]):
+        if np.ptp(slip[a:b]) <= 2 * still:
+            kept.append((a, b))
+        else:  # overlapping windows can follow a slow sweep, so use longer ones
+            inner = _stops(slip[a:b], still, _LONGER * shortest)
+            kept += [(a + first, a + last) for first, last in inner]
+    return kept
 
 
 def _between(slip: np.ndarray, stops: Iterable[tuple[int, int]], reversal: float) -> list[Leg]:
@@ -141,8 +147,24 @@ def _between(slip: np.ndarray, stops: Iterable[tuple[int, int]], reversal: float
 
 def _turns(slip: np.ndarray, reversal: float) -> list[int]:
     """Rows at which the slip turns: extremes that it then leaves by ``reversal``."""
-    ends = (find_peaks(sign * slip, prominence=reversal)[0].tolist() for sign in (1, -1))
-    return sorted(itertools.chain(*ends))
+    turns = []
+    values = slip.tolist()
+    low = high = 0
+    direction = 0
+    for row, value in enumerate(values):
+        if value > values[high]:
+            high = row
+        if value < values[low]:
+            low = row
+        if direction >= 0 and values[high] - value >= reversal:
+            turns += [high] if direction else []
+            direction, low = -1, row
+            high = row
+        elif direction <= 0 and value - values[low] >= reversal:
+            turns += [low] if direction else []
+            direction, high = 1, row
+            low = row
+    return turns
 
 
 def _without_returns(slip: np.ndarray, all_legs: list[Leg]) -> list[Leg]:

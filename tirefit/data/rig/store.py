@@ -19,9 +19,11 @@ from tirefit.files import json_safe, json_text, write_texts
 
 SCHEMA = "tirefit.prepare/1"
 
+_DIGITS = 9  # more than sensors resolve, and the same on every machine
+
 
 def _number(value: float) -> float:
-    return float(f"{value:.9g}")  # more digits than sensors resolve, the same on every machine
+    return float(f"{value:.{_DIGITS}g}")
 
 
 def prepared_csv(prepared: Prepared) -> str:
@@ -119,8 +121,10 @@ def record_of(prepared: Prepared, files: Mapping[str, str]) -> dict[str, Any]:
         },
         "settings": {
             name: [
-                dict(zip(("name", "center", "usual_stray"), setting, strict=True))
-                for setting in zip(prepared.names[name], s.center, s.width, strict=True)
+                {"name": label, "center": center, "usual_stray": width}
+                for label, center, width in zip(
+                    prepared.names[name], s.center, s.width, strict=True
+                )
             ]
             for name, s in prepared.settings.items()
             if s.is_held

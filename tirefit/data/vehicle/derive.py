@@ -19,7 +19,7 @@ neighbouring samples are correlated and do not count as independent.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import fill
@@ -92,19 +92,25 @@ class DerivedLog:
         alpha, force = self.columns["alpha"], self.columns["fy"]
         count = len(set(self.run.tolist()))
         runs = f"runs: {count}, " if count > 1 else ""
-        lines = [
-            f"{self.name}: {len(self)} of {self.samples} samples kept"
-            f" (rows: {self.rows}, {runs}gaps: {self.gaps})",
-            f"    rows not used: {_counts(self.dropped_rows)}",
-            f"    samples not kept: {_counts(self.dropped_samples)}",
-            f"    alpha {alpha.min():+.4f} to {alpha.max():+.4f} rad,"
-            f" fy {force.min():+.4g} to {force.max():+.4g} N,"
-            f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
-        ]
-        notes = [self.compared.line, self.heading, self.point.line, *delays(found_in([self]))]
-        notes += [f"warning: {warning}" for warning in self.warnings]
-        lines += [fill(n, 80, initial_indent=" " * 4, subsequent_indent=" " * 6) for n in notes]
-        return "\n".join(lines)
+        return "\n".join(
+            [
+                f"{self.name}: {len(self)} of {self.samples} samples kept"
+                f" (rows: {self.rows}, {runs}gaps: {self.gaps})",
+                f"    rows not used: {_counts(self.dropped_rows)}",
+                f"    samples not kept: {_counts(self.dropped_samples)}",
+                f"    alpha {alpha.min():+.4f} to {alpha.max():+.4f} rad,"
+                f" fy {force.min():+.4g} to {force.max():+.4g} N,"
+                f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
+                *(
+                    fill(message, 80, initial_indent=" " * 4, subsequent_indent=" " * 6)
+                    for message in (
+                        *(self.compared.line, self.heading, self.point.line),
+                        *delays(found_in([self])),
+                        *(f"warning: {w}" for w in self.warnings),
+                    )
+                ),
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -156,7 +162,7 @@ def derive(
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle, str(file))
     few = max(dropped, key=lambda name: dropped[name])
-    warnings = [*vehicle.doubts(), *doubts(columns, kept, vehicle)]
+    warnings = [*vehicle.doubts(), *doubts(columns, motion, kept, vehicle)]
     # Share of the samples dropped for one reason above which units are probably wrong.
     if dropped[few] > 0.9 * len(kept):
         warnings[:0] = [
@@ -205,6 +211,7 @@ def derive_files(
     axle: str = "rear",
     units: Mapping[str, str] | None = None,
     believe: bool = False,
+    unwritten: Callable[[str], None] | None = None,
 ) -> DerivedFiles:
     """Derive all logs into one CSV with one run for each, and a JSON companion.
 
@@ -216,6 +223,7 @@ def derive_files(
         axle: "rear" or "front".
         units: Unit of a quantity; overrides ``[units]`` of the vehicle.
         believe: Only warn of channels that contradict each other.
+        unwritten: Called with the summary of the logs if ``out`` cannot be written.
 
     Returns:
         The two files, and what was derived of each log.
@@ -255,7 +263,12 @@ def derive_files(
     first += " ".join(f"{k}={v}" for k, v in written.items()) + "\n"
     stated = {k: float(v) for k, v in written.items()}  # rounded as in the file
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
-    write_texts({metadata: content + "\n", out: first + csv_text(columns)})
+    try:
+        write_texts({metadata: content + "\n", out: first + csv_text(columns)})
+    except OSError:
+        if unwritten is not None:
+            unwritten(_summary(logs))
+        raise
     return DerivedFiles(out, metadata, tuple(logs), stated)
 
 
@@ -379,7 +392,6 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
 
 
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[str, Any]:
-    counted = ("bandwidth", "rows", "dropped_rows", "samples", "dropped_samples", "gaps", "heading")
     return {
         "schema": SCHEMA,
         "tirefit": __version__,
@@ -391,8 +403,14 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict[s
                 "run": log.name,
                 "runs": list(dict.fromkeys(log.run.tolist())),
                 **log.source,
-                **{name: getattr(log, name) for name in counted},
+                "bandwidth": log.bandwidth,
+                "rows": log.rows,
+                "dropped_rows": dict(log.dropped_rows),
+                "samples": log.samples,
                 "kept": len(log),
+                "dropped_samples": dict(log.dropped_samples),
+                "gaps": log.gaps,
+                "heading": log.heading,
                 "alpha_zero": log.zero,
                 "point": log.point.estimate,
                 "agreement": [agreement.as_dict() for agreement in log.compared.pairs],

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -127,6 +128,13 @@ def slip_and_force(
     return alpha, force, motion.v_x * np.cos(steer) + sideways * np.sin(steer)
 
 
+def further_ahead(motion: Motion, vehicle: Vehicle, x: float) -> tuple[Motion, Vehicle]:
+    """Move the tracked point x [m] ahead: changes v_y and a_y only."""
+    v_y = motion.v_y - x * motion.yaw_rate
+    a_y = motion.a_y - x * motion.yaw_acceleration
+    return replace(motion, v_y=v_y, a_y=a_y), vehicle
+
+
 def _lateral(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
     """Force across the vehicle at an axle [N], to the left: (n,)."""
     arm, sign = (vehicle.l_f, -1) if axle == "rear" else (vehicle.l_r, 1)
@@ -180,13 +188,13 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0) -> np
     Returns:
         None if there are too few samples.
     """
-    from scipy.signal import butter, sosfiltfilt  # slow, and no other reader needs it
+    from scipy.signal import sosfiltfilt  # slow, and no other reader needs it
 
     order, rate = vehicle.filter.order, vehicle.filter.sample_rate
     padding = math.ceil(slower * vehicle.filter.settling * rate)
     if len(uniform) <= 2 * padding:
         return None
-    sections = butter(order, vehicle.filter.cutoff / slower, fs=rate, output="sos")
+    sections = _sections(order, vehicle.filter.cutoff / slower, rate)
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
 
@@ -207,6 +215,14 @@ def slowed(
         if smooth is not None:
             slow[rows] = smooth
     return slow
+
+
+@cache
+def _sections(order: int, cutoff: float, rate: float) -> np.ndarray:
+    """The filter, stored because its design takes longer than its use on a short stretch."""
+    from scipy.signal import butter
+
+    return butter(order, cutoff, fs=rate, output="sos")
 
 
 _SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3

@@ -13,10 +13,11 @@ Each channel L is compared with a sum of terms R_k of other channels:
 Both sides are noisy, and least squares would find gains that are too small. The terms
 some time before and after, when the noise of the sensors is independent, are therefore
 used as instrumental variables (Durbin, Reiersol). Neighbouring errors are correlated;
-their effective number is n over the sum of the autocorrelation. The channels are compared
-below a fifth of the filter's cutoff, where noise is smaller. Sensors are assumed to be at
-the tracked point, which causes smaller errors than a wrong unit. The equation of the
-steering is valid up to a factor of a few, as cars understeer.
+their effective number is n over the sum of the autocorrelation.
+
+The channels are compared below a fifth of the filter's cutoff, where noise is smaller.
+Sensors are assumed to be at the tracked point, which causes smaller errors than a wrong
+unit. The equation of the steering is valid up to a factor of a few, as cars understeer.
 """
 
 import math
@@ -45,7 +46,10 @@ point, that is a fault: the change by a gain of ``ALIKE``."""
 SURE = 4.0  # standard errors above which an estimate differs from its stated value
 SEEN = 0.5  # a gain is judged if at least this share of the term's variation is not noise
 RELATED = 0.6  # correlation above which two channels follow each other
-AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)  # times of the instruments, over that of the noise
+
+AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
+"""Times of the instruments, over the time after which the noise is independent."""
+
 EACH = 10  # rows that are used per correlation time of the noise
 FEWEST = 50  # fewest rows that are compared: 5 s of a log with the default filter
 _ROUNDS = 4
@@ -122,12 +126,12 @@ class Pair(NamedTuple):
     exact: bool = True
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Agreement:
     """The estimate of a pair; standard errors use the effective number of samples.
 
     ``seen``: share of the variation of a term, beyond the other terms, that the
-    instruments explain, so that it is not noise; ``delay_seen``, ``channel_seen``: the same
+    instruments explain, so that it is not noise; ``delay_seen``, ``own_seen``: the same
     for the rate of the terms, which determines the delay, and for the channel itself.
     """
 
@@ -140,8 +144,9 @@ class Agreement:
     offset_std: float
     seen: tuple[float, ...]
     delay_seen: float
-    channel_seen: float
-    sizes: tuple[float, float]  # rms of the variation of the channel, and of the other side
+    own_seen: float
+    size: float  # rms of the other side's variation
+    own_size: float  # rms of the channel's variation
     correlation: float  # of the two sides at that delay
     samples: int  # number of rows that were compared
     effective: float  # number of independent rows
@@ -150,32 +155,37 @@ class Agreement:
     def judged(self) -> list[bool]:
         """Which gains are known well enough to be compared with 1: five standard errors from 0,
         of channels that move and follow each other. The level of a speed is compared too."""
-        if self.pair.channel == "v_x":
-            real = [True]
+        level = self.pair.channel == "v_x"
         # Far beyond the longest delay, two channels are not the same quantity.
-        elif (
+        related = level or not (
             abs(self.correlation) < RELATED
-            or max(self.sizes) < _SENSORS[self.pair.channel][1]
+            or max(self.size, self.own_size) < _SENSORS[self.pair.channel][1]
             or abs(self.delay) > 1.5 * LATEST + 2 * self.delay_std
             or self.strays
-        ):
-            return [False] * len(self.gains)
-        else:
-            real = [seen > SEEN for seen in self.seen]
-            real[0] |= abs(self.correlation) > 0.9  # more than noise can share
-        known = zip(real, self.gains, self.gain_stds, strict=True)
-        return [is_real and abs(gain) > 5.0 * std for is_real, gain, std in known]
+        )
+        return [
+            related and (level or self._is_signal(k)) and abs(gain) > 5.0 * std
+            for k, (gain, std) in enumerate(zip(self.gains, self.gain_stds, strict=True))
+        ]
+
+    def _is_signal(self, k: int) -> bool:
+        """Whether a term is no noise: the instruments explain it, or another sensor confirms it
+        with a correlation of more than noise can share."""
+        return self.seen[k] > SEEN or (k == 0 and abs(self.correlation) > 0.9)
 
     @cached_property
     def strays(self) -> bool:
         """Whether a channel certainly does not follow the others, in any unit."""
-        channel, floor = self.pair.channel, _SENSORS[self.pair.channel][1]
-        moves = self.sizes[1] > floor and self.seen[0] > SEEN
-        if channel in ("a_y", "yaw_rate", "yaw"):  # no hill or bank moves these so far
-            moves |= self.sizes[0] > 3.0 * floor and self.channel_seen > SEEN
+        channel = self.pair.channel
+        floor = _SENSORS[channel][1]
+        if channel == "v_x":
+            return False
+        if channel in ("a_y", "yaw_rate", "yaw") and self.own_seen > SEEN:
+            if not self._is_signal(0):  # the others are noise, and no hill or bank moves it so far
+                return self.own_size > 3.0 * floor
         # Unrelated: even 2.5 standard errors above the correlation.
         highest = abs(self.correlation) + 2.5 / math.sqrt(self.effective)
-        return channel != "v_x" and moves and highest < 0.7
+        return self.size > floor and self.seen[0] > SEEN and highest < 0.7
 
     @property
     def has_delay(self) -> bool:
@@ -185,11 +195,12 @@ class Agreement:
     def as_dict(self) -> dict[str, Any]:
         """The estimates, for the companion file."""
         numbers = zip(self.pair.terms, self.gains, self.gain_stds, strict=True)
+        gains = [{"of": t.words, "value": gain, "std": std} for t, gain, std in numbers]
         names = ("delay", "delay_std", "offset", "offset_std", "correlation", "samples")
         return {
             "channel": self.pair.channel,
             "against": self.pair.words,
-            "gains": [{"of": t.words, "value": gain, "std": std} for t, gain, std in numbers],
+            "gains": gains,
             **{name: getattr(self, name) for name in names},
             "effective_samples": self.effective,
             "judged": any(self.judged),
@@ -224,7 +235,7 @@ def agreements(track: Track, motion: Motion, vehicle: Vehicle) -> list[Agreement
             zero = _SENSORS[channel][0] or 0.02 * speed
             exact = channel not in ("yaw", "steering") and words != "v_x r"
             pair = Pair(channel, words, of[compared], tuple(terms), zero, exact)
-            estimates.append(_agreement(pair, motion.within, usable, vehicle))
+            estimates.append(_agreement(pair, motion.part, usable, vehicle))
     return [agreement for agreement in estimates if agreement is not None]
 
 
@@ -243,6 +254,8 @@ def _signals(
     def rate_of(values: np.ndarray) -> np.ndarray:
         return np.gradient(values, 1 / vehicle.filter.sample_rate)
 
+    if not motion.settled.any():
+        return of, usable & False
     if "steering" in of:
         assert vehicle.steering is not None  # the vehicle file has both or neither
         of["steering"] = np.interp(of["steering"], vehicle.steering.command, vehicle.steering.angle)
@@ -260,8 +273,9 @@ def _signals(
             of["speed"] = np.hypot(of["v_x"], of["v_y"])
             of["curve"] = vehicle.wheelbase * of["yaw_rate"] / of["v_x"]
         usable &= np.isfinite(of["speed"])
-        if usable.any():  # below a tenth of the high speeds, rows are not compared
-            usable &= of["speed"] > 0.1 * np.percentile(of["speed"][usable], 95)
+        # Below a tenth of the high speeds, rows are not compared.
+        fast = 0.1 * np.percentile(of["speed"][usable], 95) if usable.any() else 0.0
+        usable &= of["speed"] > fast
         if "turning" in of:
             if not by_rates:
                 of["path_curve"] = vehicle.wheelbase * of["turning"] / of["speed"]
@@ -290,12 +304,12 @@ class Fit(NamedTuple):
 
 
 def _agreement(
-    pair: Pair, within: np.ndarray, usable: np.ndarray, vehicle: Vehicle
+    pair: Pair, part: np.ndarray, usable: np.ndarray, vehicle: Vehicle
 ) -> Agreement | None:
     """The pair's gains, delay and offset; None if too few rows are usable.
 
     Args:
-        within: (n,) [s] to the nearer end of the stretch of each grid sample.
+        part: (n,) int, the unbroken stretch of each grid sample.
         usable: (n,) bool, samples that may be compared.
     """
     rate = vehicle.filter.sample_rate
@@ -307,7 +321,7 @@ def _agreement(
         usable &= np.abs(column) <= 3.0 * np.percentile(np.abs(column[usable]), 99)
     # After this time the noise of a filtered sensor is independent.
     step, latest = max(1, round(SLOWER / vehicle.filter.cutoff * rate)), round(LATEST * rate)
-    rows = surrounded(within * rate, usable, known, max(2 * step, latest) + 1)
+    rows = surrounded(part, usable, known, max(2 * step, latest) + 1)
     rows = rows[:: max(1, step // EACH)]
     if len(rows) < FEWEST:
         return None
@@ -323,30 +337,30 @@ def _agreement(
     for turn in range(_ROUNDS):
         along = gains if gains.any() else np.ones(k)  # the gains of a dead channel are 0
         sides = np.column_stack([terms, rates @ along])
-        late, lag = pair.values[rows + shift], shift / rate
+        late = pair.values[rows + shift]
         fit = instrumented(late, sides[rows], around(sides, rows, step), zero)
         if fit is None:
             return None
         about = np.abs(fit.error - np.median(fit.error))
         good = about <= 5.0 * 1.4826 * np.median(about)  # no outlier of five standard deviations
         good |= good.sum() < FEWEST
-        # The terms were shifted by their rate, which is valid for a small delay only.
-        gains, rest = fit.theta[:k], round(fit.theta[k] * rate)
-        if turn == _ROUNDS - 1 or (good.all() and not rest):
+        rest = round(fit.theta[k] * rate)
+        if turn == _ROUNDS - 1 or (good.all() and abs(rest) < 1):
             break
-        rows = rows[good]
+        # The terms were shifted by their rate, which is valid for a small delay only.
         shift = int(np.clip(shift - rest, -latest, latest))
-    near = np.hstack([around(pair.values[:, None], rows, step), np.ones((len(rows), 1))])
-    unseen = np.var(pair.values[rows] - near @ np.linalg.lstsq(near, pair.values[rows])[0])
-    predicted = late - fit.error
-    moves = np.ptp(late) > 0 and np.ptp(predicted) > 0
+        gains, rows = fit.theta[:k], rows[good]
+    assert fit is not None  # the loop has at least one round
+    near = np.hstack([around(pair.values[:, None], rows + shift, step), np.ones((len(late), 1))])
+    unseen = np.var(late - near @ np.linalg.lstsq(near, late)[0]) / max(np.var(late), _TINY)
+    moves = np.ptp(late) > 0 and np.ptp(late - fit.error) > 0
     return Agreement(
-        pair, tuple(gains.tolist()), tuple(fit.std[:k].tolist()),
-        float(lag - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]), float(fit.std[-1]),
-        tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
-        float(1 - unseen / max(np.var(pair.values[rows]), _TINY)),
-        (float(np.std(late)), float(np.std(terms[rows].sum(axis=1)))),
-        float(np.corrcoef(late, predicted)[0, 1]) if moves else 0.0, len(rows), fit.effective,
+        pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
+        float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
+        float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
+        float(1 - unseen), float(np.std(terms[rows].sum(axis=1))), float(np.std(late)),
+        float(np.corrcoef(late, late - fit.error)[0, 1]) if moves else 0.0, len(late),
+        fit.effective,
     )  # fmt: skip
 
 
@@ -357,12 +371,13 @@ def around(values: np.ndarray, rows: np.ndarray, step: int) -> np.ndarray:
     return np.nan_to_num(np.hstack([values[place] for place in places]))
 
 
-def surrounded(within: np.ndarray, usable: np.ndarray, known: np.ndarray, reach: int) -> np.ndarray:
-    """Usable rows with ``reach`` known samples of their stretch, which ends ``within`` (n,)
-    samples, on either side."""
-    from scipy.ndimage import minimum_filter1d  # slow, and no other reader needs it
-
-    return np.flatnonzero(usable & (within >= reach) & minimum_filter1d(known, 2 * reach + 1))
+def surrounded(part: np.ndarray, usable: np.ndarray, known: np.ndarray, reach: int) -> np.ndarray:
+    """Usable rows with ``reach`` known samples of their stretch on either side."""
+    rows = np.flatnonzero(usable)
+    rows = rows[(rows >= reach) & (rows < len(part) - reach)]
+    blanks = np.concatenate([[0], np.cumsum(~known)])
+    whole = blanks[rows + reach + 1] == blanks[rows - reach]
+    return rows[whole & (part[rows - reach] == part[rows + reach])]
 
 
 def _delay(
@@ -373,12 +388,14 @@ def _delay(
     The longest delay must explain 0.02 more: half a wave late, the opposite sign fits too.
     """
     basis, triangle = np.linalg.qr(np.column_stack([terms[rows], np.ones(len(rows))]))
-    shifts = np.arange(-latest, latest + 1)
-    late = np.array([values[rows + shift] for shift in shifts])
-    about = late - late.mean(axis=1, keepdims=True)
-    explained = np.sum((about @ basis) ** 2, axis=1) / np.maximum(np.sum(about**2, axis=1), _TINY)
-    best = int(np.argmax(explained - 0.02 * (shifts / latest) ** 2))
-    return int(shifts[best]), np.linalg.lstsq(triangle, basis.T @ late[best])[0][:-1]
+    scores, shifts = [], range(-latest, latest + 1)
+    for shift in shifts:
+        late = values[rows + shift]
+        about = late - late.mean()
+        explained = np.sum((basis.T @ about) ** 2) / max(np.sum(about**2), _TINY)
+        scores.append(explained - 0.02 * (shift / latest) ** 2)
+    best = shifts[int(np.argmax(scores))]
+    return best, np.linalg.lstsq(triangle, basis.T @ values[rows + best])[0][:-1]
 
 
 def instrumented(
@@ -401,11 +418,21 @@ def instrumented(
     curvature, slope = seen.T @ columns, seen.T @ values
     prior = np.zeros_like(curvature)
     theta = np.linalg.lstsq(curvature, slope)[0]
+    count, noise = 1.0, 0.0
     try:
         for _ in range(2):
             error = values - columns @ theta
-            effective = _independent(error)
-            noise = float(np.var(error)) * len(values) / effective
+            # The autocorrelation is summed while pairs of neighbouring lags are positive (Geyer).
+            n = len(error)
+            power = np.abs(np.fft.rfft(error - error.mean(), 2 * n)) ** 2
+            covariance = np.fft.irfft(power)[: n // 2]
+            count = float(n)
+            if covariance[0] > 0:
+                pairs = covariance[: len(covariance) // 2 * 2].reshape(-1, 2).sum(axis=1)
+                until = np.flatnonzero([*(pairs <= 0), True])[0]
+                total = 2 * float(np.sum(pairs[:until])) / float(covariance[0]) - 1
+                count = n / max(total, 1.0)
+            noise = float(np.var(error)) * len(values) / count
             level = zero((theta / scale)[:-1])
             prior[-1, -1] = noise / max(level, 1e-9) ** 2
             theta = np.linalg.solve(curvature + prior, slope)
@@ -421,17 +448,4 @@ def instrumented(
         part = np.linalg.lstsq(np.delete(seen, k, axis=1), seen[:, k])[0]
         kept, whole = (each[:, k] - np.delete(each, k, axis=1) @ part for each in (seen, columns))
         shares.append(float(np.mean(kept**2) / max(np.mean(whole**2), _TINY)))
-    return Fit(theta / scale, std / scale, np.array(shares), effective, values - columns @ theta)
-
-
-def _independent(error: np.ndarray) -> float:
-    """Effective number of samples (n,): n over the sum of the autocorrelation, which is added up
-    while pairs of neighbouring lags are positive (Geyer)."""
-    n = len(error)
-    power = np.abs(np.fft.rfft(error - error.mean(), 2 * n)) ** 2
-    covariance = np.fft.irfft(power)[: n // 4 * 2]
-    if covariance[0] <= 0:
-        return float(n)
-    pairs = covariance.reshape(-1, 2).sum(axis=1)
-    until = np.flatnonzero([*(pairs <= 0), True])[0]
-    return n / max(2 * float(np.sum(pairs[:until])) / float(covariance[0]) - 1, 1.0)
+    return Fit(theta / scale, std / scale, np.array(shares), count, values - columns @ theta)

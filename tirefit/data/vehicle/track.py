@@ -14,7 +14,7 @@ from tirefit.data.readers.loggers import ARC, NO_UNIT
 from tirefit.data.readers.quaternion import with_headings
 from tirefit.data.readers.remote import Place
 from tirefit.data.units import known_unit, units_of
-from tirefit.data.vehicle.vehicle import POSE, QUANTITIES, Vehicle, unit_of
+from tirefit.data.vehicle.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
 from tirefit.results import DataError, InputProblem
 
 _CORRECT = "correct the cell, or name another column in [columns] of vehicle.toml"
@@ -23,6 +23,9 @@ _CLOSEST = 0.3  # samples closer than this share of the sampling period are repe
 _LASTING = 1.0
 """A new run begins if time stamps go back and stay back for this time [s]; rows that a
 recorder wrote late end sooner."""
+
+_MEANT = {"yaw": "heading", "v_x": "v"}
+"""Quantity of a log -> its canonical column, if that has another name."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ class Channel:
     header: str
     unit: str  # as written; "" for the steering command, which has a map instead
     factor: float  # from that unit to SI, negative for a channel of opposite sign
+    named: bool  # whether ``[columns]`` names it; else it was recognised by its header
 
 
 @dataclass(frozen=True)
@@ -181,13 +185,26 @@ def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]
     names, problems = vehicle.columns, list[InputProblem]()
     steering = ["steering"] if names.steering else []
     channels = [
-        Channel(quantity, header, "", 1.0)
+        Channel(quantity, header, "", 1.0, True)
         if quantity == "steering"
         else _channel(table, quantity, header, vehicle, notes, problems)
         for quantity in ("time", *names.motion, *steering, *names.beyond)
         for header in [getattr(names, quantity)]
     ]
     DataError.raise_for(problems)
+    taken = {channel.header for channel in channels}
+    for quantity in CHECKS:
+        if quantity in (channel.quantity for channel in channels):
+            continue
+        meant = _MEANT.get(quantity, quantity)
+        headers = [h for h in table.headers if (g := guess(h)) and g.name == meant]
+        if len(headers) == 1 and headers[0] not in taken:
+            # A column that the vehicle does not name may have any content: skip odd ones.
+            channel = _channel(table, quantity, headers[0], vehicle, notes, problems, False)
+            cells = table.cells[table.headers.index(headers[0])]
+            faults = read_numbers(cells, headers[0], table.ragged, gaps=True)[1]
+            channels += [] if problems or faults else [channel]
+            problems.clear()
     return channels
 
 
@@ -198,6 +215,7 @@ def _channel(
     vehicle: Vehicle,
     notes: list[str],
     problems: list[InputProblem],
+    named: bool = True,
 ) -> Channel:
     """The column with its unit: declared, from the header, or from the row below it."""
     dimension = QUANTITIES[quantity]
@@ -229,8 +247,9 @@ def _channel(
     if unit is None:
         where = f" ({text!r} is not a unit)" if label else " (no unit stated)"
         text = usual[0]
-    notes.append(f"column {header!r} read as {quantity} in {text}{where}")
-    return Channel(quantity, header, text or "", unit.scale if unit else 1.0)
+    if named or text != usual[0]:
+        notes.append(f"column {header!r} read as {quantity} in {text}{where}")
+    return Channel(quantity, header, text or "", unit.scale if unit else 1.0, named)
 
 
 def _numbers(

@@ -302,11 +302,14 @@ class Vehicle(Section):
                 "leave it out, or state which axles drive",
             ),
             (
-                self.sideslip_offset if pose else self.yaw_offset,
-                "sideslip_offset applies to a log of rates only"
-                if pose
-                else "yaw_offset applies to a pose log only",
-                "leave it out" + "; for a pose log, correct yaw_offset" * pose,
+                self.yaw_offset and not pose,
+                "yaw_offset applies to a pose log only",
+                "leave it out: a log of rates has no yaw",
+            ),
+            (
+                self.sideslip_offset and pose,
+                "sideslip_offset applies to a log of rates only",
+                "leave it out; for a pose log, correct yaw_offset",
             ),
         ):
             if is_wrong:

@@ -148,7 +148,8 @@ def _check_settings(model: str, config: FitConfig) -> None:
         if wrong:
             reason = f"parameters.{name}: {', '.join(wrong)} in a Magic Formula"
             faults.append((reason, "give value to hold it there, or a prior of mean and std"))
-    unused = [k for k in ("force", "solver", "starts", "posterior") if k in config.model_fields_set]
+    names = "force", "solver", "starts", "posterior"
+    unused = [str(k) for k in names if k in config.model_fields_set]
     unused += ["noise.loss"] * (config.noise.loss not in ("squares", FitConfig().noise.loss))
     if unused:
         reason = f"{', '.join(unused)} in a Magic Formula"

@@ -133,8 +133,8 @@ class MagicFormulaFit(Record):
         for name, coefficient in self.coefficients.items():
             if coefficient.origin != "given":
                 half = _REACH * coefficient.prior_std
-                ends = {"lower": coefficient.value - half, "upper": coefficient.value + half}
-                free.append(FreeParameter(name, known[name]._replace(**ends)))
+                low, high = coefficient.value - half, coefficient.value + half
+                free.append(FreeParameter(name, known[name]._replace(lower=low, upper=high)))
         # At z = 0 a parameter is in the middle of its bounds.
         slope = np.array([(parameter.spec.upper - parameter.spec.lower) / 4 for parameter in free])
         names = [parameter.name for parameter in free]

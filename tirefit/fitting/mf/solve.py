@@ -169,7 +169,7 @@ def limit_of(force: str, inputs: Sequence[TireInputs]) -> list[Block]:
     joined = TireInputs(*(np.concatenate(parts) for parts in zip(*inputs, strict=True)))
     order = np.argsort(joined.fz, kind="stable")
     some = order[np.linspace(0, len(order) - 1, _LIMITED).astype(int)]
-    points = TireInputs(*(column[some] for column in joined))
+    points = TireInputs(*(np.asarray(column)[some] for column in joined))
     return [Block(force, points, np.zeros(_LIMITED), np.ones(_LIMITED), is_limit=True)]
 
 

@@ -1,6 +1,7 @@
 """Build a well-posed fit from data, a model and a configuration."""
 
 import difflib
+import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -50,6 +51,9 @@ def find_model(name: str) -> AbstractTire:
         remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
         remedy += " writes, fit.json and fit.tir, is a tire"
         raise UsageError(reason, remedy)
+    if os.path.isfile(name):
+        remedy = "a file of a tire ends in .json (a fit) or .tir; `tirefit models` lists the names"
+        raise UsageError(f"{name!r} is a file, not the name of a model", remedy)
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
     raise UsageError(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")

@@ -48,7 +48,7 @@ class ParameterConfig(Section):
             for key in ("lower", "upper", "prior", "per_run"):  # of an estimated parameter
                 if getattr(self, key) != ParameterConfig.model_fields[key].default:
                     yield InputProblem(f"{key} contradicts free = false", remedy)
-        if None not in (self.lower, self.upper) and self.lower >= self.upper:
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
             reason = f"lower = {self.lower:g} is not below upper = {self.upper:g}"
             remedy = "leave room between them, or hold the parameter by free = false"
             yield InputProblem(reason, remedy)

@@ -293,9 +293,11 @@ def derived_from_profile(
             derived[name + ending] = estimate
             if name == "F_max":
                 fz = reference_point(problem, code)["fz"]
-                numbers = (estimate.value, estimate.std, *estimate.ci95)
-                value, std, *ci95 = (None if x is None else x / fz for x in numbers)
-                share = replace(estimate, value=value, std=std, unit="-", ci95=tuple(ci95))
+                numbers = estimate.std, *estimate.ci95
+                std, first, last = (None if x is None else x / fz for x in numbers)
+                share = replace(
+                    estimate, value=estimate.value / fz, std=std, unit="-", ci95=(first, last)
+                )
                 derived["F_max_over_fz" + ending] = share
     order = list(quantities(channel))
     by_quantity = sorted(derived, key=lambda label: order.index(quantity_of(label)))

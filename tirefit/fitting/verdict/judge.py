@@ -34,7 +34,9 @@ def disagreements(result: FitResult) -> dict[str, str]:
     apart: dict[str, list[str]] = {}
     profiles = {} if _exactness(result) else result.intervals["profile"]
     for label, (low, high) in profiles.items():
-        if not result.least_squares[label].identified or None in (low, high) or not high > low:
+        if low is None or high is None or not high > low:
+            continue
+        if not result.least_squares[label].identified:
             continue
         for route in ("covariance", "posterior"):
             first, last = result.intervals.get(route, {}).get(label, (None, None))

@@ -287,7 +287,7 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict[str, Scalar]:
         "mz": acting(tire.aligning.curve(at, scale, slip), tire.aligning.QDZ1),
     }
     for force, weight in weights.items():
-        largest[force] = jnp.maximum(largest[force], fields.weighting(force, weight))
+        largest[force] = jnp.maximum(largest[force], weighting(force, weight))
     return {force: value for force, value in largest.items() if force not in tire.lacks}
 
 
