@@ -45,9 +45,14 @@ at six standard deviations. The distance is 4.7 at 80 rows, 7 at 50,000."""
 _MOST = 0.1
 """Largest share of rows that are excluded; more rows than this are not outliers."""
 _ROUNDS = 8
-_NEAR, _LOUDER = 31, 1.4
-"""Number of neighbours, and ratio: where their noise exceeds that of all rows by this ratio, it
-is used instead."""
+_NEAR, _MISSED = 6, 2.0
+"""Number of neighbours, and standard deviations: where the median residual of the
+neighbours is larger, the row is compared with it, as all miss the curve together."""
+_ON_A_LINE = np.sqrt(1.5)
+"""Standard deviation of a residual from the mean of two others."""
+_AROUND, _LOUDER = 30, 1.4
+"""Number of neighbours, and ratio: where the noise of the neighbours exceeds that of all
+rows by this ratio, it is used instead."""
 _REMEMBERED = 30
 """Rows on either side that an error in one row of a transient tire may affect."""
 _ROUNDING = 1e-6  # share of a force's range below which no deviation is an outlier
@@ -89,7 +94,7 @@ class _Judged(NamedTuple):
     """How far the rows lie from what the others predict: by channel (k, n)."""
 
     distance: np.ndarray  # in standard deviations
-    ratio: np.ndarray  # of the distance to the limit, in the noise of the neighbours
+    ratio: np.ndarray  # of this distance, less that of the neighbours, to the limit
     predicted: np.ndarray  # force
 
 
@@ -110,8 +115,9 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     dof = min(max(values - whole.problem.layout.size - 1, 1), _TAILS)
     limit = float(stdtrit(dof, 1 - _CHANCE / (2 * values)))
     most = max(1, int(_MOST * whole.problem.n))
-    kept = np.ones(whole.problem.n, bool)
-    kept[list(suspects)] = not trims or len(suspects) > most
+    first = np.zeros(whole.problem.n, bool)
+    first[list(suspects)] = trims and len(suspects) <= most
+    kept = ~_leaving_runs(first, whole)
     for _ in range(_ROUNDS):
         task, solved = _fitted(whole, kept, config)
         judged = _judge(whole, task, solved, kept, limit)
@@ -124,7 +130,7 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
             # One wrong slip affects a transient tire for a while: only the worst row counts.
             worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
             ratio = np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
-        beyond = ratio > 1
+        beyond = _leaving_runs(ratio > 1, whole)
         order = np.argsort(np.where(beyond, -ratio, 0.0), kind="stable")
         others = np.ones_like(beyond)  # than the farthest rows beyond the limit
         others[order[: min(most, np.count_nonzero(beyond))]] = False
@@ -163,6 +169,13 @@ def _suspects(task: FitTask) -> dict[int, FarValue]:
     for value in sorted(values, key=lambda value: FAR_COLUMNS.index(value.column)):
         suspects.setdefault(int(position[value.row]), value)
     return suspects
+
+
+def _leaving_runs(aside: np.ndarray, task: FitTask) -> np.ndarray:
+    """Rows to exclude, except in runs that would lose half of their rows."""
+    run = task.problem.used(task.problem.rows.run)
+    share = np.bincount(run, aside) / np.maximum(np.bincount(run), 1)
+    return aside & (share <= 0.5)[run]
 
 
 def _fitted(whole: FitTask, kept: np.ndarray, config: FitConfig) -> tuple[FitTask, Solved]:
@@ -205,11 +218,12 @@ def _judge(
         floor = _ROUNDING * np.ptp(observed[kept]) / np.median(unit[kept])
         scale = max(_scale(np.abs(off[kept])), floor, np.finfo(float).tiny)
         off /= scale if channel.noise_estimated else max(scale, 1.0)
-        distance = np.abs(off)
-        ratio = distance / limit
-        if np.any(ratio > 1):
-            ratio /= _noise_beside(distance, _by_state(whole.data, CHANNEL_SLIP[channel.name]))
-        by_channel.append((distance, ratio, at.mean[channel.name]))
+        ratio = np.abs(off) / limit
+        beyond = np.flatnonzero(ratio > 1)
+        if len(beyond):
+            order = _by_state(whole.data, CHANNEL_SLIP[channel.name])
+            ratio[beyond] = _beside(beyond, off, order, kept) / limit
+        by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
     return _Judged(*map(np.array, zip(*by_channel, strict=True)))
 
 
@@ -224,14 +238,36 @@ def _scale(off: np.ndarray) -> float:
     return float(np.sqrt(np.mean(part**2) / (1 - 2 * end * density / share)))
 
 
-def _noise_beside(distance: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Noise of the neighbours (n,) of each row in an order, over that of all rows; one where it is
-    not clearly larger."""
-    from scipy.ndimage import median_filter  # for data with outliers alone
+def _beside(rows: np.ndarray, off: np.ndarray, order: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Distances of some rows, less those of their neighbours, (m,).
 
-    noise = np.empty(len(distance))
-    noise[order] = MAD * median_filter(distance[order], _NEAR)
-    return np.where(noise > _LOUDER, noise, 1.0)
+    Args:
+        rows: (m,) rows to compute.
+        off: (n,) signed distances, in standard deviations.
+        order: (n,) indices that put neighbours next to each other.
+        counts: (n,) bool, the rows that may be neighbours.
+    """
+    members, is_member = order[counts[order]], counts[rows].astype(int)
+    before = np.empty(len(order), int)
+    before[order] = np.cumsum(counts[order]) - counts[order]
+    before = before[rows]
+
+    def near(most: int) -> np.ndarray:
+        size = min(most, len(members) - 1)
+        start = np.clip(before - size // 2, 0, len(members) - is_member - size)
+        at = start[:, None] + np.arange(size)
+        return off[members[at + ((at >= before[:, None]) & (is_member[:, None] > 0))]]
+
+    after = before + is_member
+    inner = (before > 0) & (after < len(members))
+    ends = members[before - 1], members[np.minimum(after, len(members) - 1)]
+    line = np.where(inner, (off[ends[0]] + off[ends[1]]) / 2, 0.0)
+    left = np.abs(off[rows])
+    for missed, wider in ((np.median(near(_NEAR), axis=1), 1.0), (line, _ON_A_LINE)):
+        beside = np.abs(off[rows] - missed) / wider
+        left = np.where(np.abs(missed) > _MISSED, np.minimum(left, beside), left)
+    louder = MAD * np.median(np.abs(near(_AROUND)), axis=1)
+    return left / np.where(louder > _LOUDER, louder, 1.0)
 
 
 def _by_state(data: TireData, slip: str) -> np.ndarray:
