@@ -86,6 +86,19 @@ def of_mu(**settings):
 PRIOR = {"mean": 1.0, "std": 0.1}
 # content -> the start of every reason
 CONTRADICTIONS = {
+    "tied and free": (of_mu(tied="D", free=True), ["parameters.mu: free contradicts tied = 'D'"]),
+    "tied and all else": (
+        of_mu(tied="D", value=1, lower=0.1, upper=2, prior=PRIOR, per_run=True),
+        [
+            f"parameters.mu: {key} contradicts tied = 'D'"
+            for key in ("value", "lower", "upper", "prior", "per_run")
+        ],
+    ),
+    "factor without tied": (of_mu(factor=2), ["parameters.mu: factor without tied"]),
+    "tied by nothing": (
+        of_mu(tied="D", factor=0),
+        ["parameters.mu: factor = 0 ties it to nothing"],
+    ),
     "fixed and all else": (
         of_mu(free=False, value=1, lower=0.1, upper=2, prior=PRIOR, per_run=True),
         [
@@ -131,12 +144,13 @@ def test_compatible_settings_are_accepted():
         {
             "parameters": {
                 "mu": {"free": False, "value": 1, "per_run": False},
+                "m": {"tied": "cpa2", "factor": -2},
                 "cpa2": {"lower": 1, "upper": 2, "value": 3, "prior": PRIOR},
             },
             "noise": {"fx": 40, "fy_relative": 0.01},
         }
     )
-    assert config.parameters["cpa2"].upper == 2
+    assert config.parameters["m"].factor == -2 and config.parameters["cpa2"].upper == 2
 
 
 # model, parameters -> (the start of the reason, part of the remedy) of every problem
@@ -163,6 +177,16 @@ IMPOSSIBLE = {
     "nothing free": (
         "brush", {"mu": {"free": False}, "cpa2": {"free": False}},
         {"no free parameter": "[parameters]"},
+    ),
+    "tied to a fixed one": (
+        "brush", {"mu": {"free": False}, "cpa2": {"tied": "mu"}},
+        {"cpa2: tied to 'mu', which is not free": "free a parameter",
+         "no free parameter": "[parameters]"},
+    ),
+    "tied to itself, and to a tied one": (
+        "brush-d", {"mu": {"tied": "d"}, "d": {"tied": "d"}},
+        {"mu: tied to 'd', which is not free": "tie it to one of cpa2",
+         "d: tied to 'd', which is not free": "tie it to one of cpa2"},
     ),
     "settings of one that is not estimated": (
         "brush-h", {"v_st": {"lower": 2, "prior": {"mean": 3, "std": 1}}},

@@ -9,8 +9,11 @@ from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, table
 from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.stats import norm
 
-from tirefit.fitting.estimate import fit
+from tirefit.fitting.estimate import fit, with_fixed
+from tirefit.fitting.problem.build import build
+from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.layout import FreeParameter, Layout
+from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve.inference import deviance
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty import extremes
@@ -240,6 +243,24 @@ def test_posterior_quantities_use_the_posterior_draws(given, chunk):
     assert sampled.parameters["mu"].value == np.median(mu)
     assert sampled.source == "posterior median and central 95 %"
     assert sampled.to_dict()["source"] == sampled.source
+
+
+def test_a_parameter_tied_to_one_per_run_has_an_estimate_per_run():
+    tied = {"tied": "mu", "factor": -0.2}
+    config = {"parameters": {"d": tied, "mu": {"per_run": True}}}
+    data = curve(n=40)
+    runs = table(data.columns, run=np.repeat([0, 1], 20), runs=("dry", "wet"))
+    problem = build(runs, "brush-d", parse_config(config)).problem
+    estimates = {
+        "cpa2": Estimate(5e4, 1.0, "N", (1.0, 2.0)),
+        "mu[dry]": Estimate(1.0, 0.25, "-", (0.5, 1.5)),
+        "mu[wet]": Estimate(0.5, None, "-", (0.25, 1.0), False),
+    }
+    assert set(estimates) == set(problem.layout.labels)
+    found = with_fixed(estimates, problem)
+    assert set(found) == {*estimates, "d[dry]", "d[wet]"}
+    assert found["d[dry]"] == Estimate(-0.2, 0.05, "-", (-1.5 * 0.2, -0.1))
+    assert found["d[wet]"] == Estimate(-0.1, None, "-", (-0.2, -0.05), False)
 
 
 @pytest.fixture(scope="module")

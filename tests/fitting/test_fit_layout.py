@@ -8,13 +8,14 @@ from recipes import FZ, STD, brush_force, curve, table
 
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
-from tirefit.fitting.problem.layout import FreeParameter, Layout, choose_layout
+from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie, choose_layout
 from tirefit.fitting.problem.likelihood import root_deviance
 from tirefit.fitting.solve.inference import linearise, minima, residuals
 from tirefit.fitting.solve.least_squares import least_squares
 from tirefit.fitting.solve.multistart import with_densities
 from tirefit.models import MODELS
 from tirefit.params import specs
+from tirefit.results import UsageError
 
 SPECS = specs(MODELS["brush-dm"])
 LAYOUT = Layout(
@@ -24,6 +25,7 @@ LAYOUT = Layout(
         FreeParameter("d", SPECS["d"], prior=(0.1, 0.2)),
     ),
     ("dry", "wet", "ice"),
+    (Tie("m", "mu", 0.5),),
 )
 VALUES = {"cpa2": 4e4, "mu[dry]": 1.1, "mu[wet]": 0.7, "mu[ice]": 0.1, "d": 0.3}
 
@@ -34,6 +36,7 @@ def test_natural_inverts_unconstrained():
     named = LAYOUT.natural(z)
     np.testing.assert_allclose(named["mu"], [1.1, 0.7, 0.1], rtol=1e-12)
     np.testing.assert_allclose(named["d"], 0.3, rtol=1e-12)
+    np.testing.assert_allclose(named["m"], [0.55, 0.35, 0.05], rtol=1e-12)
     assert named["cpa2"].shape == () and named["mu"].shape == (3,)
 
 
@@ -83,13 +86,79 @@ def chosen(model, parameters, forces=("fx",)):
     return choose_layout(MODELS[model], config, ("dry", "wet"), forces)
 
 
+# model, parameters -> bounds of the free parameter, of the tied one, name of each
+TIES = {
+    "upper end": ("brush-m", {"m": {"tied": "mu", "factor": 0.8}}, ("mu", 0.01, 1.25)),
+    "own bounds of the free one": (
+        "brush-m",
+        {"m": {"tied": "mu", "factor": 0.8}, "mu": {"lower": 0.5, "upper": 2}},
+        ("mu", 0.5, 1.25),
+    ),
+    "negative factor": ("brush-d", {"d": {"tied": "mu", "factor": -0.2}}, ("mu", 0.01, 5 / 3)),
+    "lower end, on many decades": (
+        "brush",
+        {"mu": {"tied": "cpa2", "factor": 1e-5}},
+        ("cpa2", 1e3, 5e5),
+    ),
+    "two ties": (
+        "brush-dm",
+        {"m": {"tied": "mu", "factor": 0.8}, "d": {"tied": "mu", "factor": -0.3}},
+        ("mu", 0.01, 1 / 0.9),
+    ),
+    "per run": ("brush-m", {"m": {"tied": "mu"}, "mu": {"per_run": True}}, ("mu", 0.01, 1.0)),
+}
+
+
+@pytest.mark.parametrize(("model", "parameters", "bounds"), TIES.values(), ids=TIES)
+def test_a_tied_parameter_stays_within_its_bounds(model, parameters, bounds):
+    name, lower, upper = bounds
+    _, layout, notes = chosen(model, parameters)
+    (free,) = (p for p in layout.free if p.name == name)
+    np.testing.assert_allclose(free.spec.bounds, (lower, upper), rtol=1e-12)
+    assert any(note.startswith(f"{name} held to [") for note in notes)
+    for z in (-60.0, -1.0, 0.0, 1.0, 60.0):
+        values = layout.natural(np.full(layout.size, z))
+        for tie in layout.ties:
+            own = specs(MODELS[model])[tie.name]
+            assert np.all(values[tie.name] >= own.lower * (1 - 1e-12) - 1e-12)
+            assert np.all(values[tie.name] <= own.upper * (1 + 1e-12) + 1e-12)
+
+
+def test_a_tie_that_stays_within_the_bounds_narrows_nothing():
+    _, layout, notes = chosen("brush-stribeck", {"mu_c": {"tied": "mu"}})
+    assert {p.name: p.spec for p in layout.free}["mu"] == SPECS["mu"]
+    assert layout.ties == (Tie("mu_c", "mu"),) and notes == []
+
+
+def test_tie_outside_the_bounds_is_refused():
+    parameters = {"m": {"tied": "mu", "factor": 3}, "mu": {"lower": 0.5}}
+    with pytest.raises(UsageError) as caught:
+        chosen("brush-m", parameters)
+    (problem,) = caught.value.problems
+    assert problem.reason == (
+        "parameters.m: tied = 'mu' with factor = 3 is outside its bounds [0, 1] for"
+        " every mu in [0.5, 5]"
+    )
+    assert "bounds of mu" in problem.remedy
+
+
+def test_value_and_prior_are_checked_within_the_narrowed_bounds():
+    prior = {"mean": 1.5, "std": 0.1}
+    parameters = {"m": {"tied": "mu"}, "mu": {"value": 1.2, "prior": prior}}
+    with pytest.raises(UsageError) as caught:
+        chosen("brush-m", parameters)
+    value, mean = caught.value.problems
+    assert value.reason == "parameters.mu: value 1.2 outside its bounds [0.01, 1]"
+    assert mean.reason == "parameters.mu: prior mean 1.5 outside its bounds [0.01, 1]"
+
+
 def test_free_fixed_and_per_run_follow_the_configuration():
     parameters = {
         "cpa2": {"value": 3e4, "free": False},
         "mu": {"per_run": True, "prior": {"mean": 1, "std": 0.1}},
         "d": {"upper": 0.5},
     }
-    model, layout = chosen("brush-d", parameters)
+    model, layout, _ = chosen("brush-d", parameters)
     assert layout.labels == ("mu[dry]", "mu[wet]", "d")
     assert layout.free[0].prior == (1.0, 0.1)
     assert layout.free[1].spec == SPECS["d"]._replace(upper=0.5)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from recipes import FZ, STD, TRUTH, brush_force, curve, table
 
+from tirefit.door import sealed
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit
@@ -182,3 +183,26 @@ def test_unknown_run_is_refused(joint):
     with pytest.raises(DataError, match="no parameters for the runs new") as caught:
         predict(joint, NEW)
     assert "it knows dry, wet" in str(caught.value)
+
+
+def test_a_tied_fit_with_other_bounds_survives_storing(tmp_path):
+    """A tire whose ratio of kinetic to static friction depends on its friction."""
+    parameters = {"m": {"tied": "mu", "factor": 0.8}, "cpa2": {"upper": 1e6}}
+    data = curve(TRUTH | {"m": 0.8}, seed=40)
+    tied = fit(data, "brush-m", config={"noise": {"fx": STD}, "parameters": parameters})
+    tied.save(tmp_path)
+    stored = predict(load_fit(tmp_path / "fit.json"), NEW)
+    for name, values in predict(tied, NEW).items():
+        np.testing.assert_allclose(stored[name], values, rtol=1e-12)
+
+
+@pytest.mark.parametrize("ends", [("m", "mv"), ("z", "mu"), ("m", "m")])
+def test_a_tie_to_what_is_not_free_is_refused(given, tmp_path, ends):
+    given.save(tmp_path)
+    path = tmp_path / "fit.json"
+    content = json.loads(path.read_text())
+    name, other = ends
+    content["prediction"]["layout"]["ties"] = [{"name": name, "other": other, "factor": 0.8}]
+    path.write_text(json.dumps(sealed(content)))
+    with pytest.raises(DataError, match=f"{name} is tied to {other}: not a free parameter"):
+        load_fit(path)

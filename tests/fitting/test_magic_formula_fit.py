@@ -224,6 +224,7 @@ def test_given_coefficients_and_priors_are_used():
         ("mf53", "all", {}, "mf52"),
         ("mf61", "fz", {}, "known: fx, fy, mz, all"),
         ("mf61", "fy", {"parameters": {"PDY1": {"lower": 0.1}}}, "PDY1: lower"),
+        ("mf61", "fy", {"parameters": {"PDY1": {"tied": "PDX1"}}}, "PDY1: tied"),
         ("mf61", "fy", {"noise": {"loss": "huber"}}, "noise.loss"),
         ("mf61", "fy", {"parameters": {"PDZ1": {"value": 1.0}}}, "PDZ1"),
         ("mf61", "fy", {"parameters": {"PHY3": {"free": False}}}, "PHY3"),

@@ -169,7 +169,7 @@ def fit(
         model: a name of ``tirefit.MODELS``; by default that of ``config``, or ``brush``.
         config: content of ``fit.toml`` as a dict or a ``FitConfig``: ``force`` (fx, fy, mz),
             ``starts``, ``parameters`` ({"mu": {...}} with value, free, lower, upper, prior,
-            per_run), ``noise`` ({"fx": 20.0} in N, fx_relative, sigma_x,
+            per_run, tied, factor), ``noise`` ({"fx": 20.0} in N, fx_relative, sigma_x,
             loss, ...) and ``posterior`` (sampler, effective_samples, ...).
         solver: ``gauss-newton``; to check it, ``optimistix``, ``jaxopt`` or a least-squares
             solver of optimistix. Profiles are by ``gauss-newton``.
@@ -255,10 +255,21 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
 
 
 def with_fixed(estimates: dict[str, Estimate], problem: FitProblem) -> dict[str, Estimate]:
-    """Estimates plus the fixed parameters, in the model's order."""
+    """Estimates plus the fixed and tied parameters, in the model's order."""
     everything, free = dict(estimates), {p.name for p in problem.layout.free}
+    ties = {tie.name: tie for tie in problem.layout.ties}
+    ends = ("", *(f"[{run}]" for run in problem.layout.runs))
     for name, spec in specs(problem.model).items():
-        if name not in free and (spec.free or name != "half_length"):
+        if name in ties:
+            factor, of = ties[name].factor, ties[name].other
+            # One for each run, if the other one is per run.
+            for end, other in ((e, estimates[of + e]) for e in ends if of + e in estimates):
+                low, high = (None if x is None else factor * x for x in other.ci95)
+                ci95 = (low, high) if factor > 0 else (high, low)
+                std = None if other.std is None else abs(factor) * other.std
+                tied = Estimate(factor * other.value, std, spec.unit, ci95, other.identified)
+                everything[name + end] = tied
+        elif name not in free and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
             everything[name] = Estimate(value, None, spec.unit, (None, None), fixed=True)
     return everything

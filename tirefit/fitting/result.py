@@ -365,6 +365,7 @@ def layout_record(layout: Layout, model: AbstractTire) -> dict[str, Any]:
             {"name": p.name, "per_run": p.per_run, "lower": p.spec.lower, "upper": p.spec.upper}
             for p in layout.free
         ],
+        "ties": [asdict(tie) for tie in layout.ties],
         "runs": list(layout.runs),
         "fixed": {
             name: float(value)

@@ -14,7 +14,7 @@ from tirefit.data.records import FileRecord, Row
 from tirefit.door import outrageous, read_record
 from tirefit.files import write_texts
 from tirefit.fitting.problem.build import find_model
-from tirefit.fitting.problem.layout import FreeParameter, Layout
+from tirefit.fitting.problem.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import Values, specs, with_values
@@ -79,9 +79,15 @@ class _Free(_Part):
     upper: float
 
 
+class _Tie(_Part):
+    name: str
+    other: str
+    factor: float
+
+
 class _Layout(_Part):
     free: list[_Free]
-    ties: Annotated[list[Any], Field(max_length=0)] = []  # of earlier versions
+    ties: list[_Tie] = []
     runs: list[str]
     fixed: dict[str, float]
 
@@ -190,7 +196,11 @@ def load_fit(path: str | os.PathLike[str]) -> StoredFit:
             if not (0.0 if spec.scale == "log" else -_LARGEST) < spec.lower < spec.upper:
                 raise ValueError(f"the bounds of {item.name} are not in order")
             free.append(FreeParameter(item.name, spec, item.per_run))
-        layout = Layout(tuple(free), tuple(stored.runs))
+        ties = tuple(Tie(**tie.model_dump()) for tie in stored.ties)
+        for tie in ties:
+            if tie.name not in known or tie.other not in {item.name for item in free}:
+                raise ValueError(f"{tie.name} is tied to {tie.other}: not a free parameter")
+        layout = Layout(tuple(free), tuple(stored.runs), ties)
         tire = with_values(template, stored.fixed)
         noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}
         for given in noise.values():

@@ -142,7 +142,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
         if name not in coefficients and (name not in settable or asked.value is None):
             remedy = f"its coefficients are {', '.join(coefficients)}"
             faults.append((f"parameters.{name}: {model} does not fit it", remedy))
-        wrong = [key for key in ("lower", "upper", "per_run") if getattr(asked, key)]
+        wrong = [key for key in ("lower", "upper", "tied", "per_run") if getattr(asked, key)]
         if asked.value is not None and asked.free and asked.prior is None:
             wrong.append("value with free")
         if wrong:

@@ -163,7 +163,7 @@ def _noise_problems(
 
 def _settled(
     data: TireData, model: AbstractTire, forces: Sequence[str], config: FitConfig
-) -> tuple[AbstractTire, Layout]:
+) -> tuple[AbstractTire, Layout, list[str]]:
     """Result of ``choose_layout``; its problems and those of the noise are raised together."""
     of_columns, of_settings = _noise_problems(data, forces, config)
     try:
@@ -262,15 +262,15 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         least_rows: rows to pad to, at least, so that small files share one program.
 
     Raises:
-        UsageError: unknown model or parameter, impossible bounds or noise.
+        UsageError: unknown model or parameter, impossible bounds, ties or noise.
         DataError: missing columns or rows, or a noise column that is not positive.
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
     _check_inputs(data, name, template, forces, config)
     config, messages = _with_reference_load(data, template, config)
-    model, layout = _settled(data, template, forces, config)
-    notes += messages
+    model, layout, narrowed = _settled(data, template, forces, config)
+    notes += [*messages, *narrowed]
     size = padded_size(data.n, least_rows)
     observed, scale, channels = {}, {}, []
     slips = dict.fromkeys(CHANNEL_SLIP.values())

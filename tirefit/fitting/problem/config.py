@@ -32,7 +32,8 @@ class ParameterConfig(Section):
     """Settings of one parameter.
 
     ``value`` starts a free parameter and holds a fixed one; ``free = false`` fixes it;
-    ``per_run`` estimates one value per run.
+    ``per_run`` estimates one value per run; ``tied`` names the parameter that it equals
+    (times ``factor``).
     """
 
     value: float | None = None
@@ -41,13 +42,25 @@ class ParameterConfig(Section):
     upper: float | None = None
     prior: Prior | None = None
     per_run: bool = False
+    tied: str | None = None
+    factor: float = 1.0
 
     def contradictions(self) -> Iterator[InputProblem]:
-        if self.free is False:
-            remedy = "leave one of them out: only value goes with it"
-            for key in ("lower", "upper", "prior", "per_run"):  # of an estimated parameter
-                if getattr(self, key) != ParameterConfig.model_fields[key].default:
-                    yield InputProblem(f"{key} contradicts free = false", remedy)
+        rule, companion = "free = false", "value"
+        idle = ["lower", "upper", "prior", "per_run"]  # keys of an estimated parameter
+        if self.tied is not None:
+            rule, companion, idle = f"tied = {self.tied!r}", "factor", ["value", "free", *idle]
+        elif self.free is not False:
+            idle = []
+        for key in idle:
+            if getattr(self, key) != ParameterConfig.model_fields[key].default:
+                remedy = f"leave one of them out: only {companion} goes with it"
+                yield InputProblem(f"{key} contradicts {rule}", remedy)
+        if self.tied is None and self.factor != 1:
+            yield InputProblem("factor without tied", "name the other parameter by tied")
+        if self.factor == 0:
+            remedy = "hold it at zero by value = 0 and free = false"
+            yield InputProblem("factor = 0 ties it to nothing", remedy)
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
             reason = f"lower = {self.lower:g} is not below upper = {self.upper:g}"
             remedy = "leave room between them, or hold the parameter by free = false"

@@ -1,8 +1,8 @@
 """The parameters that a fit estimates, and their map from an unconstrained vector z.
 
-A parameter is free (shared by all runs, or one per run) or fixed at a value. The solver and
-the samplers see one unconstrained vector z; ``natural`` turns it into named values within
-their bounds.
+A parameter is free (shared by all runs, or one per run), fixed at a value, or tied to a free
+one. The solver and the samplers see one unconstrained vector z; ``natural`` turns it into named
+values within their bounds.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,12 +32,22 @@ class FreeParameter:
 
 
 @dataclass(frozen=True)
+class Tie:
+    """``name = factor * other``."""
+
+    name: str
+    other: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
 class Layout:
-    """The free parameters in order, and the runs of the data."""
+    """The free parameters in order, the runs of the data, and the ties."""
 
     free: tuple[FreeParameter, ...]
     runs: tuple[str, ...] = field(default=("run",), compare=False, repr=False)
     """Not compared: otherwise the names of the runs would force a new compilation."""
+    ties: tuple[Tie, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -80,7 +90,7 @@ class Layout:
         return self.elements_of(run[[p.prior is not None for _, p in self.elements]])
 
     def natural(self, z: Values) -> dict[str, Numbers]:
-        """Named values: shape () where shared, (runs,) where per run."""
+        """Named values: shape () where shared, (runs,) where per run; ties resolved."""
         values: dict[str, Numbers] = {}
         start = 0
         for parameter in self.free:
@@ -88,6 +98,8 @@ class Layout:
             part = constrain(z[start : start + count], parameter.spec)
             values[parameter.name] = part if parameter.per_run else part[0]
             start += count
+        for tie in self.ties:
+            values[tie.name] = tie.factor * values[tie.other]
         return values
 
     def vector(self, z: Same) -> Same:
@@ -121,8 +133,10 @@ class Layout:
 
 def choose_layout(
     model: AbstractTire, config: FitConfig, runs: tuple[str, ...], forces: Sequence[str]
-) -> tuple[AbstractTire, Layout]:
+) -> tuple[AbstractTire, Layout, list[str]]:
     """Choose the parameters that a fit estimates, and their bounds.
+
+    The bounds of a tied parameter narrow those of the other one.
 
     Args:
         model: template of the fit.
@@ -131,10 +145,10 @@ def choose_layout(
         forces: fitted forces; only ``mz`` lets the half-length be estimated.
 
     Returns:
-        The model that holds the fixed values, and the layout.
+        The model that holds the fixed values, the layout, and what was narrowed.
 
     Raises:
-        UsageError: unknown names, impossible bounds, values, priors.
+        UsageError: unknown names, impossible bounds, values, priors, ties.
     """
     known, unknowns, fixed = specs(model), [], {}
     problems = [
@@ -144,23 +158,57 @@ def choose_layout(
         for name in config.parameters
         if name not in known
     ]
-    for name, spec in known.items():
-        asked = config.parameters.get(name, ParameterConfig())
-        by_default = "mz" in forces if name == "half_length" else spec.free
-        free = by_default if asked.free is None else asked.free
-        bounded, wrong = _bounded(name, spec, asked)
-        problems += [*wrong, *_misplaced(name, bounded, asked, free)]
-        if free:
+    settings = {name: config.parameters.get(name, ParameterConfig()) for name in known}
+    bounded, free, ties = {}, [], []
+    for name, asked in settings.items():
+        chosen = "mz" in forces if name == "half_length" else known[name].free
+        if asked.tied is not None:
+            ties.append(Tie(name, asked.tied, asked.factor))
+            chosen = False
+        free += [name] * (chosen if asked.free is None else asked.free)
+        bounded[name], wrong = _bounded(name, known[name], asked)
+        problems += wrong
+    notes = _narrow(ties, bounded, free, problems)
+    for name, asked in settings.items():
+        problems += _misplaced(name, bounded[name], asked, name in free)
+        if name in free:
             prior = None if asked.prior is None else (asked.prior.mean, asked.prior.std)
             per_run = asked.per_run and len(runs) > 1
-            unknowns.append(FreeParameter(name, bounded, per_run, prior))
-        else:
-            fixed[name] = spec.default if asked.value is None else asked.value
+            unknowns.append(FreeParameter(name, bounded[name], per_run, prior))
+        elif asked.tied is None:
+            fixed[name] = known[name].default if asked.value is None else asked.value
     if not unknowns:
         problems.append(InputProblem("no free parameter", "free one under [parameters]"))
     if problems:
         raise UsageError([replace(p, file=config.source) for p in problems])
-    return with_values(model, fixed), Layout(tuple(unknowns), runs)
+    return with_values(model, fixed), Layout(tuple(unknowns), runs, tuple(ties)), notes
+
+
+def _narrow(
+    ties: Sequence[Tie], bounded: dict[str, Spec], free: Sequence[str], problems: list[InputProblem]
+) -> list[str]:
+    """Narrow the bounds of parameters to which others are tied to the bounds of those; adds
+    impossible ties to the problems and returns what was narrowed."""
+    notes = []
+    for name, of, factor in ((tie.name, tie.other, tie.factor) for tie in ties):
+        if of not in free:
+            reason = f"parameters.{name}: tied to {of!r}, which is not free"
+            remedy = f"tie it to one of {', '.join(free)}" if free else "free a parameter"
+            problems.append(InputProblem(reason, remedy))
+            continue
+        tied, other = bounded[name], bounded[of]
+        low, high = sorted((tied.lower / factor, tied.upper / factor))
+        narrow = other._replace(lower=max(other.lower, low), upper=min(other.upper, high))
+        if narrow.lower >= narrow.upper:
+            reason = f"parameters.{name}: tied = {of!r} with factor = {factor:g} is outside its"
+            reason += f" bounds {_interval(tied)} for every {of} in {_interval(other)}"
+            remedy = f"change the factor, or the bounds of {of}"
+            problems.append(InputProblem(reason, remedy))
+        elif narrow != other:
+            bounded[of] = narrow
+            text = f"{of} held to {_interval(narrow)}, so that {name} = {factor:g} {of} stays"
+            notes.append(f"{text} within {_interval(tied)}")
+    return notes
 
 
 def _interval(spec: Spec) -> str:
@@ -196,7 +244,7 @@ def _misplaced(name: str, spec: Spec, asked: ParameterConfig, free: bool) -> Ite
             reason = f"prior std {prior.std:g} leaves it no room in {_interval(spec)}"
             remedy = f"hold it by value = {prior.mean:g} and free = false"
             yield InputProblem(f"{key}: {reason}", remedy)
-    if free or asked.free is False:
+    if free or asked.free is False or asked.tied is not None:
         return
     idle = [k for k in ("lower", "upper", "prior") if getattr(asked, k) is not None]
     idle += ["per_run"] if asked.per_run else []

@@ -69,7 +69,7 @@ def solved_as(name: str, task: FitTask, config: FitConfig) -> Solved | None:
     if not {*forces} <= {*modelled(MODELS[name])}:
         return None
     known = specs(MODELS[name])
-    settings = {key: setting for key, setting in config.parameters.items() if key in known}
+    settings = {k: s for k, s in config.parameters.items() if {k, s.tied or k} <= {*known}}
     chosen = {"model": name, "force": forces, "parameters": settings}
     config = config.model_copy(update=chosen)
     try:

@@ -82,6 +82,7 @@ def _settings(result: FitResult) -> list[tuple[str, str]]:
         text = f"{p.name} free in [{p.spec.lower:g}, {p.spec.upper:g}]{unit}"
         text += ", one per run" if p.per_run else ""
         lines.append(text + (f", prior {p.prior[0]:g} ± {p.prior[1]:g}" if p.prior else ""))
+    lines += [f"{t.name} = {t.factor:g} {t.other}" for t in result.problem.layout.ties]
     versions = ", ".join(f"{k} {v}" for k, v in result.versions.items())
     return [
         ("file", f"{result.data['file']}, sha256 {result.data['sha256'] or '-'}"),
