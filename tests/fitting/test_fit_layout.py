@@ -163,7 +163,7 @@ def test_free_fixed_and_per_run_follow_the_configuration():
     assert layout.free[0].prior == (1.0, 0.1)
     assert layout.free[1].spec == SPECS["d"]._replace(upper=0.5)
     assert model.cpa2 == 3e4
-    _, layout = chosen("brush", {}, ("fy", "mz"))
+    _, layout, _ = chosen("brush", {}, ("fy", "mz"))
     assert layout.labels == ("cpa2", "mu", "half_length")
 
 

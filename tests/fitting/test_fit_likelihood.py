@@ -1,9 +1,10 @@
-"""The deviance of rows compared with NumPy and quadrature."""
+"""The deviance of rows compared with NumPy and quadrature; Huber's loss with SciPy."""
 
 import numpy as np
 import pytest
-from recipes import STD, TRUTH, brush_force, curve, solved
+from recipes import STD, TRUTH, brush_force, curve, solved, table
 from scipy.integrate import trapezoid
+from scipy.optimize import least_squares
 from scipy.special import erfcx, ndtr
 
 from tirefit.fitting.problem.build import build
@@ -107,6 +108,25 @@ def test_moments_of_a_row_average_over_its_latent_slips():
         spread = np.average((force - expected) ** 2, weights=weight)
         np.testing.assert_allclose(mean["fx"][i], expected, atol=3.0)
         np.testing.assert_allclose(variance["fx"][i], STD**2 + spread, rtol=0.03)
+
+
+@pytest.mark.parametrize("noise", [{"fx": STD}, {}], ids=["given", "estimated"])
+def test_huber_is_that_of_scipy_and_resists_outliers(noise):
+    """One row in ten is 20 standard deviations too low, which lowers mu by 2 % in squares."""
+    data = curve(seed=9)
+    slip, force = data["sigma_x"], data["fx"] - 20 * STD * (np.arange(400) % 10 == 0)
+    config = {"noise": noise | {"loss": "huber"}, "solver": "gauss-newton"}
+    end = solved(table(dict(data.columns) | {"fx": force}), config)
+    found = end.problem.layout.natural(end.z)
+    scale = float(end.problem.rows.scale["fx"][0])
+    np.testing.assert_allclose(scale, STD, rtol=0.25 if not noise else 1e-12)
+
+    def residual(x):
+        return (brush_force(slip, 1e4 * x[0], x[1]) - force) / scale
+
+    scipy = least_squares(residual, [4.0, 0.9], loss="huber", f_scale=1.345, xtol=1e-12)
+    np.testing.assert_allclose([found["cpa2"] / 1e4, found["mu"]], scipy.x, rtol=1e-4)
+    assert abs(found["mu"] - TRUTH["mu"]) < 0.004
 
 
 def test_force_noise_of_rows_with_noisy_slip_is_estimated():

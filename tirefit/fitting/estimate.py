@@ -127,7 +127,7 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
             "source": "estimated" if channel.noise_estimated else "given",
         }
         one_std = channel.noise_estimated and np.ptp(scale) == 0
-        if one_std and not problem.rows.nodes:
+        if one_std and not problem.is_huber and not problem.rows.nodes:
             force = np.asarray(at.mean[channel.name])
             record[channel.name] |= noise_by_row(
                 problem.used(problem.rows.observed[channel.name]) - force,

@@ -309,6 +309,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         rules={force: Rule() for force in forces},
         layout=layout,
         channels=tuple(channels),
+        is_huber=config.noise.loss == "huber",
     )
     time = data.usable("time") if "time" in data else None
     return FitTask(name, problem, guess, time, tuple(notes), data)

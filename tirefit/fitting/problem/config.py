@@ -75,7 +75,7 @@ class NoiseConfig(Section):
     ``<force>_relative`` is a fraction of the load; ``<slip>_speed`` [m/s] is noise of the slip
     velocity of the patch, a slip noise of this over v. A column of the data with the noise of every
     row, such as ``fx_std``, has precedence. ``loss``: squares of all rows, or (``trimmed``) without
-    outliers (``fitting.far_rows``)."""
+    outliers (``fitting.far_rows``), or Huber's loss of all rows."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
@@ -89,7 +89,7 @@ class NoiseConfig(Section):
     sigma_x_speed: _SlipNoise = None
     alpha_speed: _SlipNoise = None
     proportional_to_load: bool = False
-    loss: Literal["trimmed", "squares"] = "trimmed"
+    loss: Literal["trimmed", "squares", "huber"] = "trimmed"
     effective_samples: Literal["estimate", "all"] = "estimate"
 
     def contradictions(self) -> Iterator[InputProblem]:

@@ -20,7 +20,7 @@ from tirefit.fitting.problem.likelihood import (
     slip_weights,
     steepness,
 )
-from tirefit.fitting.problem.noise import effective_inflation
+from tirefit.fitting.problem.noise import MAD, effective_inflation
 from tirefit.fitting.problem.slip_noise import (
     SMOOTH,
     SMOOTH_STEEP,
@@ -159,7 +159,10 @@ def _scale_updates(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, flo
         scale = problem.used(problem.rows.scale[name])
         residual = (problem.used(problem.rows.observed[name]) - mean[name]) / scale
         dof = max(problem.n - problem.layout.size / len(problem.channels), 1.0)
-        factors[name] = float(np.sqrt(np.sum(residual**2) / dof))
+        square = np.mean(residual**2)
+        if problem.is_huber:
+            square = (MAD * np.median(np.abs(residual - np.median(residual)))) ** 2
+        factors[name] = float(np.sqrt(square * problem.n / dof))
     return factors
 
 
@@ -169,7 +172,8 @@ def _settle_noise(task: FitTask, z: np.ndarray, solver: Solver) -> tuple[FitProb
     problem = problem.with_rows(scale=_scaled(problem, _scale_updates(problem, z)))
     if problem.slip_noise:
         return _settle_slips(problem, z)
-    several = len(problem.channels) > 1 or any(p.prior for p in problem.layout.free)
+    several = len(problem.channels) > 1 or problem.is_huber
+    several = several or any(p.prior for p in problem.layout.free)
     rounds = 12 if problem.noise_estimated and several else 0
     for _ in range(rounds):
         z = np.asarray(minima(problem, z[None]).z[0])
@@ -295,7 +299,7 @@ def _judged(
             ratios.append(ratio)
             if ratio > 1 and chdtrc(independent, ratio * independent) < 1e-3:
                 rows_per_one *= ratio
-        plain = estimated and name not in problem.slip_noise
+        plain = estimated and not problem.is_huber and name not in problem.slip_noise
         smallest = float(values @ values) if plain else 0.0
         rules[name] = Rule(rows_per_one, effective, smallest)
     chi2_dof = float(np.mean(ratios)) if ratios else None
