@@ -26,6 +26,7 @@ from tirefit.fitting.uncertainty.identified import (
 from tirefit.fitting.uncertainty.profile import profile_all
 from tirefit.fitting.verdict.family import peak_ranges
 from tirefit.fitting.verdict.judge import is_noise, judge
+from tirefit.fitting.verdict.trials import tried
 from tirefit.models import TireInputs
 from tirefit.params import constrain, parameter_values, specs
 from tirefit.precision import require_x64
@@ -251,7 +252,8 @@ def _summarise(settled: Settled, data: TireData, config: FitConfig) -> FitResult
         far_rows=settled.outliers,
     )
     ranges = peak_ranges(task, solved, result.derived, config, is_noise(result))
-    return judge(replace(result, peak_range=ranges))
+    trials = tried(result, task, config)
+    return judge(replace(result, peak_range=ranges, trials=trials))
 
 
 def with_fixed(estimates: dict[str, Estimate], problem: FitProblem) -> dict[str, Estimate]:

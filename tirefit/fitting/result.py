@@ -136,6 +136,21 @@ class PeakRange(NamedTuple):
     worse: tuple[str, ...]
 
 
+class Trial(NamedTuple):
+    """A model whose force depends on a further column, tried on the rows of a fit."""
+
+    column: str
+    model: str
+    against: str  # reason not to use it; empty if it is better
+    aicc: tuple[float, ...]
+    """AICc of the model of the fit and of this model, at one number of independent rows."""
+
+    @property
+    def better(self) -> bool:
+        """Whether it has the lower AICc and stops at no bound."""
+        return not self.against
+
+
 class Verdict(NamedTuple):
     """What a fit is worth: its outcomes; the sentences on it, that of the gravest
     outcome first; and by label where the routes to an interval differ."""
@@ -191,6 +206,7 @@ class FitResult(Record):
     far_rows: tuple[FarRow, ...] = ()
     peak_range: dict[str, PeakRange] = field(default_factory=dict)
     """By label of ``derived``, of each peak that depends on the shape of the model."""
+    trials: tuple[Trial, ...] = ()
     posterior: PosteriorSummary | None = None
     asked: str = ""
     """Digest of the command's data and options, from which a rerun sees what is done."""
@@ -327,6 +343,7 @@ class FitResult(Record):
             "intervals": self.intervals,
             "derived": {k: asdict(v) for k, v in self.derived.items()},
             "peak_range": {k: v._asdict() for k, v in self.peak_range.items()},
+            "trials": [trial._asdict() for trial in self.trials],
             "reference": self.reference,
             "correlation": {"labels": list(self.labels), "matrix": self.correlation},
             "fit": asdict(self.statistics),

@@ -32,7 +32,7 @@ def disagreements(result: FitResult) -> dict[str, str]:
     half-width. Parameters that are not identified and exact data are skipped.
     """
     apart: dict[str, list[str]] = {}
-    profiles = {} if _exactness(result) else result.intervals["profile"]
+    profiles = {} if exactness(result) else result.intervals["profile"]
     for label, (low, high) in profiles.items():
         if low is None or high is None or not high > low:
             continue
@@ -98,7 +98,7 @@ def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return sentences
 
 
-def _exactness(result: FitResult) -> str:
+def exactness(result: FitResult) -> str:
     """A sentence on the intervals of exact data; empty for measured data."""
     problem, shares = result.solved.problem, []
     for name, mean in result.solved.at.mean.items():
@@ -118,7 +118,7 @@ def _exactness(result: FitResult) -> str:
 
 def is_noise(result: FitResult) -> bool:
     """Whether the residuals are noise rather than rounding or a systematic misfit."""
-    return not _exactness(result) and result.statistics.slip_structure <= _SYSTEMATIC
+    return not exactness(result) and result.statistics.slip_structure <= _SYSTEMATIC
 
 
 def _peak_not_reached(result: FitResult) -> list[tuple[Outcome | None, str]]:
@@ -164,10 +164,21 @@ def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
     findings: list[tuple[Outcome | None, str]] = []
     for column in columns:
-        names = models_with(result.model, column.column)
-        advice = f"; models that do: {', '.join(names)}" if names else ""
-        findings.append((outcome, f"{column.sentence}{advice}"))
+        findings.append((outcome, f"{column.sentence}{_advice(result, column.column)}"))
     return findings
+
+
+def _advice(result: FitResult, column: str) -> str:
+    """Text that advises the best of the tried models, or states why none is better."""
+    tried = [trial for trial in result.trials if trial.column == column]
+    if better := [trial for trial in tried if trial.better]:
+        best = min(better, key=lambda trial: trial.aicc[1])
+        gain = best.aicc[0] - best.aicc[1]
+        return f"; use {best.model}: fitted to these rows, it lowers AICc by {gain:.3g}"
+    text = "".join(f"; {trial.model} was tried: {trial.against}" for trial in tried)
+    if "mf61" in models_with(result.model, column):
+        text += "; not tried: a whole Magic Formula (mf61), which has terms for it"
+    return text
 
 
 def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
@@ -221,7 +232,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         outcome = Outcome.SLIP_CONTRADICTED
         findings.append((outcome, f"{check['text']}; {outcome.message}"))
     findings += [(None, text) for text in _far_rows(result)]
-    exact = _exactness(result)
+    exact = exactness(result)
     findings += _unexplained(result)
     # The structure of residuals that are rounding errors is not reported.
     if exact:
