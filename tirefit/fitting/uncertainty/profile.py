@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -63,6 +64,20 @@ class Side:
         exhausted = distance >= self.reach and self.roots[-1] <= self.goal
         self.done = self.done or close or exhausted
 
+    def doubts(self, distance: float, deviance: float) -> bool:
+        """Whether a point beyond the level is higher than extrapolated from the points
+        before it (their root is nearly linear): another minimum, or no convergence."""
+        inner = [
+            (d, r)
+            for d, r in zip(self.distances, self.roots, strict=True)
+            if 0 < d < distance and r < self.goal
+        ]
+        root = np.sqrt(max(deviance, 0.0))
+        if not inner or root < self.goal:
+            return False
+        before, lower = max(inner)
+        return bool(root > _JUMP * lower * distance / before)
+
     @property
     def open(self) -> bool:
         return max(self.roots) < self.goal * (1 - 3e-3)
@@ -78,6 +93,9 @@ class Side:
 
 _ROUNDS = 16
 
+_JUMP = 2.0
+"""Factor above a linear root at which a point of a profile is searched again."""
+
 
 def profile_all(
     problem: FitProblem, z: Float[np.ndarray, " p"], cov: Float[np.ndarray, "p p"], level: float
@@ -91,6 +109,8 @@ def profile_all(
     follow = signs[:, None] * (cov[:, index] / np.diag(cov)[index]).T
     # The first round is at distance zero and gives the deviance of the best fit.
     base, distance = None, np.zeros(len(sides))
+    # The outermost point below the level on every side.
+    inner = np.repeat(z[None], len(sides), axis=0)
     for _ in range(_ROUNDS):
         finished = all(side.done for side in sides)
         starts = np.clip(z + follow * distance[:, None], -REACH, REACH)
@@ -100,7 +120,17 @@ def profile_all(
             base = float(np.min(ends.deviance))
         else:
             rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
+            every = zip(sides, distance, rise, strict=True)
+            doubtful = np.flatnonzero([side.doubts(d, value) for side, d, value in every])
+            if len(doubtful):  # these are searched again from the previous point
+                again = minima(problem, inner[doubtful], index[doubtful], values[doubtful])
+                lower = again.deviance < base + rise[doubtful]
+                ends = jax.tree.map(np.copy, ends)
+                for whole, part in zip(ends, again, strict=True):
+                    whole[doubtful[lower]] = part[lower]
+                rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
             follow = (np.asarray(ends.z) - z) / np.maximum(distance, 1e-9)[:, None]
+            inner = np.where((rise < level)[:, None], np.asarray(ends.z), inner)
             for side, d, value in zip(sides, distance, rise, strict=True):
                 side.add(d, value)
         if finished:
