@@ -71,6 +71,14 @@ class Prepared:
         """Distribution of the true slips; None without slip noise."""
         return slip_law(self.slip, self.slip_std)
 
+    @cached_property
+    def common(self) -> np.ndarray:
+        """Share (n,) of the variance of each true slip that rows of one standing slip
+        have in common, see :class:`SlipDistribution`."""
+        if self.slip_law is None:
+            return np.zeros(self.n)
+        return self.slip_law.moments(self.slip, self.slip_std)[2]
+
     @property
     def past(self) -> np.ndarray | None:
         """Estimated slips before, at and after each row (n, k)."""

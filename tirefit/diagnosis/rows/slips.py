@@ -269,6 +269,23 @@ def slip_nodes(
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
+def slip_doubt(
+    law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray, path: np.ndarray | None = None
+) -> np.ndarray:
+    """Common error of the estimated slips: columns (n, k) times independent unit normal numbers.
+    The density of the true slips is estimated from the same noisy slips, so rows with equal slips
+    share its error. ``path`` (n,) holds slips estimated from their neighbours in time, or is None.
+    """
+    columns, std = [np.zeros((len(slip), 0))], np.maximum(std, FLAT)
+    if law is not None and _steep(slip, std):
+        columns.append(_of_density(law, slip, std))
+    if law is not None and path is not None:
+        offset, mass = _MANY
+        believed = np.array([law.moments(path + std * e, std)[0] for e in offset]).T
+        columns.append((believed @ (mass / mass.sum()) - path)[:, None])
+    return np.concatenate(columns, axis=1)
+
+
 def slip_proxies(
     law: SlipDistribution | None, slip: np.ndarray, std: np.ndarray,
     measured: Sequence[np.ndarray], path: np.ndarray | None = None, past: np.ndarray | None = None,
@@ -283,7 +300,7 @@ def slip_proxies(
 
     Args:
         measured: (n,) each; a cubic in each, and the past, predict the slips.
-        path: (n,) slips estimated from their neighbours in time, or None.
+        path: as in :func:`slip_doubt`.
         past: (n, k) slips before, at and after each row by their neighbours in time.
     """
     if law is None:
@@ -305,3 +322,29 @@ def slip_proxies(
         if known > 0.2:  # a smaller share of the noise is not worth a column
             columns.append(min(known, 1.0) * off)
     return np.array(columns).reshape(len(columns), len(slip)).T
+
+
+def _of_density(law: SlipDistribution, slip: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Error of the slips due to the error of the weights of the density, which add up to
+    one: by maximum likelihood, each weight with a prior as wide as the mean weight."""
+    # Likelihood of each row for each part of the density (n, parts), and the same times
+    # the true slip minus the measured one.
+    unit, step = np.linspace(-4, 4, 41), np.diff(law.knots)[0]
+    off = std[:, None] * unit
+    distance = np.abs((slip[:, None] + off)[..., None] - law.knots[1:-1]) / step
+    bell = np.exp(-0.5 * unit**2) * np.diff(unit)[0] / step
+    hats = np.maximum(1 - distance, 0) * bell[:, None]
+    place = law.standing - slip[:, None]
+    there = np.exp(-0.5 * (place / std[:, None]) ** 2) / std[:, None]
+    likely = np.hstack([hats.sum(axis=1), there]) / np.sqrt(2 * np.pi)
+    first = np.hstack([np.einsum("nqk,nq->nk", hats, off), there * place])
+    first /= np.sqrt(2 * np.pi)
+    weight = np.append(law.density[1:-1] * step, law.shares)
+    together = np.maximum(likely @ weight, NONZERO)[:, None]
+    mean = first @ weight / together[:, 0]
+    moved = (first - mean[:, None] * likely) / together
+    # Directions that keep the sum of the weights.
+    free = np.linalg.svd(np.ones((1, len(weight))))[2][1:].T
+    score = likely / together @ free
+    normal = score.T @ score + len(weight) ** 2 * np.eye(free.shape[1])
+    return moved @ free @ np.linalg.cholesky(np.linalg.inv(normal))

@@ -28,7 +28,7 @@ from tirefit.diagnosis.rows.prepared import (
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.runs import folds_of, with_runs
 from tirefit.diagnosis.rows.simulator import STAND_INS, GivenSimulator, Simulated, check_signs
-from tirefit.diagnosis.rows.slips import AHEAD, slip_proxies
+from tirefit.diagnosis.rows.slips import AHEAD, slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _SMALL = 1e-3
@@ -66,14 +66,14 @@ class Base:
 
     @cached_property
     def slip_uncertainty(self) -> np.ndarray:
-        """Error of the residual through the unknown true slips, as far as other measurements
-        predict it (:func:`slip_proxies`): columns (m, k), each times an independent unit normal
-        number."""
+        """Error of the residual that rows share through the unknown true slips: columns (m, k),
+        each times an independent unit normal number."""
         rows, past = self.rows, self.rows.past
         path = None if past is None else past[:, AHEAD]  # the slips by their neighbours in time
-        off = slip_proxies(rows.slip_law, rows.slip, rows.slip_std, rows.moving, path, past)
+        slip = (rows.slip_law, rows.slip, rows.slip_std)
+        off = [slip_doubt(*slip, path), slip_proxies(*slip, rows.moving, path, past)]
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        return steep[:, None] * np.tile(off, (len(rows.channels), 1))
+        return steep[:, None] * np.tile(np.hstack(off), (len(rows.channels), 1))
 
     @cached_property
     def _uncertain_directions(self) -> tuple[np.ndarray, np.ndarray]:
@@ -339,11 +339,13 @@ def with_noise(
     for c in rows.channels:
         column = f"{c}_std"
         given = rows.column(column) if column in rows.data else rig.force_noise(c, fz)
+        common = spread[c] * rows.common
         waves = partial(wave_basis, rows, typical, of_friction * mean[c])
-        levels[c] = noise.judge_noise(
-            rows.observed[c] - mean[c], spread[c], fz, mean[c], given, basis, waves, groups,
-            rows.time, rows.run, outliers,
+        level = noise.judge_noise(
+            rows.observed[c] - mean[c], spread[c] - common, fz, mean[c], given, basis,
+            waves, groups, rows.time, rows.run, outliers,
         )  # fmt: skip
+        levels[c] = level._replace(std=np.sqrt(level.std**2 + common))
     size, wide = len(base.design.keep), np.sqrt(max(x.inflation for x in levels.values()))
     scale = {c: pad_rows(level.std * wide, size) for c, level in levels.items()}
     keep = (np.arange(size) < rows.n).astype(float)

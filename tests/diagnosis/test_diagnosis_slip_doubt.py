@@ -9,7 +9,7 @@ from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.slips import slip_law, slip_nodes, slip_proxies
+from tirefit.diagnosis.rows.slips import slip_doubt, slip_law, slip_nodes, slip_proxies
 from tirefit.diagnosis.rows.subject import fit_base
 
 ROWS, STD = 300, 0.0045
@@ -19,6 +19,52 @@ def believed(slip):
     std = np.full(ROWS, STD)
     nodes, weight = slip_nodes(slip_law(slip, std), slip, std)
     return np.sum(nodes * weight, axis=1)
+
+
+def doubt(slip, std=STD, path=None):
+    std = np.full(ROWS, std)
+    return slip_doubt(slip_law(slip, std), slip, std, path)
+
+
+def test_without_noise_there_is_no_slip_doubt():
+    slip = np.linspace(0, 0.05, ROWS)
+    assert doubt(slip, 0.0).shape == (ROWS, 0)
+    # A slip much larger than its noise has no bend within the noise.
+    assert doubt(100 * slip).shape == (ROWS, 0)
+
+
+def test_the_density_has_the_scatter_of_repeated_measurements():
+    """Over files of one density, the estimate of a measured slip scatters as the
+    columns state, within the range and at its ends."""
+    places = np.array([-0.003, 0.002, 0.01, 0.025, 0.04, 0.05])
+    beliefs, stated = [], []
+    for seed in range(40):
+        generator = np.random.default_rng(seed)
+        true = generator.uniform(0, 0.05, ROWS)
+        slip = true + STD * generator.standard_normal(ROWS)
+        slip[: len(places)] = places
+        beliefs.append(believed(slip)[: len(places)])
+        columns = doubt(slip)[: len(places)]
+        stated.append(np.sum(columns**2, axis=1))
+    scatter = np.std(beliefs, axis=0)
+    said = np.sqrt(np.mean(stated, axis=0))
+    assert np.all(said < 0.6 * STD)
+    # Expectation maximisation that ends early scatters less than its likelihood says.
+    assert np.all(said > 0.7 * scatter)
+    assert np.all(said < 4 * scatter)
+
+
+def test_free_rolling_rows_have_a_common_error():
+    """Nine rows in ten roll freely; the slip of the rest rises within the noise, so
+    that they are taken for free rolling, with the same error."""
+    path = np.where(np.arange(ROWS) % 10 == 0, 1.2 * STD, 0.0)
+    path[-20:] = np.linspace(0.02, 0.1, 20)
+    slip = path + STD * np.random.default_rng(1).standard_normal(ROWS)
+    phase = doubt(slip, path=path)[:, -1]
+    rising = path == 1.2 * STD
+    missed = (believed(slip) - path)[rising].mean()
+    assert missed < -0.3 * STD
+    assert phase[rising].mean() == pytest.approx(missed, abs=0.35 * STD)
 
 
 def proxies(slip, measured, path=None, past=None, std=STD):
@@ -118,7 +164,7 @@ def doubted():
     return fit_base(rows, "brush", few, SLALOM_RIG)
 
 
-def test_slip_uncertainty_acts_as_added_noise(doubted):
+def test_slip_doubt_acts_as_added_noise(doubted):
     """Sums of squares after whitening are those of the covariance I + doubt doubt'."""
     assert doubted.slip_uncertainty.shape[1] > 0
     values = np.random.default_rng(0).standard_normal((len(doubted.slip_uncertainty), 3))
