@@ -48,8 +48,10 @@ def test_a_better_model_is_advised_with_what_it_improves():
     assert not followed.trials
 
 
-def test_the_sample_gets_no_advice_that_fails():
-    """Friction over speed stops at its bound on these rows."""
-    said = " ".join(fit(read(SAMPLE), "brush").warnings)
-    assert "how the force depends on the speed" in said
-    assert "brush-n was tried: n stops at its bound" in said and "use brush-n" not in said
+def test_a_model_that_stops_at_a_bound_is_not_advised():
+    """The friction of the sample depends on the speed by more than brush-n allows."""
+    result = fit(read(SAMPLE), "brush")
+    linear, logarithmic = result.trials
+    assert linear.model == "brush-n" and linear.against == "n stops at its bound"
+    assert logarithmic.better and logarithmic.aicc[1] < logarithmic.aicc[0]
+    assert "use brush-ln: " in " ".join(result.warnings)
