@@ -55,3 +55,5 @@ def test_a_model_that_stops_at_a_bound_is_not_advised():
     assert linear.model == "brush-n" and linear.against == "n stops at its bound"
     assert logarithmic.better and logarithmic.aicc[1] < logarithmic.aicc[0]
     assert "use brush-ln: " in " ".join(result.warnings)
+    followed = fit(read(SAMPLE), "brush-ln")
+    assert not followed.trials and not followed.statistics.at_bound
