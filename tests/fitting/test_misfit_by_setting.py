@@ -31,14 +31,19 @@ def kinetic(alpha, mu, cpa2=6e4, fz=4000.0):
 
 
 CASES = {
-    "load": ("fz", LOADS, lambda a, fz: kinetic(a, 1.3 - 4e-5 * fz, 15 * fz, fz), "brush-load"),
+    "load": (
+        "fz",
+        LOADS,
+        lambda a, fz: kinetic(a, 1.3 - 4e-5 * fz, 15 * fz, fz),
+        "use brush-load: ",
+    ),
     "pressure": (
         "pressure",
         (1.6e5, 2.4e5),
         lambda a, p: kinetic(a, 1.35 - 1e-6 * p, 0.3 * p),
         "mf61",
     ),
-    "speed": ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "brush-ln"),
+    "speed": ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "use brush-n: "),
     "camber": ("gamma", (0.0, 0.07), lambda a, g: kinetic(a + 0.3 * g, 1.1), "mf61"),
 }
 """Input -> its column, its values, the force, and a model that depends on it."""
