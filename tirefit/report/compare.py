@@ -21,6 +21,10 @@ _JUDGING = "diagnosis", "description"  # kinds of sources that name effects
 
 def answer(result: Comparison) -> list[str]:
     """What differs, and what does not: parameters, forces, effects."""
+    if result.models:
+        best, *others = result.models
+        above = ", ".join(f"{x.aicc - best.aicc:.1f} above it: {x.model}" for x in others)
+        return [f"of these fits of the same rows, {best.model} has the lowest AICc ({above})"]
     lines = [*result.meanings, *_on_numbers(result)]
     for gap in result.forces:
         lines += [_on_force(gap, name, x) for name, x in gap.curves.items() if x.slip is not None]

@@ -85,4 +85,4 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
         for head, text in items.items():
             lines += wrapped(text, f"    {head:<10}", " " * 14)
         rows += [_row(f"{name}.{key}", spec) for key, spec in settings.items()]
-    return "\n".join([*lines, "", "SETTINGS (--set METHOD.NAME=VALUE)", *table(rows)])
+    return "\n".join([*lines, "", "SETTINGS (--set METHOD.NAME=VALUE)", *_folded(rows)])

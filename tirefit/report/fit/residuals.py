@@ -1,5 +1,6 @@
 """Residuals over every input: arrays and panels."""
 
+import re
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -120,7 +121,7 @@ def residual_panels(result: FitResult) -> list[Panel]:
     return [
         Panel(
             partial(_draw_scatter, panel=panel, force=force),
-            f"Residuals of {force} against {panel.label}",
+            f"Residuals of {force} against {re.sub(r'[$].*[$] ', '', panel.label)}",
         )
         for force, panel in scatters
     ]
