@@ -199,7 +199,7 @@ def parameter_text(
         axles.append(axle._replace(tire=tire))
     notes += [note for tire in tires.values() for note in tire.notes]
     notes += kind.formula.loss
-    above = [first, *notes]
+    above = [first, *dict.fromkeys(notes)]
     above.append(f"SI units; signs of the file: {kind.formula.signs.description}")
     for name, tire in tires.items():
         above += [
@@ -231,7 +231,8 @@ def _lost(tire: Tire, formula: Formula) -> list[str]:
     beyond = [name for name in tire.modelled if name not in formula.outputs]
     needs = [name for name in tire.model.needs if name != "time"]
     absent = [name for name in formula.outputs if name not in tire.modelled]
-    lost = [f"{', '.join(beyond)} of the tire is not included"] if beyond else []
+    verb = "is" if len(beyond) == 1 else "are"
+    lost = [f"{', '.join(beyond)} of the tire {verb} not included"] if beyond else []
     lost += [f"{name} is not included: forces at {at[name]}" for name in needs]
     return lost + [f"the tire has no {name}: that of the other axis" for name in absent]
 

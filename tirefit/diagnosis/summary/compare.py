@@ -327,7 +327,9 @@ def _of_diagnosis(content: Mapping[str, Any], source: Any, file: str) -> Source:
         "",
         "diagnosis",
         file or read.data.name,
-        read.model,
+        "forces of a simulator"
+        if read.simulator and read.simulator.kind == "columns"
+        else read.model,
         read.data.sha256,
         numbers,
         effects={k: Number(x.value, x.std, x.unit) for k, x in read.amplitudes.items()},
