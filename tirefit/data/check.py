@@ -147,7 +147,9 @@ def range_faults(
             continue
         raw = [f"{value:.6g}" for value in shown[rule.column][rows]]
         header = headers.get(rule.column, f"--constant {rule.column}")
-        remedy = rule.remedy + _CORRECT
+        # Where most loads are right, the signs are, too, and a few rows are wrong.
+        is_sound = rule.column == "fz" and 2 * len(rows) < len(values)
+        remedy = ("" if is_sound else rule.remedy) + _CORRECT
         faults.append(BadRows(header, rows, raw, rule.rule, remedy, is_systematic=True))
     return faults
 

@@ -122,8 +122,8 @@ def compare_with_simulator(
         raise DataError(f"{len(sim_logs)} simulated logs of {len(logs)}", "give one for each log")
     tell = Steps(progress, 80)  # usual number of refits of both searches
     tell("reading logs")
-    log_windows = cut_in_windows(logs, stated, window)
     sim_vehicle = _of_sim_logs(stated, sim_logs)
+    log_windows = cut_in_windows(logs, stated, window)
     with TemporaryDirectory() as folder:
         pairs = zip(logs, sim_logs, strict=True)
         whole = [_with_inputs(*pair, sim_vehicle, Path(folder)) for pair in pairs]

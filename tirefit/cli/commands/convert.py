@@ -70,9 +70,11 @@ def convert(
         raise UsageError(reason, "give one FILE.tir, or --magic-formula B,C,D,E")
     if file is None and (loads is None or signs or len(magic_formula) != 4):
         remedy = "give four numbers B,C,D,E with --loads 2000,4000, without --signs"
-        raise UsageError("--magic-formula has no nominal load and no signs", remedy)
+        reason = f"--magic-formula of {len(magic_formula)} numbers, without nominal load and signs"
+        raise UsageError(reason, remedy)
     if loads and (min(loads) <= 0 or len({*loads}) < len(loads)):
-        raise UsageError("--loads", "positive loads [N], each once")
+        reason = f"--loads {','.join(f'{load:g}' for load in loads)}"
+        raise UsageError(reason, "give positive loads [N], each once")
     low = -slip_max if slip_min is None else slip_min
     if not -1 < low < slip_max < 1:
         reason = f"slips from {low:g} to {slip_max:g}"

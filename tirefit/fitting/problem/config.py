@@ -107,8 +107,8 @@ class DataConfig(Section):
     columns: dict[str, str] = Field(default_factory=dict)
     units: dict[str, str] = Field(default_factory=dict)
     constants: dict[str, float] = Field(default_factory=dict)
-    convention: str | None = None
-    slip: str | None = None
+    convention: Literal["braking", "iso-w", "sae", "adapted-sae"] | None = None
+    slip: Literal["sigma_x", "kappa", "s", "slip_ratio"] | None = None
     rolling_radius: PositiveFloat | None = None
     mask_bad_rows: bool = False
 
