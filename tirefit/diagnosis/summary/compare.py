@@ -323,13 +323,12 @@ def _of_diagnosis(content: Mapping[str, Any], source: Any, file: str) -> Source:
     numbers = _numbers(content["verdict"]["parameters"], "measured")
     if read.simulator is None:  # fitted without standard errors
         numbers = {k: Number(x, None, "") for k, x in read.extended_parameters.items()}
+    is_of_forces = (read.simulator or {}).get("kind") == "columns"
     return Source(
         "",
         "diagnosis",
         file or read.data.name,
-        "forces of a simulator"
-        if read.simulator and read.simulator.kind == "columns"
-        else read.model,
+        "forces of a simulator" if is_of_forces else read.model,
         read.data.sha256,
         numbers,
         effects={k: Number(x.value, x.std, x.unit) for k, x in read.amplitudes.items()},
