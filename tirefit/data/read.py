@@ -402,7 +402,8 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
         lacking = check.check_columns(
             there, table.headers, reading.idle, table.file, forces, table.units_row
         )
-        whole += [replace(p, reason="; ".join([p.reason, *reading.unread])) for p in lacking]
+        unread = [*reading.unread, *(note for note in table.notes if " not read" in note)]
+        whole += [replace(p, reason="; ".join([p.reason, *unread])) for p in lacking]
     good = ~reading.bad()
     if not whole:
         used = {name: values[good] for name, values in reading.columns.items()}
