@@ -190,3 +190,11 @@ def test_a_needed_column_without_any_value_is_named(tmp_path, name):
         read(path)
     (problem,) = caught.value.problems
     assert f"column '{name}' is not read: {N} of its {N} cells have no value" in problem.reason
+
+
+def test_a_variable_of_another_length_is_named_where_it_lacks(tmp_path):
+    path = tmp_path / "log.mat"
+    slips = np.linspace(-0.1, 0.1, 30)
+    savemat(path, {"alpha": slips, "fy": slips[:9], "fz": np.full(30, 4e3)})
+    with pytest.raises(DataError, match=r"no force: .*not read: 'fy' \(1 x 9\)"):
+        read(path)

@@ -70,7 +70,7 @@ def convert(
         raise UsageError(reason, "give one FILE.tir, or --magic-formula B,C,D,E")
     if file is None and (loads is None or signs or len(magic_formula) != 4):
         remedy = "give four numbers B,C,D,E with --loads 2000,4000, without --signs"
-        reason = f"--magic-formula of {len(magic_formula)} numbers, without nominal load and signs"
+        reason = f"--magic-formula of {len(magic_formula)} numbers has no nominal load and no signs"
         raise UsageError(reason, remedy)
     if loads and (min(loads) <= 0 or len({*loads}) < len(loads)):
         reason = f"--loads {','.join(f'{load:g}' for load in loads)}"
