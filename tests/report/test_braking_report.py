@@ -100,4 +100,4 @@ def test_figures_are_drawn_for_one_and_for_all_stops(result):
     for picture in pictures:
         picture.draw_without_rendering()
     # No controller of these estimates the stiffness.
-    assert len(pictures[0].axes) == 4 and len(pictures[1].axes) == 2
+    assert len(pictures[0].axes) == 4 and len(pictures[1].axes) == 1

@@ -258,13 +258,24 @@ def _yaml(content: Mapping[str, Any], indent: str = "") -> list[str]:
 _CAR = "m=mass lf=l_f lr=l_r I_z=yaw_inertia h_s=h_cg"
 
 
+_SLIPX_MOST = {"nominal_load": 200.0, "c_alpha": 2000.0, "c_kappa": 5000.0, "mu_x0": 3.0}
+"""Largest values allowed by the schema of slipx 0.2.0, per tire."""
+
+
 def _slipx(sheet: Sheet) -> dict[str, Any]:
     (axle,), values = sheet.axles, sheet.values
     compound, _, surface = sheet.path.stem.partition("_")
+    problems = []
     if compound not in ("sponge", "rubber") or not surface:
         reason = "SlipX reads compound and surface from the name of the file"
         remedy = "name it sponge_SURFACE.yaml or rubber_SURFACE.yaml"
-        raise UsageError(InputProblem(reason, remedy, str(sheet.path)))
+        problems.append(InputProblem(reason, remedy, str(sheet.path)))
+    for name, most in _SLIPX_MOST.items():
+        if (value := values[name] / (1 if name == "mu_x0" else axle.wheels)) > most:
+            reason = f"{name} is {value:.4g}, and SlipX allows up to {most:g}"
+            remedy = "SlipX is for 1:10 cars: export to another target, see --list"
+            problems.append(InputProblem(reason, remedy))
+    UsageError.raise_for(problems)
     version, length = {"schema_version": "0.2.0"}, axle.tire.relaxation
     return {
         **version,
