@@ -262,3 +262,13 @@ def test_the_figure_of_many_fits_has_their_values_and_standard_deviations():
         np.testing.assert_array_equal(points.get_ydata(), value)
         ends = [segment[:, 1] for segment in bars.get_segments()]
         np.testing.assert_allclose(ends, np.stack([value - std, value + std], axis=1))
+
+
+def test_estimates_below_zero_lie_within_their_axis():
+    result = tirefit.estimate(tirefit.simulate(teeth=2).columns)
+    methods = {k: replace(m, value=-m.value) for k, m in result.methods.items()}
+    (name, method), *_ = methods.items()
+    panel, *_ = replace(result, methods=methods).plot().axes
+    shown = method[method.parameters[0]][method.flag == 0]
+    lowest, highest = panel.get_ylim()
+    assert lowest < np.percentile(shown, 5) < np.percentile(shown, 95) < highest, name

@@ -60,7 +60,7 @@ def _draw(axes: Any, result: Estimates, parameter: str) -> None:
     if len(known := known[np.isfinite(known)]):  # the axis ends at the supported estimates
         low, high = np.percentile(known, [0.5, 99.5])
         room = 0.15 * max(high - low, 0.2 * abs(high))
-        axes.set_ylim(max(low - room, 0.0), high + room)
+        axes.set_ylim(low - room if low < 0 else max(low - room, 0.0), high + room)
     flags = [(m.flag > 0) & (m.flag != code(Flag.CHANGED)) for m in result.methods.values()]
     grey = {"transform": axes.get_xaxis_transform(), "color": GREY, "alpha": 0.15, "linewidth": 0}
     axes.fill_between(time, 0, 1, where=np.all(flags, axis=0), **grey)
