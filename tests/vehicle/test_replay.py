@@ -179,11 +179,14 @@ def test_what_predicts_worse_is_said_first(exact, worse, said):
     generator = np.random.default_rng(1)
     missed = {k: generator.standard_normal(v.shape) for k, v in exact.models["tire"].of.items()}
     models = dict(exact.models) | dict.fromkeys(("tire", "linear tire", worse), Errors(missed))
+    for model, size in (("floor", 0.1), ("no slip", 10.0)):
+        models[model] = Errors({name: size * values for name, values in missed.items()})
     for factor in (1.04, 3.0):
         far = missed["yaw_rate"] * np.array([1.0, 1.0, factor, 1.0, 1.0])
         models[worse] = Errors(missed | {"yaw_rate": far})
-        first = replace(exact, models=models).conclusions[0]
+        first, *others = replace(exact, models=models).conclusions
         assert first.startswith(said) is (factor > 2)
+        assert not first.startswith("The tires") or not any("bend" in text for text in others)
     wrong, less = (np.sqrt(np.mean(x[:, 2] ** 2)) for x in (far, missed["yaw_rate"]))
     assert f"the yaw rate after 1 s by {wrong:.2g} rad/s instead of {less:.2g}" in first
 

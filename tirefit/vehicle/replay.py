@@ -141,8 +141,9 @@ class Replay(Record):
         """Sentences on what predicts better, and on what limits the prediction; empty where
         nothing can be concluded."""
         sentences = []
-        if worse := self._worse("tire", "linear tire"):
-            sentences.append(f"The tires predict worse than linear tires: they miss {worse}.")
+        if worse_than_linear := self._worse("tire", "linear tire"):
+            missed = f"they miss {worse_than_linear}"
+            sentences.append(f"The tires predict worse than linear tires: {missed}.")
         if worse := self._worse("with the effects", "tire"):
             sentences.append(f"The effects make the prediction worse: with them it misses {worse}.")
         rms = {k: of.rms()["yaw_rate"][self.place] or 0.0 for k, of in self.models.items()}
@@ -152,7 +153,7 @@ class Replay(Record):
         if rms["no slip"] <= _AS_WELL * rms["tire"]:
             text = "The tires are not what limits: a car without slip predicts as well."
             sentences.append(text)
-        elif rms["linear tire"] <= _AS_WELL * rms["tire"]:
+        elif not worse_than_linear and rms["linear tire"] <= _AS_WELL * rms["tire"]:
             text = "The tires' bend is not what limits: linear tires predict as well."
             sentences.append(text)
         ratio = self.turning
