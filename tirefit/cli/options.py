@@ -213,10 +213,6 @@ def refuse_by_vehicle(vehicle: Path | None, used: Collection[str], only: Collect
     refuse(unused, "with --vehicle", remedy)
 
 
-_COMMANDS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-"""Characters of a file that would control the terminal; they are not printed."""
-
-
 def read_options(given: DataOptions, config: "FitConfig | None" = None) -> dict[str, Any]:
     """Arguments of ``tirefit.read``: those of fit.toml, overridden by options.
 
@@ -253,6 +249,15 @@ class Unheard(StringIO):
     """Replacement of standard error whose text is shown at the end; without progress."""
 
 
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Characters that would control the terminal; a text may have them from a file."""
+
+
+def _print(text: str, *, err: bool = False) -> None:
+    """Print a text without control characters."""
+    typer.echo(_CONTROL.sub("\N{REPLACEMENT CHARACTER}", text), err=err)
+
+
 def say(text: str) -> None:
     """Print a text on standard output.
 
@@ -260,7 +265,7 @@ def say(text: str) -> None:
         OSError: it cannot be written, for example to a file on a full disk.
     """
     try:
-        typer.echo(_COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text))
+        _print(text)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -270,7 +275,7 @@ def say(text: str) -> None:
 def complain(text: str) -> None:
     """Print a text on standard error; if that fails, the exit code is enough."""
     with suppress(OSError):
-        typer.echo(_COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text), err=True)
+        _print(text, err=True)
 
 
 def warn_of(warnings: Iterable[str], source: object = "") -> None:
