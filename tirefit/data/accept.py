@@ -12,12 +12,13 @@ DataLike = TireData | Columns | str | os.PathLike[str]
 """What every function takes as data: read, columns by name, or a path."""
 
 
-def as_data(data: DataLike, **how: Any) -> TireData:
+def as_data(data: DataLike, name: str = "data", **how: Any) -> TireData:
     """The data as ``TireData``; read them if necessary.
 
     Args:
         data: a result of ``tirefit.read``, a path, a frame (pandas, polars or any with
             ``columns``), a structured array, or a mapping of name to (n,) array.
+        name: what reports call data that have no file.
         how: arguments of ``tirefit.read`` for data that are not read yet. ``otherwise``
             applies to files only; arrays without a convention are canonical.
 
@@ -34,7 +35,7 @@ def as_data(data: DataLike, **how: Any) -> TireData:
     # A lazy frame of polars warns if its columns are read.
     is_frame = fields or hasattr(data, "collect_schema") or hasattr(data, "columns")
     if isinstance(data, Mapping) or is_frame:
-        return read_frame(data, **how)
+        return read_frame(data, name, **how)
     raise UsageError(
         f"data of type {type(data).__name__}: give what `tirefit.read` returns, a path,"
         " a frame, or a mapping of column to array"

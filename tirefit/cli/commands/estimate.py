@@ -38,8 +38,8 @@ def estimate(
         # Logs have gaps: a row that cannot be used is flagged and no error.
         table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
         warn(table)
-        cli.warn_of(table.first_masked())
         if unused := len(table) - table.n:
-            rows = f"{unused} of {len(table)} rows cannot be used"
-            cli.warn_of([f"{rows}; their estimates are flagged"], table.source.path)
+            said = f"{unused} of {len(table)} rows cannot be used; their estimates are flagged: "
+            rows = "; ".join(table.first_masked()[:3])
+            cli.warn_of([said + rows], table.source.path)
         write_result(estimate_log(table, names, values), out, FILES, {FILES[2]: ""})

@@ -98,7 +98,8 @@ def fit_magic_formula(
         config = parse_config(config)
     config = config or FitConfig()
     tables: Sequence[DataLike] = data if isinstance(data, list | tuple) else [data]  # type: ignore
-    whole = joined([as_data(table) for table in tables])
+    names = [f"data {k}" for k in range(1, len(tables) + 1)] if len(tables) > 1 else ["data"]
+    whole = joined([as_data(*each) for each in zip(tables, names, strict=True)])
     _check_settings(model, config)
     require(whole, ("fz",), f"the model {model}")
     rows, notes = rows_of_part(whole, part, config)
