@@ -115,9 +115,9 @@ def test_twins_count_together_beside_an_unlisted_effect_too():
     [
         (9.0, 9.1, 0.1, True),  # within a standard error of the difference
         (9.1, 9.0, 0.1, False),
-        (9.9, 0.0, 0.6, True),  # a tenth of the gain of 100, which something unlisted may have
-        (10.1, 0.0, 0.6, False),
-        (9.9, 0.0, 0.4, False),
+        (24.9, 0.0, 0.6, True),  # a quarter of the gain of 100, which something unlisted may have
+        (25.1, 0.0, 0.6, False),
+        (24.9, 0.0, 0.4, False),
         (-5.0, 1.0, 0.1, True),  # it predicts better
     ],
 )
@@ -132,8 +132,8 @@ def test_what_is_known_beside_the_rows_excludes_a_twin():
     found = findings({A: 0.99, B: 1e-9, (): 1e-6})
     found = replace(found, swaps={"a": {"b": Gain(0.0, 1.0, 0.0, 0.0)}})
     for odds, is_twin in ((2.2, True), (2.4, False)):  # a tenth is 2.303
-        weighed = replace(found.weighed, odds={A: 1.5, B: 1.5 - odds})
-        assert (decided(replace(found, weighed=weighed)).each["a"].twins == B) is is_twin
+        known = replace(found, odds={A: 1.5, B: 1.5 - odds})
+        assert (decided(known).each["a"].twins == B) is is_twin
 
 
 def test_an_effect_that_does_not_help_has_no_twin_by_data_left_out():

@@ -76,7 +76,7 @@ class Policy:
     likely: float = 0.5
     gain: float = 1.0
     perhaps: float = 0.1
-    alike: float = 0.1
+    alike: float = 0.25
 
 
 POLICY = Policy()
@@ -126,13 +126,15 @@ class Findings:
     leading sets first the one that predicts data left out best, then its subsets, the largest and
     most probable first) the gain of each effect on data left out in addition to the others, and the
     features of each; for the first of them its gain over the sets with another effect in the place
-    of one, {effect: {other: gain}}; and the probability of an unlisted effect, not calibrated."""
+    of one, {effect: {other: gain}}; the probability of an unlisted effect, not calibrated; and the
+    prior log odds of sets by what is known beside the data."""
 
     weighed: Weighed
     gains: Mapping[Key, Mapping[str, Gain]]
     features: Mapping[Key, Mapping[str, Features]]
     unlisted: float
     swaps: Mapping[str, Mapping[str, Gain]] = field(default_factory=dict)
+    odds: Mapping[Key, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +203,11 @@ def predictions(search: Search) -> tuple[Weighed, Predicted]:
     # The six most probable sets and single effects, and subsets of the leading ones.
     wanted = [(), *ranked[:6], *singles[:6]]
     wanted += [part for key in (*ranked[:2], posterior.best_beside) for part in parts_of(key)]
-    sets = [posterior.best_of[key] for key in dict.fromkeys(wanted) if key in posterior.best_of]
+    leading = dict.fromkeys((posterior.best, posterior.best_beside))
+    exchanged = [x for key in leading for x in search.refit_exchanged(posterior.best_of[key])]
+    known = {fit.key: fit for fit in exchanged} | {**posterior.best_of}
+    wanted += [fit.key for fit in exchanged]
+    sets = [known[key] for key in dict.fromkeys(wanted) if key in known]
     folds = search.subject.folds(posterior.best)
     return posterior, predicted(search.subject, sets, search.null, folds)
 
@@ -241,9 +247,14 @@ def findings_of(
     features = {
         part: _features(subject, posterior, part, each, unlisted) for part, each in gains.items()
     }
-    swaps = swaps_of(out, next(iter(gains), ()), floor)
+    odds = {f.key: float(subject.priors.odds[[*f.atoms]].sum()) for f in search.fits.values()}
     return Findings(
-        weighed=posterior, gains=gains, features=features, swaps=swaps, unlisted=unlisted
+        weighed=posterior,
+        gains=gains,
+        features=features,
+        swaps=swaps_of(out, next(iter(gains), ()), floor),
+        unlisted=unlisted,
+        odds=odds,
     )
 
 
@@ -389,7 +400,7 @@ def _rivals(
         for other, swap in sorted(swapped.items(), key=lambda pair: pair[1].gain):
             key = tuple(sorted({*best, other} - {effect}))
             # What is known beside these rows, such as a wheel speed, may exclude it.
-            possible = math.exp(sets.odds.get(key, 0.0) - sets.odds.get(best, 0.0))
+            possible = math.exp(findings.odds.get(key, 0.0) - findings.odds.get(best, 0.0))
             if possible >= policy.perhaps and swap.gain < max(policy.gain * swap.std, lacks):
                 rivals.setdefault(effect, []).append(other)
     return {place: tuple(dict.fromkeys(of)) for place, of in rivals.items()}

@@ -4,7 +4,7 @@ proposes sets, refits weigh them."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, combinations
 from math import factorial
@@ -238,6 +238,24 @@ class Search:
             starts[part] = [Start(fit.z, fit.amplitude[kept], fit.state)]
         self.refit(starts)
 
+    def refit_exchanged(self, fit: Fit) -> list[Fit]:
+        """Refit a set with each effect that one of its own is mistaken for in the place of that
+        one; returns these sets."""
+        starts: dict[tuple[int, ...], list[Start]] = {}
+        for atom in fit.atoms:
+            rest = self.fits.get(tuple(k for k in fit.atoms if k != atom))
+            if rest is None:
+                continue
+            gram, score, _ = self.further(rest)
+            for variants in self.best_variants(gram, score, fit.effects):
+                k = variants[0][1]
+                one, other = self.effects[atom], self.effects[k]
+                if other.id in one.looks_like or one.id in other.looks_like:
+                    atoms, begin = self._with(rest, k, gram, score)
+                    starts[atoms] = begin
+        self.refit(starts)
+        return [self.fits[atoms] for atoms in starts if atoms in self.fits]
+
 
 def searched(subject: Forward, effort: Effort = Effort()) -> Search:
     """The fits of single effects, then of the best sets with further ones."""
@@ -267,9 +285,8 @@ def _ranked(log_weight: Mapping[Key, float]) -> list[Key]:
 @dataclass(frozen=True)
 class Weighed:
     """Every refitted set of effects: its best fit; log evidence over no effect plus log
-    prior; the same beside an unlisted effect (leading sets only); log evidence; log prior odds
-    by what is known beside the data. ``hidden`` is the probability of sets that were not
-    refitted and that these data could not show."""
+    prior; the same beside an unlisted effect (leading sets only); log evidence. ``hidden`` is the
+    probability of sets that were not refitted and that these data could not show."""
 
     best_of: Mapping[Key, Fit]
     log_weight: Mapping[Key, float]
@@ -277,7 +294,6 @@ class Weighed:
     evidence: Mapping[Key, float]
     log_total: float
     hidden: float
-    odds: Mapping[Key, float] = field(default_factory=dict)
 
     @property
     def ranked(self) -> list[Key]:
@@ -357,5 +373,4 @@ def weighed(search: Search) -> Weighed:
         evidence={key: search.evidence(fit) for key, fit in best.items()},
         log_total=everything,
         hidden=float(np.sum(np.exp(np.array(weak) - everything))),
-        odds={k: float(np.sum(search.subject.priors.odds[[*f.atoms]])) for k, f in best.items()},
     )
