@@ -50,6 +50,22 @@ def test_every_third_row_of_each_run_is_kept(tmp_path):
     assert out[2:] == ["time,run", "0,a", "3,a", "6,a", "7,b", "10,b"]
 
 
+@pytest.mark.long
+def test_the_effects_of_a_front_axle_do_not_depend_on_how_many_rows_are_given(
+    tmp_path, monkeypatch
+):
+    """Every 6th, 10th and 15th row of the front axle of tires D: the same effects, the first one
+    with a size that agrees within two errors of the difference."""
+    monkeypatch.setattr(run, "THINNED", (6, 10, 15))
+    (car,) = (car for car in CARS if car.name == "d")
+    found = run.thinning_of(car, tmp_path)
+    assert len({frozenset(one["each"]) for one in found.values()}) == 1
+    name = next(iter(found["6"]["each"]))
+    sizes = np.array([one["each"][name][2][:2] for one in found.values()], float)
+    apart = np.abs(sizes[1:, 0] - sizes[0, 0]) / np.hypot(sizes[1:, 1], sizes[0, 1])
+    assert np.max(apart) < 2.0
+
+
 def test_no_log_is_both_fitted_and_left_out():
     for car in CARS:
         assert not {*car.fitted} & {*car.left_out}, car.name

@@ -58,6 +58,7 @@ class Toy:
         low, center: of the amplitudes, whose priors are normal of unit width.
         smooth: discrepancy, none if not given.
         parts: number of blocks that are left out in turn.
+        other: id of an effect -> ids of those that it is mistaken for.
     """
 
     floor, given_residual, is_covered = 1.0, None, True
@@ -66,7 +67,11 @@ class Toy:
         self.observed, self.columns, self.slopes = observed, columns, tangents
         count, self.names = len(names), names
         self.atoms = tuple(
-            SimpleNamespace(effect=SimpleNamespace(id=name, family=name[0], misleads=False))
+            SimpleNamespace(
+                effect=SimpleNamespace(
+                    id=name, family=name[0], misleads=False, looks_like=other.get(name, ())
+                )
+            )
             for name in names
         )
         self.testable = tuple(range(count))

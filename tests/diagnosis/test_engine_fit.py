@@ -247,6 +247,20 @@ def test_priors_sum_to_those_of_their_size():
     assert sum(PRIOR_OF_SIZE) <= 1
 
 
+@pytest.mark.parametrize("mistaken", [{"b1": ("d1",)}, {"d1": ("b1",)}])
+def test_an_effect_is_refitted_in_the_place_of_one_that_is_mistaken_for_it(mistaken):
+    """Whichever of the two lists the other; with the amplitudes of least squares."""
+    subject = toy([(0, 2.0), (2, 2.0)], **mistaken)
+    search = Search(subject)
+    search.refit({key: [search.null.start] for key in ((0, 2), (0,), (2,))})
+    (exchanged,) = search.refit_exchanged(search.fits[0, 2])
+    assert exchanged.effects == ("a1", "d1")
+    columns = np.concatenate([subject.columns, subject.slopes[:, [0, 5]]], axis=1)
+    prior = np.diag([0.0, 0.0, 1.0, 1.0])
+    best = np.linalg.solve(columns.T @ columns + prior, columns.T @ subject.observed)
+    np.testing.assert_allclose([*exchanged.z, *exchanged.amplitude], best, rtol=1e-6)
+
+
 def test_parts_of_a_set_come_largest_first():
     assert parts_of(("a", "b", "c"))[:2] == [("a", "b", "c"), ("a", "b")]
     assert [len(k) for k in parts_of(("a", "b", "c"))] == [3, 2, 2, 2, 1, 1, 1]

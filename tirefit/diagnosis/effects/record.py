@@ -95,7 +95,8 @@ class Effect:
         variants: constants of each formula that is tried; all of one length.
         which: (constants, covariates, time [s] or None) -> text for the formula of a
             variant, with the values to which its amplitude refers.
-        singular: its tangent at zero vanishes; it is always refitted.
+        singular: its tangent at zero vanishes or misleads, as of a delay: it is suggested by its
+            change over one prior scale, and always refitted.
         looks_like: ids of effects that it is confused with.
         told_apart_by: the measurement that separates it from them.
 
