@@ -601,6 +601,7 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
     usual = {"friction": 1.5, "stiffness": 3.0, "slip": 2.0, "force": 0.5}
     found = discrepancy_of(base)
     cells = {(cell.quantity, cell.covariate): cell for cell in found.cells}
+    columns = dict(zip(cells, (found.columns[:, part] for part in found.slices), strict=True))
     for name, right in changed.items():
         cell = cells[name, "fz"]
         assert cell.settings and list(cell.places) == [2000.0, 4000.0, 6000.0]
@@ -608,19 +609,16 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
             own = usual[name] * np.where(fz == load, right, 0.0) / unit
             # The noise of the slip blurs the curve.
             size = np.abs(own).max()
-            off = found.columns[:, cell.first + k] - own
+            off = columns[name, "fz"][:, k] - own
             assert np.sqrt(np.mean(off**2)) < 0.03 * size
         # Over the size of the slip, an offset has its sign.
-        cell = cells[name, "slip_fraction"]
         side = np.sign(slip) if name in ("slip", "force") else 1.0
-        whole = found.columns[:, cell.first : cell.end].sum(axis=1)
-        np.testing.assert_allclose(
-            whole, side * found.columns[:, slice(*cells[name, "fz"][2:4])].sum(axis=1), atol=1e-9
-        )
+        whole, of_loads = (columns[name, x].sum(axis=1) for x in ("slip_fraction", "fz"))
+        np.testing.assert_allclose(whole, side * of_loads, atol=1e-9)
 
 
 def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
-    cell = Cell("slip", "slip_fraction", 0, 3, np.array([0.0, 0.5, 1.0]), False)
+    cell = Cell("slip", "slip_fraction", np.array([0.0, 0.5, 1.0]), False)
     found = Component(cell, 5.0, 0.8, 0.3, np.array([1.0, -4.0, 2.0]))
     shape = _shape(found)
     assert (shape.at, shape.size, shape.probability, shape.explains) == (0.5, -0.008, 0.8, 0.3)

@@ -20,6 +20,7 @@ from tirefit.diagnosis.engine.decide import (
     no_gap_shows,
     swaps_of,
 )
+from tirefit.diagnosis.engine.fit import Folds
 from tirefit.diagnosis.engine.left_out import Gain, Predicted
 from tirefit.diagnosis.engine.search import parts_of
 
@@ -149,7 +150,15 @@ def test_swaps_are_gains_over_sets_with_another_effect_in_the_place_of_one():
     effects = ((), A, B, AB, ("a", "c"), ("c", "d"), ("b", "c"))
     loss = rng.uniform(1, 2, (5, len(effects)))
     out = Predicted(
-        "parts", effects, loss, 10 * loss, np.full(5, 10), (), (), loss[:, 0], loss[:, 0]
+        Folds(loss, "parts"),
+        effects,
+        loss,
+        10 * loss,
+        np.full(5, 10),
+        (),
+        (),
+        loss[:, 0],
+        loss[:, 0],
     )
     swaps = swaps_of(out, AB, 0.1)
     assert {e: {*others} for e, others in swaps.items()} == {"b": {"c"}, "a": {"c"}}

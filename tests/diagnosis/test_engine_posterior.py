@@ -9,6 +9,7 @@ from scipy.stats import t as t_law
 
 from tirefit.diagnosis.engine.decide import decide, findings_of, floor_of, gains_of, predictions
 from tirefit.diagnosis.engine.discrepancy import LENGTHS, SIZES, Cell, Discrepancy, places_of
+from tirefit.diagnosis.engine.fit import Folds
 from tirefit.diagnosis.engine.left_out import (
     AS_GIVEN,
     NOISE,
@@ -25,7 +26,7 @@ from tirefit.diagnosis.engine.search import PRIOR_OF_UNKNOWN, searched, weighed
 ROWS = 96
 X = np.linspace(-1, 1, ROWS)
 SHAPES, PLACES = places_of(X, None, 8)
-SMOOTH_PART = Discrepancy(2 * SHAPES, (Cell("force", "time", 0, 8, PLACES, False),))
+SMOOTH_PART = Discrepancy(2 * SHAPES, (Cell("force", "time", PLACES, False),))
 
 
 def subject(truth, seed=0, **other):
@@ -144,7 +145,7 @@ def split():
 
 def test_predictions_agree_with_refits_to_the_other_parts(split):
     of, sets, folds, out = split
-    assert out.on == "6 blocks"
+    assert out.folds == folds
     assert out.effects == ((), ("a",), ("a", "b")) and out.as_given is None
     for s, fit in enumerate(sets):
         k = len(fit.amplitude)
@@ -213,7 +214,7 @@ def drawn(seed=0, parts=6):
     none = tuple(np.ones((parts, len(s))) for s in sets)
     smooth = loss[:, 3] - 20
     return Predicted(
-        "6 parts", sets, loss, whitened, rows, none, none, smooth, smooth * rows / 100
+        Folds(rows, "6 parts"), sets, loss, whitened, rows, none, none, smooth, smooth * rows / 100
     ), 100.0
 
 
@@ -338,5 +339,5 @@ def test_nothing_unlisted_is_claimed_where_smooth_functions_predict_no_better():
     gain = -np.arange(6.0)
     z = gain.sum() / (np.sqrt(6) * np.std(gain, ddof=1))
     assert limited == pytest.approx(t_law.cdf(z, 5)) and limited < 0.1
-    search.subject.is_covered = False
+    worse = worse._replace(folds=out.folds._replace(is_covered=False))
     assert findings_of(search, posterior, worse).unlisted == posterior.unlisted

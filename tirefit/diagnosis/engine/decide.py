@@ -218,7 +218,7 @@ def findings_of(
 ) -> Findings:
     """The findings of the search and of the data left out."""
     subject, unlisted = search.subject, posterior.unlisted
-    if subject.is_covered:
+    if out.folds.is_covered:
         # Nothing unlisted is claimed where smooth functions predict no better, but for what
         # no other part could predict, such as a gust.
         better = out.whitened[:, out.effects.index(posterior.best)] - out.smooth_whitened

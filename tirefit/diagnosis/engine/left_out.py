@@ -31,15 +31,15 @@ close, and the noise floor."""
 class Predicted(NamedTuple):
     """Sets of effects fitted without each part, and their errors on it.
 
-    ``on`` is that of :class:`Folds`. ``loss`` (F, S) is the mean squared error of set s in
-    part f, first channel, in its unit; ``whitened`` (F, S) the sum of squares of all
-    channels over the noise; ``rows`` (F,) the number of values of the first channel;
-    ``parameters`` (F, p) and ``amplitude`` (F, k) by set, the latter in prior scales.
+    ``loss`` (F, S) is the mean squared error of set s in part f of the ``folds``, first channel,
+    in its unit; ``whitened`` (F, S) the sum of squares of all channels over the noise; ``rows``
+    (F,) the number of values of the first channel; ``parameters`` (F, p) and ``amplitude``
+    (F, k) by set, the latter in prior scales.
     ``smooth`` and ``smooth_whitened`` (F,) are the same of "anything smooth", ``as_given``
     (F,) the loss of a simulator whose parameters are not refitted.
     """
 
-    on: str
+    folds: Folds
     effects: tuple[Key, ...]
     loss: np.ndarray
     whitened: np.ndarray
@@ -122,7 +122,7 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
         sizes.append(fit.amplitude + moved[:, len(fit.z) :])
     smooth, given = _smooth(subject, null, outs), subject.given_residual
     return Predicted(
-        folds.on,
+        folds,
         tuple(fit.key for fit in sets),
         loss,
         whitened,
@@ -231,7 +231,7 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
             now = best
     steps.append(step(SMOOTH, out.smooth, loss[now]))
     steps.append(step(NOISE, np.full(len(share), floor), loss[now]))
-    return Ladder(out.on, tuple(steps))
+    return Ladder(out.folds.on, tuple(steps))
 
 
 class SizeByGroup(NamedTuple):

@@ -3,7 +3,7 @@ simulator known by its forces, and refits of hypotheses."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.diagnosis.rows.forces import Design, Tire
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -42,34 +43,28 @@ FARTHEST_OFF = 0.2
 """Largest error of a stand-in for a simulator over the simulated force (rms)."""
 
 
-class Refit(NamedTuple):
-    """Refitted hypotheses: parameters (h, p), and amplitudes in prior scales
-    (h, :data:`MOST_EFFECTS`)."""
-
-    z: np.ndarray
-    amplitude: np.ndarray
-
-
-def _weighted(
-    model: Tire, points: np.ndarray, sets: Sequence[tuple[int, ...]], design: Design
+def weighted(
+    model: Tire,
+    points: np.ndarray,
+    sets: Sequence[tuple[int, ...]],
+    design: Design,
+    n: int | None = None,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Whitened residual and slopes (p + k, C n) of sets of atoms, each at its point."""
-    weights, forces = design.weights(), design.forces
+    """Whitened residual (C n,) of the first n rows and its slopes (p + k, C n), of sets of atoms,
+    each at its point."""
     for mean, columns in model.slopes(points, sets, design):
-        yield ((forces - mean) * weights).reshape(-1), (columns * weights).reshape(len(columns), -1)
+        yield design.whitened(design.forces - mean, n), design.whitened(columns, n)
 
 
 def refit(
-    model: Tire,
-    starts: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]],
-    sets: Sequence[tuple[int, ...]],
-    design: Design,
-) -> Refit:
-    """Sets of atoms refitted from starts (z, amplitudes in prior scales)."""
-    p, none = len(starts[0][0]), len(design.prior_scale)
+    model: Tire, starts: Sequence[Start], sets: Sequence[tuple[int, ...]], design: Design
+) -> np.ndarray:
+    """Sets of atoms refitted: parameters and amplitudes in prior scales, padded with zeros,
+    (h, p + :data:`MOST_EFFECTS`)."""
+    p, none = len(starts[0].z), len(design.prior_scale)
     begin = np.zeros((len(sets), p + MOST_EFFECTS))
-    for row, (z, amplitude) in zip(begin, starts, strict=True):
-        row[: p + len(amplitude)] = *z, *amplitude
+    for row, start in zip(begin, starts, strict=True):
+        row[: p + len(start.amplitude)] = *start.z, *start.amplitude
     # Smaller sets are padded with amplitudes without effect.
     index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in sets]
     center = np.hstack([begin[:, :p], np.append(design.prior_center, 0.0)[index]])
@@ -84,8 +79,8 @@ def refit(
         off = points - center[numbers]
         cost, gradient = np.sum(pull * off**2, axis=1), pull * off
         normal = np.tile(np.diag(pull), (len(points), 1, 1))
-        weighted = _weighted(model, points, [tuple(sets[number]) for number in numbers], design)
-        for k, (missed, rows) in enumerate(weighted):
+        some = [tuple(sets[number]) for number in numbers]
+        for k, (missed, rows) in enumerate(weighted(model, points, some, design)):
             used = slice(len(rows))
             cost[k] += missed @ missed
             normal[k, used, used] += rows @ rows.T
@@ -94,8 +89,12 @@ def refit(
 
     # At most 26 steps, until one more would gain less than 1e-3 of chi-squared: whole units of
     # evidence matter.
-    z, _ = minimised(at, begin, bounds, NormalEquations(rtol=0.0, atol=1e-3), 26)
-    return Refit(z[:, :p], z[:, p:])
+    return minimised(at, begin, bounds, NormalEquations(rtol=0.0, atol=1e-3), 26)[0]
+
+
+def refit_base(model: Tire, z: np.ndarray, design: Design) -> np.ndarray:
+    """Parameters z (p,) refitted without effects."""
+    return refit(model, [Start(z, np.zeros(0))], [()], design)[0, : len(z)]
 
 
 def minimised(
@@ -191,7 +190,7 @@ def first_fit(
 
     def at(numbers: Sequence[int], points: np.ndarray) -> Normal:
         normals = []
-        for missed, by in _weighted(tire, points, [()] * len(points), design):
+        for missed, by in weighted(tire, points, [()] * len(points), design):
             size = np.abs(missed)
             root = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, HUBER**2))
             beyond = size > HUBER

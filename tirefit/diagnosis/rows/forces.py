@@ -64,6 +64,11 @@ class Design(NamedTuple):
         scales = np.stack([self.scale[c] for c in sorted(self.observed)])
         return np.asarray(self.keep, float) / scales
 
+    def whitened(self, values: np.ndarray, n: int | None = None) -> np.ndarray:
+        """Values (..., C, rows) of the first n rows over the noise, (..., C n)."""
+        values = (values * self.weights())[..., :n]
+        return values.reshape(*values.shape[:-2], -1)
+
 
 class Linear(NamedTuple):
     """A fit linearised, whitened: residual r (m,), J = d force / dz (m, p), T = d force / d
@@ -267,7 +272,6 @@ class Tire:
         states, scale = self.states(design), design.prior_scale
         state, changes = states.state(present), states.changes(present, design.prior_center)
         mean, by_z, fields = next(self._run(_slopes_of, points, iter([state]), design))
-        weight, observed = design.weights(), design.forces
         columns = np.zeros((len(scale), *mean.shape))
         for atom, slopes in changes.slopes.items():
             columns[atom] = _along(fields, slopes, float(scale[atom]))
@@ -276,13 +280,9 @@ class Tire:
         for (atom, size), (moved, _) in zip(changes.sizes.items(), ends, strict=True):
             columns[atom] = (moved - mean) / size
 
-        def flat(values: np.ndarray) -> np.ndarray:
-            """Of the first n rows, whitened, from (..., C, n)."""
-            values = (values * weight)[..., :n]
-            return np.ascontiguousarray(values.reshape(*values.shape[:-2], -1).T)
-
         by_z, fields = np.swapaxes(by_z, 0, 1), np.swapaxes(fields, 0, 1)
-        return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
+        parts = design.forces - mean, by_z, columns, fields
+        return Linear(*(np.ascontiguousarray(design.whitened(part, n).T) for part in parts))
 
     def slopes(
         self, points: np.ndarray, sets: Sequence[tuple[Any, ...]], design: Design

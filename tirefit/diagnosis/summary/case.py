@@ -25,7 +25,7 @@ from tirefit.diagnosis.engine.discrepancy import likeliest_beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Search, Weighed
-from tirefit.diagnosis.rows.fits import refit
+from tirefit.diagnosis.rows.fits import refit_base
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
@@ -196,7 +196,7 @@ class Case(Concluded):
         forces = base.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude * of_tire))
         observed = {c: pad_rows(x, len(base.design.keep)) for c, x in forces.items()}
         design = base.design._replace(observed=observed)
-        z = refit(base.tire, [(fit.z, ())], [()], design).z[0]
+        z = refit_base(base.tire, fit.z, design)
         columns = base.columns_at(fit)
         taken = np.linalg.lstsq(columns[:, :p], columns[:, p:] * of_tire, rcond=UNSEEN)[0]
         slopes = np.hstack([np.eye(p), taken])
