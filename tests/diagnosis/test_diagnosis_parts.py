@@ -100,7 +100,7 @@ def test_every_null_amplitude_changes_nothing(base):
 
 def test_tangents_agree_with_central_differences(base):
     _, jacobian, tangent, _ = base.linearised(base.z, np.zeros(len(base.atoms)))
-    scale = np.asarray(base.design.prior_scale)
+    scale = base.priors.scale
     n = base.rows.n
     spread = np.asarray(base.design.scale["fx"])[:n]
 
@@ -127,7 +127,7 @@ def test_tangents_agree_with_central_differences(base):
 def test_fields_agree_with_central_differences(base):
     """The force per field of the state, compared with effects that change only that."""
     linear = base.linearised(base.z, np.zeros(len(base.atoms)))
-    scale = np.asarray(base.design.prior_scale)
+    scale = base.priors.scale
     rows = base.rows.covariates
     for name, field, factor in (
         ("slip_offset", "shift", 1.0),
@@ -463,7 +463,7 @@ def test_a_filter_stays_within_the_range_of_the_past(base, amount):
 
 def test_every_effect_stays_within_its_bounds(base):
     """For any start, a refit gives physically possible amplitudes."""
-    scale, low, high = (getattr(base.design, n) for n in ("prior_scale", "low", "high"))
+    scale, low, high = (getattr(base.priors, n) for n in ("scale", "low", "high"))
     sets = [(k,) for k in range(len(base.atoms))]
     for far in (-50.0, 50.0):
         some = sets[:64] if far < 0 else sets[-64:]
@@ -579,7 +579,7 @@ def test_data_and_rig_narrow_the_prior_of_an_amplitude():
     prepared = prepare(data, RIG, ("fx",))
     interval = prepared.covariates.interval[0]
     late = _prior("channel_delay", data, RIG)
-    longest = 3 * prepared.sizes.period
+    longest = 3 * prepared.sizes["period"]
     assert longest < AGES[-1] * interval
     assert (late.low, late.high) == pytest.approx((-4 * interval, longest))
     assert _prior("channel_delay", data, RIG, variant=2).low == 0.0

@@ -22,6 +22,7 @@ from tirefit.diagnosis.effects.state import (
     slope_at_rest,
     with_offsets,
 )
+from tirefit.diagnosis.engine.fit import Priors
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.problem.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
@@ -34,9 +35,8 @@ class Design(NamedTuple):
 
     ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their probabilities.
     ``observed``, ``scale`` and ``offset`` (force of a simulator minus that of its tire) are (n,) by
-    channel; ``keep`` (n,) is 0 for padding and outliers. For the amplitudes (K,), ``prior_scale``
-    is in their own units, center, ``low`` and ``high`` are in prior scales. ``reference`` is load
-    and speed.
+    channel; ``keep`` (n,) is 0 for padding and outliers; ``priors`` are those of the amplitudes;
+    ``reference`` is load and speed.
     """
 
     inputs: TireInputs
@@ -48,10 +48,7 @@ class Design(NamedTuple):
     offset: Mapping[str, Values]
     keep: Values
     rows: Covariates
-    prior_scale: Values
-    prior_center: Values
-    low: Values
-    high: Values
+    priors: Priors
     reference: Values
 
     @property
@@ -230,7 +227,7 @@ class Tire:
 
     def states(self, design: Design) -> States:
         """States of the rows of a design under hypotheses of these effects."""
-        return States(atoms_of(self.effects), design.rows, design.prior_scale)
+        return States(atoms_of(self.effects), design.rows, design.priors.scale)
 
     def _run(
         self, program: Callable[..., Any], points: np.ndarray, states: Iterator[Any], design: Design
@@ -269,8 +266,8 @@ class Tire:
     def linearised(self, z: np.ndarray, amplitudes: np.ndarray, design: Design, n: int) -> Linear:
         """The first n rows linearised in everything."""
         present, points = _present(amplitudes), np.asarray(z)[None]
-        states, scale = self.states(design), design.prior_scale
-        state, changes = states.state(present), states.changes(present, design.prior_center)
+        states, scale = self.states(design), design.priors.scale
+        state, changes = states.state(present), states.changes(present, design.priors.center)
         mean, by_z, fields = next(self._run(_slopes_of, points, iter([state]), design))
         columns = np.zeros((len(scale), *mean.shape))
         for atom, slopes in changes.slopes.items():
@@ -289,7 +286,7 @@ class Tire:
     ) -> Iterator[tuple[np.ndarray, ...]]:
         """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z, amplitudes, ...),
         and slopes (p + k, C, n) by z and amplitudes in prior scales."""
-        p, scale, by_amplitude = self.layout.size, design.prior_scale, []
+        p, scale, by_amplitude = self.layout.size, design.priors.scale, []
         of_rows = self.states(design)
 
         def states() -> Iterator[np.ndarray]:

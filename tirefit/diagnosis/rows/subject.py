@@ -113,13 +113,10 @@ class Base:
 
     # --- what the engine asks of its subject, see engine.fit.Forward -----------------
 
-    @cached_property
+    @property
     def priors(self) -> Priors:
         """Of the amplitudes of all atoms."""
-        design, effects = self.design, [atom.effect for atom in self.atoms]
-        odds = np.array([e.odds(self.rows) if e.odds else 0.0 for e in effects])
-        center, low, high = map(np.asarray, (design.prior_center, design.low, design.high))
-        return Priors(center, low, high, odds, np.asarray(design.prior_scale))
+        return self.design.priors
 
     @property
     def start(self) -> Start:
@@ -212,8 +209,7 @@ class Base:
         """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
         prior scales; the others are zero."""
         full, index = np.zeros(len(self.atoms)), list(atoms)
-        scale = np.asarray(self.design.prior_scale)[index]
-        full[index] = np.asarray(sizes)[: len(index)] * scale
+        full[index] = np.asarray(sizes)[: len(index)] * self.priors.scale[index]
         return full
 
     def residual(self, z: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
