@@ -61,7 +61,7 @@ class Toy:
         other: id of an effect -> ids of those that it is mistaken for.
     """
 
-    floor, given_residual, is_covered = 1.0, None, True
+    floor, given_residual = 1.0, None
 
     def __init__(self, observed, columns, tangents, names, low=-9.0, center=0.0, **other):
         self.observed, self.columns, self.slopes = observed, columns, tangents
@@ -86,7 +86,7 @@ class Toy:
 
     def folds(self, effects):
         code = np.arange(len(self.observed)) * self.parts // len(self.observed)
-        return Folds(code, f"{self.parts} blocks")
+        return Folds(code, f"{self.parts} blocks", is_covered=True)
 
     def refit(self, starts, sets):
         return [self.fit(atoms) for atoms in sets]
@@ -100,16 +100,8 @@ class Toy:
         low, high = (np.append(np.full(p, far), x) for far, x in ((-np.inf, low), (np.inf, high)))
         target = np.append(self.observed, center)
         best = lsq_linear(np.vstack([both, prior]), target, (low, high), tol=1e-14).x
-        return fitted(
-            atoms,
-            [self.names[k] for k in atoms],
-            Start(best[:p], best[p:]),
-            (self.observed - both @ best, both),
-            np.append(np.zeros(p), np.ones(len(index))),
-            np.append(np.zeros(p), best[p:] - center),
-            self.priors.sign[index],
-            (low[p:], high[p:]),
-        )
+        linear = self.observed - both @ best, both
+        return fitted(self, atoms, Start(best[:p], best[p:]), linear)
 
     def tangents(self, fit):
         return self.slopes

@@ -8,6 +8,7 @@ other tests compile as well, of F_x and of F_y, serve them all.
 
 import json
 import math
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from conftest_diagnosis import brush
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.diagnose import diagnose
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
-from tirefit.diagnosis.rows.covariates import Sizes
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 
@@ -135,13 +135,13 @@ def sizes_of_file(columns, data, rig):
     """The scales of a file; that of the inertia is computed independently."""
     channel = "fy" if "fy" in columns else "fx"
     carried = np.mean(columns["fz"]) / 9.81
-    return prepare(data, rig, (channel,)).sizes._replace(inertia=carried * RADIUS**2)
+    return prepare(data, rig, (channel,)).sizes | {"inertia": carried * RADIUS**2}
 
 
 def _allowed(effect, sizes):
     """Lowest and highest amplitude of an effect and the largest standard error, on the
     scale of the file: each variant has bounds in shares of its own size or of one."""
-    size = np.array([getattr(sizes, per) for per in effect.per])
+    size = np.array([sizes[per] for per in effect.per])
     low, high = (np.array(effect.bounds) * size[:, None]).T
     return low.min(), high.max(), effect.scale * size.max()
 
@@ -228,7 +228,7 @@ QUIET = {"status": "none", "probability": 0.5}
 
 def test_the_check_detects_implausible_values():
     good = {"candidates": [], "gap": {"closed": 0.5}, "verdict": QUIET}
-    plain = Sizes()
+    plain = defaultdict(lambda: 1.0)
     assert faults(good, plain) == []
     assert faults(good | {"gap": {"closed": -1.4e147}}, plain)
     assert faults(good | {"n_effective": None}, plain)
@@ -263,8 +263,8 @@ def named(name, value, std, unit):
 @pytest.mark.parametrize("mass", [1.8, 400.0, 4000.0])
 def test_amplitudes_are_compared_with_the_scale_of_their_file(share, std, is_meant, mass):
     """A share of the carried mass at the radius of the wheel, for any load."""
-    sizes = Sizes(inertia=mass * RADIUS**2)
-    figures = (sizes.inertia * share, sizes.inertia * std, "kg m^2")
+    sizes = defaultdict(lambda: 1.0, inertia=mass * RADIUS**2)
+    figures = (sizes["inertia"] * share, sizes["inertia"] * std, "kg m^2")
     found = {"verdict": QUIET}
     said = faults(found | named("wheel_inertia: inertia", *figures), sizes)
     assert (not said) == is_meant

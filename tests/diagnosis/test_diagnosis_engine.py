@@ -16,7 +16,7 @@ from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
 from tirefit.models import Brush
 from tirefit.params import specs
 from tirefit.report.diagnosis.words import range_text
-from tirefit.results import DataError, UsageError
+from tirefit.results import DataError
 
 FEW = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]
 """Enough where the rest of the library cannot change what a test claims."""
@@ -56,14 +56,14 @@ def test_held_out_files_evaluate_each_step_of_the_ladder():
 
 
 def test_amplitudes_agree_with_the_truth(diagnosed):
-    for name, key, truth in (
-        ("slip_offset", "slip_offset: amplitude", 0.004),
-        ("load_friction", "load_friction: amplitude", -0.1),
-        ("relaxation_length", "relaxation_length: amplitude", 0.5),
-    ):
-        found, _ = diagnosed(name)
-        value = found.candidates[0].parameters[key]
+    for name, truth in (
+        ("slip_offset", 0.004), ("load_friction", -0.1), ("relaxation_length", 0.5),
+    ):  # fmt: skip
+        candidate = diagnosed(name)[0].candidates[0]
+        assert candidate.effects == (name,)
+        (value,) = candidate.parameters.values()
         assert abs(value.value - truth) < 4 * value.std + 0.02 * abs(truth)
+        assert value.std < 0.5 * abs(value.value)
 
 
 def test_data_without_a_gap_give_none(diagnosed):
@@ -84,14 +84,6 @@ def test_an_unlisted_gap_is_unknown(diagnosed):
     if not found.verdict.helping:
         np.testing.assert_array_equal(rows["extended"], rows["base"])
         assert found.gap.closed == 0.0
-
-
-def test_a_named_effect_has_an_error_below_half_its_value(diagnosed):
-    for name in ("slip_offset", "load_friction", "relaxation_length"):
-        found, _ = diagnosed(name)
-        chosen = next(c for c in found.candidates if c.effects == found.verdict.effects)
-        for amplitude in chosen.parameters.values():
-            assert amplitude.std < 0.5 * abs(amplitude.value)
 
 
 @pytest.mark.parametrize("name", TRUTHS)
@@ -283,8 +275,6 @@ def test_an_excluded_effect_is_not_named(diagnosed):
     assert "slip_offset" not in every | set(found.effects)
     assert "slip_offset" not in found.settings.effects
     assert "slip_offset" in diagnosed("slip_offset")[0].settings.effects
-    with pytest.raises(UsageError, match="no_such_effect"):
-        diagnose(read_frame(frame), without=("no_such_effect",))
 
 
 def test_bad_data_are_refused():
@@ -294,14 +284,6 @@ def test_bad_data_are_refused():
     few = {k: v[:15] for k, v in frame.items()}
     with pytest.raises(DataError, match="20 or more"):
         diagnose(read_frame(few), rig=RIG)
-    with pytest.raises(UsageError, match="brushh"):
-        diagnose(read_frame(frame), "brushh", rig=RIG)
-
-
-def test_an_unknown_effect_is_refused_with_a_suggestion():
-    frame, _ = record(None)
-    with pytest.raises(UsageError, match="(?s)no effect 'slip_ofset'.*mean 'slip_offset'"):
-        diagnose(read_frame(frame), without=["slip_ofset"])
 
 
 def test_zero_slip_has_no_side():

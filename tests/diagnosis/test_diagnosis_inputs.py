@@ -72,38 +72,26 @@ def test_exact_forces_have_no_gap(sim):
         assert abs(mu.measured - 0.9) < 1e-3 and not mu.differs
 
 
-def test_simulated_zeros_are_no_simulator():
-    data = read_frame(rig_data() | {"fx_sim": np.zeros(120)})
-    with pytest.raises(DataError, match="zero in every row") as caught:
-        tirefit.diagnose(data, sim=True)
-    assert caught.value.problems[0].column == "fx_sim"
+SIMULATED = {
+    "zeros": (lambda fx: 0 * fx, "'fx_sim': zero in every row"),
+    "no number": (lambda fx: np.nan * fx, "'fx_sim': no number in every row"),
+    "kN": (lambda fx: 1e-3 * fx, "'fx_sim': .*times that of the measured force.*'fx_sim': 'kN'"),
+    "mN": (lambda fx: 1e3 * fx, "'fx_sim': .*times that of the measured force"),
+    "huge": (lambda fx: 1e300 * fx, "'fx_sim': .*times that of the measured force"),
+    "twice": (lambda fx: {"fx": fx, "fx_sim": fx}, "fx and fx_sim are the same force"),
+    "complex": (lambda fx: {"fx": 1j * fx}, "sim is of type ndarray"),
+    "function": (lambda fx: lambda slip: slip, "sim is of type function"),
+    "bytes": (lambda fx: b"abc", "sim is of type bytes"),
+    "number as name": (lambda fx: {0: fx}, "sim: 0 of shape"),
+}
 
 
-@pytest.mark.parametrize("factor", [1e-3, 1e3, 1e300])
-def test_a_simulated_force_in_another_unit_is_refused(factor):
-    data = rig_data()
-    with pytest.raises(DataError, match="times that of the measured force") as caught:
-        tirefit.diagnose(read_frame(data), sim=factor * data["fx"])
-    (problem,) = caught.value.problems
-    assert problem.column == "fx_sim" and ("--unit fx_sim=kN" in problem.remedy) == (factor == 1e-3)
-
-
-def test_a_simulated_force_without_a_number_is_refused():
-    data = rig_data()
-    with pytest.raises(DataError, match="no number in every row"):
-        tirefit.diagnose(read_frame(data), sim=np.full(120, np.nan))
-
-
-@pytest.mark.parametrize(
-    ("sim", "said"),
-    [
-        ({"fx": np.ones(120), "fx_sim": np.ones(120)}, "fx and fx_sim are the same force"),
-        ({"fx": np.ones(120) * 1j}, "sim is of type ndarray"),
-    ],
-)
-def test_a_simulated_force_must_be_real_and_given_once(sim, said):
-    with pytest.raises(UsageError, match=said):
-        tirefit.diagnose(read_frame(rig_data()), sim=sim)
+@pytest.mark.parametrize(("sim", "said"), SIMULATED.values(), ids=SIMULATED)
+def test_what_is_no_simulated_force_is_refused(sim, said):
+    data = read_frame(rig_data())
+    with pytest.raises(TirefitError, match=f"(?s){said}") as caught:
+        given_simulator(sim(data["fx"]), data).beside(data)
+    assert ("kN" in str(caught.value)) == ("kN" in said)
 
 
 def test_times_that_differ_in_the_last_digit_are_accepted():
@@ -161,7 +149,10 @@ WRONG = {
     "no effects": ({"effects": ()}, "effects: none to search"),
     "model empty": ({"model": ""}, "unknown model ''"),
     "seed below zero": ({"seed": -1}, "seed = -1"),
-    "misspelt": ({"without": "friction_stp"}, "no effect 'friction_stp'"),
+    "misspelt": (
+        {"without": "friction_stp"},
+        "no effect 'friction_stp'\n    remedy: did you mean 'friction_step'",
+    ),
     "force": ({"forces": "fz"}, "gives no fz"),
     "no such file": ({"holdout": "no.csv"}, "no.csv: the file does not exist"),
 }
@@ -171,20 +162,6 @@ WRONG = {
 def test_wrong_arguments_are_refused(arguments, said):
     with pytest.raises(TirefitError, match=re.escape(said)):
         tirefit.diagnose(read_frame(rig_data()), **arguments)
-
-
-@pytest.mark.parametrize(
-    ("sim", "said"),
-    [
-        (lambda slip: slip, "sim is of type function"),
-        (b"abc", "sim is of type bytes"),
-        ({0: np.zeros(120)}, "sim: 0 of shape"),
-    ],
-    ids=["function", "bytes", "number as name"],
-)
-def test_wrong_types_of_a_simulator_are_refused(sim, said):
-    with pytest.raises(UsageError, match=re.escape(said)):
-        given_simulator(sim, read_frame(rig_data()))
 
 
 def test_wrong_types_of_rig_and_seed_are_refused():

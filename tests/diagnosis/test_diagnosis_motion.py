@@ -281,19 +281,20 @@ def test_a_relaxation_of_10_ms_is_named_from_thinned_rows():
 def test_values_per_run_shrink_to_a_common_value():
     """Two limits in closed form, and the mean of many cases in between."""
     values = np.array([1.0, 2.0, 6.0])
-    sure, own, _ = shrunk(values, 1e-12 * np.eye(3))
-    np.testing.assert_allclose(own, values, rtol=1e-3)
+    sure = shrunk(values, 1e-12 * np.eye(3), "abc")
+    np.testing.assert_allclose([value for value, _ in sure.values.values()], values, rtol=1e-3)
     assert sure.common == pytest.approx(3.0)
     # Restricted likelihood: the sample's standard deviation.
     assert sure.spread == pytest.approx(np.std(values, ddof=1), rel=0.01)
     assert sure.std == pytest.approx(sure.spread / np.sqrt(3), rel=0.01)
     assert sure.spread_ci[0] < sure.spread < sure.spread_ci[1]
     # Of R runs with error e: b e^2 + (1 - b)^2 (e^2 + s^2) / R, where b = s^2 / (e^2 + s^2).
-    law, _, errors = shrunk(values, np.eye(3))
-    square = law.spread**2
+    law = shrunk(values, np.eye(3), "abc")
+    square, errors = law.spread**2, np.array([error for _, error in law.values.values()])
     far = square / (1 + square)
     np.testing.assert_allclose(errors**2, far + (1 - far) ** 2 * (1 + square) / 3)
-    noise, own, errors = shrunk(values, 100 * np.eye(3))
+    noise = shrunk(values, 100 * np.eye(3), "abc")
+    own, errors = np.transpose([*noise.values.values()])
     assert noise.spread == 0.0 and noise.spread_ci[0] == 0.0
     np.testing.assert_allclose(own, 3.0)
     np.testing.assert_allclose(errors, 10 / np.sqrt(3), rtol=1e-6)
@@ -305,7 +306,8 @@ def test_shrunk_values_are_closer_with_right_errors():
     for _ in range(300):
         truth = 2 + 0.5 * generator.standard_normal(8)
         seen = truth + 0.5 * generator.standard_normal(8)
-        _, values, errors = shrunk(seen, 0.25 * np.eye(8))
+        law = shrunk(seen, 0.25 * np.eye(8), "abcdefgh")
+        values, errors = np.transpose([*law.values.values()])
         off.append(np.mean((values - truth) ** 2))
         raw.append(np.mean((seen - truth) ** 2))
         inside.append(np.abs(values - truth) < norm.ppf(0.95) * errors)

@@ -20,26 +20,22 @@ SPREAD = (20.0 * (SLIP < 1 / 3)) ** 2
 GROWING = 40 * (0.4 + 1.6 * FORCE / 4000)
 
 
+def alike(residual, given, slip=SLIP, groups=None, force=LOAD, spread=0 * LOAD):
+    """The noise of records in the order of time; of a constant force if no other is given."""
+    basis = np.stack([slip**k for k in range(5)], axis=1)
+    waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
+    level = None if given is None else np.full(ROWS, given)
+    groups = [np.argsort(slip)] if groups is None else groups
+    order = np.arange(float(ROWS)), np.zeros(ROWS, int)
+    fixed = basis, lambda _: waves, groups, *order
+    return judge_noise(residual, spread, LOAD, force, level, *fixed)
+
+
 def judged(std, given=40.0, seed=1):
+    """Of a force that grows with the slip, with noise of the slip where it is steep."""
     generator = np.random.default_rng(seed)
     residual = np.hypot(std, np.sqrt(SPREAD)) * generator.standard_normal(ROWS)
-    basis = np.stack([SLIP**k for k in range(5)], axis=1)
-    waves = np.stack([f(40 * SLIP) for f in (np.sin, np.cos)], axis=1)
-    zero = np.zeros(ROWS, int)
-    order = [np.argsort(SLIP)]
-    level = None if given is None else np.full(ROWS, given)
-    return judge_noise(
-        residual,
-        SPREAD,
-        LOAD,
-        FORCE,
-        level,
-        basis,
-        lambda _: waves,
-        order,
-        np.arange(float(ROWS)),
-        zero,
-    )
+    return alike(residual, given, force=FORCE, spread=SPREAD)
 
 
 @pytest.mark.parametrize("given", [40.0, None])
@@ -86,18 +82,6 @@ def test_noise_that_falls_with_the_force_is_not_modelled():
     """An overstated slip noise looks like this: the level is kept."""
     noise = judged(np.full(ROWS, 40.0) * (1 - 0.6 * FORCE / 4000))
     assert noise.source == "given"
-
-
-def alike(residual, given, slip=SLIP, groups=None):
-    """The noise of records with a constant force, in the order of time."""
-    basis = np.stack([slip**k for k in range(5)], axis=1)
-    waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
-    level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
-    return judge_noise(
-        residual, zero, LOAD, LOAD, level, basis, lambda _: waves,
-        [np.argsort(slip)] if groups is None else groups,
-        np.arange(float(ROWS)), zero.astype(int),
-    )  # fmt: skip
 
 
 def test_neighbours_lower_the_level_of_white_noise_only_by_chance():

@@ -100,7 +100,7 @@ def test_every_null_amplitude_changes_nothing(base):
 
 def test_tangents_agree_with_central_differences(base):
     _, jacobian, tangent, _ = base.linearised(base.z, np.zeros(len(base.atoms)))
-    scale = np.asarray(base.design.prior_scale)
+    scale = base.priors.scale
     n = base.rows.n
     spread = np.asarray(base.design.scale["fx"])[:n]
 
@@ -127,7 +127,7 @@ def test_tangents_agree_with_central_differences(base):
 def test_fields_agree_with_central_differences(base):
     """The force per field of the state, compared with effects that change only that."""
     linear = base.linearised(base.z, np.zeros(len(base.atoms)))
-    scale = np.asarray(base.design.prior_scale)
+    scale = base.priors.scale
     rows = base.rows.covariates
     for name, field, factor in (
         ("slip_offset", "shift", 1.0),
@@ -463,7 +463,7 @@ def test_a_filter_stays_within_the_range_of_the_past(base, amount):
 
 def test_every_effect_stays_within_its_bounds(base):
     """For any start, a refit gives physically possible amplitudes."""
-    scale, low, high = (getattr(base.design, n) for n in ("prior_scale", "low", "high"))
+    scale, low, high = (getattr(base.priors, n) for n in ("scale", "low", "high"))
     sets = [(k,) for k in range(len(base.atoms))]
     for far in (-50.0, 50.0):
         some = sets[:64] if far < 0 else sets[-64:]
@@ -579,7 +579,7 @@ def test_data_and_rig_narrow_the_prior_of_an_amplitude():
     prepared = prepare(data, RIG, ("fx",))
     interval = prepared.covariates.interval[0]
     late = _prior("channel_delay", data, RIG)
-    longest = 3 * prepared.sizes.period
+    longest = 3 * prepared.sizes["period"]
     assert longest < AGES[-1] * interval
     assert (late.low, late.high) == pytest.approx((-4 * interval, longest))
     assert _prior("channel_delay", data, RIG, variant=2).low == 0.0
@@ -601,6 +601,7 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
     usual = {"friction": 1.5, "stiffness": 3.0, "slip": 2.0, "force": 0.5}
     found = discrepancy_of(base)
     cells = {(cell.quantity, cell.covariate): cell for cell in found.cells}
+    columns = dict(zip(cells, (found.columns[:, part] for part in found.slices), strict=True))
     for name, right in changed.items():
         cell = cells[name, "fz"]
         assert cell.settings and list(cell.places) == [2000.0, 4000.0, 6000.0]
@@ -608,19 +609,16 @@ def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):
             own = usual[name] * np.where(fz == load, right, 0.0) / unit
             # The noise of the slip blurs the curve.
             size = np.abs(own).max()
-            off = found.columns[:, cell.first + k] - own
+            off = columns[name, "fz"][:, k] - own
             assert np.sqrt(np.mean(off**2)) < 0.03 * size
         # Over the size of the slip, an offset has its sign.
-        cell = cells[name, "slip_fraction"]
         side = np.sign(slip) if name in ("slip", "force") else 1.0
-        whole = found.columns[:, cell.first : cell.end].sum(axis=1)
-        np.testing.assert_allclose(
-            whole, side * found.columns[:, slice(*cells[name, "fz"][2:4])].sum(axis=1), atol=1e-9
-        )
+        whole, of_loads = (columns[name, x].sum(axis=1) for x in ("slip_fraction", "fz"))
+        np.testing.assert_allclose(whole, side * of_loads, atol=1e-9)
 
 
 def test_a_function_of_the_remainder_is_shown_in_the_units_of_its_parameter():
-    cell = Cell("slip", "slip_fraction", 0, 3, np.array([0.0, 0.5, 1.0]), False)
+    cell = Cell("slip", "slip_fraction", np.array([0.0, 0.5, 1.0]), False)
     found = Component(cell, 5.0, 0.8, 0.3, np.array([1.0, -4.0, 2.0]))
     shape = _shape(found)
     assert (shape.at, shape.size, shape.probability, shape.explains) == (0.5, -0.008, 0.8, 0.3)

@@ -20,7 +20,8 @@ from tirefit.diagnosis.engine.decide import (
     no_gap_shows,
     swaps_of,
 )
-from tirefit.diagnosis.engine.left_out import Gain, Predicted
+from tirefit.diagnosis.engine.fit import Folds
+from tirefit.diagnosis.engine.left_out import Gain, LeftOut, Predicted
 from tirefit.diagnosis.engine.search import parts_of
 
 A, B = ("a",), ("b",)
@@ -148,9 +149,8 @@ def test_swaps_are_gains_over_sets_with_another_effect_in_the_place_of_one():
     rng = np.random.default_rng(3)
     effects = ((), A, B, AB, ("a", "c"), ("c", "d"), ("b", "c"))
     loss = rng.uniform(1, 2, (5, len(effects)))
-    out = Predicted(
-        "parts", effects, loss, 10 * loss, np.full(5, 10), (), (), loss[:, 0], loss[:, 0]
-    )
+    left = {k: LeftOut(x, 10 * x, x, x) for k, x in zip(effects, loss.T, strict=True)}
+    out = Predicted(Folds(loss, "parts"), np.full(5, 10), left, left[()])
     swaps = swaps_of(out, AB, 0.1)
     assert {e: {*others} for e, others in swaps.items()} == {"b": {"c"}, "a": {"c"}}
     parts = 10 * (loss[:, 4] - loss[:, 3])

@@ -27,10 +27,7 @@ SLOPE = 2 + np.cos(7 * X)
 
 def discrepancy():
     columns = np.concatenate([SLOPE[:, None] * EVEN, BY_LOAD], axis=1)
-    cells = (
-        Cell("friction", "slip", 0, 9, EVEN_PLACES, False),
-        Cell("force", "fz", 9, 12, LOAD_PLACES, True),
-    )
+    cells = (Cell("friction", "slip", EVEN_PLACES, False), Cell("force", "fz", LOAD_PLACES, True))
     return Discrepancy(columns, cells)
 
 

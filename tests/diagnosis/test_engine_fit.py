@@ -84,8 +84,7 @@ def test_at_its_bound_an_effect_has_the_evidence_of_the_best_parameters():
     # A refit that ended inside is moved to the bound, with the parameters.
     z, a = np.array([0.3]), np.array([0.5])
     linear = subject.observed - fit.columns @ np.append(z, a), fit.columns
-    pull, off = np.array([0.0, 1.0]), np.append(0.0, a)
-    inside = fitted((0,), ("a",), Start(z, a), linear, pull, off, np.ones(1), (0.0, 9.0))
+    inside = fitted(subject, (0,), Start(z, a), linear)
     assert inside.log_evidence == pytest.approx(fit.log_evidence, abs=1e-6)
 
 

@@ -9,10 +9,12 @@ from scipy.stats import t as t_law
 
 from tirefit.diagnosis.engine.decide import decide, findings_of, floor_of, gains_of, predictions
 from tirefit.diagnosis.engine.discrepancy import LENGTHS, SIZES, Cell, Discrepancy, places_of
+from tirefit.diagnosis.engine.fit import Folds
 from tirefit.diagnosis.engine.left_out import (
     AS_GIVEN,
     NOISE,
     SMOOTH,
+    LeftOut,
     Predicted,
     gained,
     jackknife_error,
@@ -25,7 +27,7 @@ from tirefit.diagnosis.engine.search import PRIOR_OF_UNKNOWN, searched, weighed
 ROWS = 96
 X = np.linspace(-1, 1, ROWS)
 SHAPES, PLACES = places_of(X, None, 8)
-SMOOTH_PART = Discrepancy(2 * SHAPES, (Cell("force", "time", 0, 8, PLACES, False),))
+SMOOTH_PART = Discrepancy(2 * SHAPES, (Cell("force", "time", PLACES, False),))
 
 
 def subject(truth, seed=0, **other):
@@ -144,10 +146,10 @@ def split():
 
 def test_predictions_agree_with_refits_to_the_other_parts(split):
     of, sets, folds, out = split
-    assert out.on == "6 blocks"
-    assert out.effects == ((), ("a",), ("a", "b")) and out.as_given is None
-    for s, fit in enumerate(sets):
-        k = len(fit.amplitude)
+    assert out.folds == folds
+    assert [*out.sets] == [(), ("a",), ("a", "b")] and out.as_given is None
+    for fit in sets:
+        k, found = len(fit.amplitude), out.sets[fit.key]
         prior = np.concatenate([np.zeros((k, 1)), np.eye(k)], axis=1)
         for f in range(6):
             inside = folds.code != f
@@ -156,10 +158,10 @@ def test_predictions_agree_with_refits_to_the_other_parts(split):
             x = np.linalg.lstsq(columns, target, rcond=None)[0]
             left = (of.observed - fit.columns @ x)[~inside]
             first = of.unit[~inside] > 0
-            assert out.loss[f, s] == pytest.approx(np.mean((5 * left[first]) ** 2), rel=1e-6)
-            assert out.whitened[f, s] == pytest.approx(left @ left, rel=1e-6)
-            np.testing.assert_allclose(out.parameters[s][f], x[:1], atol=1e-6)
-            np.testing.assert_allclose(out.amplitude[s][f], x[1:], atol=1e-6)
+            assert found.loss[f] == pytest.approx(np.mean((5 * left[first]) ** 2), rel=1e-6)
+            assert found.whitened[f] == pytest.approx(left @ left, rel=1e-6)
+            np.testing.assert_allclose(found.parameters[f], x[:1], atol=1e-6)
+            np.testing.assert_allclose(found.amplitude[f], x[1:], atol=1e-6)
     np.testing.assert_array_equal(
         out.rows, [np.sum(of.unit[folds.code == f] > 0) for f in range(6)]
     )
@@ -181,9 +183,9 @@ def test_anything_smooth_predicts_by_ridges_averaged_over_their_sizes(split):
             means.append(null.columns @ z + columns @ s)
         weight = np.exp(np.array(logs) - logsumexp(logs))
         left = (of.observed - weight @ np.array(means))[~inside]
-        assert out.smooth_whitened[f] == pytest.approx(left @ left, rel=1e-3)
+        assert out.smooth.whitened[f] == pytest.approx(left @ left, rel=1e-3)
         first = of.unit[~inside] > 0
-        assert out.smooth[f] == pytest.approx(np.mean((5 * left[first]) ** 2), rel=1e-3)
+        assert out.smooth.loss[f] == pytest.approx(np.mean((5 * left[first]) ** 2), rel=1e-3)
 
 
 def test_a_simulator_as_given_is_not_refitted(split):
@@ -193,12 +195,12 @@ def test_a_simulator_as_given_is_not_refitted(split):
     out = predicted(given, sets[:1], sets[0], folds)
     for f in range(6):
         own = (folds.code == f) & (of.unit > 0)
-        assert out.as_given[f] == pytest.approx(25 * np.mean((of.observed[own] + 0.5) ** 2))
+        assert out.as_given.loss[f] == pytest.approx(25 * np.mean((of.observed[own] + 0.5) ** 2))
     steps = ladder_of(out, (), 20.0).steps
     assert [step.effects for step in steps] == [AS_GIVEN, (), SMOOTH, NOISE]
     # The gap is that of the simulator; its parameters close a part.
     assert steps[0].closed == 0 and steps[0].gain == 0
-    before, after = (np.average(x, weights=out.rows) for x in (out.as_given, out.loss[:, 0]))
+    before, after = (np.average(x, weights=out.rows) for x in (out.first, out.sets[()].loss))
     assert steps[1].gain == pytest.approx(before - after)
     assert steps[1].closed == pytest.approx(1 - np.sqrt((after - 20) / (before - 20)))
 
@@ -210,11 +212,10 @@ def drawn(seed=0, parts=6):
     loss = truth * generator.uniform(0.7, 1.3, (parts, 4))
     rows = generator.integers(20, 90, parts)
     whitened = loss * rows[:, None] / 100
-    none = tuple(np.ones((parts, len(s))) for s in sets)
-    smooth = loss[:, 3] - 20
-    return Predicted(
-        "6 parts", sets, loss, whitened, rows, none, none, smooth, smooth * rows / 100
-    ), 100.0
+    each = [LeftOut(*of, None, None) for of in zip(loss.T, whitened.T, strict=True)]
+    smooth = LeftOut(loss[:, 3] - 20, (loss[:, 3] - 20) * rows / 100, None, None)
+    sets = dict(zip(sets, each, strict=True))
+    return Predicted(Folds(rows, "6 parts"), rows, sets, smooth), 100.0
 
 
 def closed_by_hand(after, before, rows, floor):
@@ -225,24 +226,21 @@ def closed_by_hand(after, before, rows, floor):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gain_and_its_error_agree_with_a_loop_over_the_parts(seed):
     out, floor = drawn(seed)
-    gain = gained(out, out.effects[1], out.effects[0], floor)
-    each = [out.whitened[f, 0] - out.whitened[f, 1] for f in range(6)]
+    gain, old, new = gained(out, ("a",), (), floor), out.sets[()], out.sets["a",]
+    each = [old.whitened[f] - new.whitened[f] for f in range(6)]
     assert gain.gain == pytest.approx(sum(each))
     assert gain.std == pytest.approx(np.sqrt(6) * np.std(each, ddof=1))
-    closed, one_less = closed_by_hand(*out.loss[:, [1, 0]].T, out.rows, floor), []
+    closed, one_less = closed_by_hand(new.loss, old.loss, out.rows, floor), []
     for f in range(6):
         kept = [k for k in range(6) if k != f]
-        of = out.loss[np.ix_(kept, [1, 0])].T
-        one_less.append(closed_by_hand(*of, out.rows[kept], floor))
+        one_less.append(closed_by_hand(new.loss[kept], old.loss[kept], out.rows[kept], floor))
     assert gain.closed == pytest.approx(closed)
     jackknife = np.sqrt(5 / 6 * np.sum((one_less - np.mean(one_less)) ** 2))
     assert gain.closed_std == pytest.approx(jackknife)
     # Each effect of a set against the set without it.
     gains = gains_of(out, ("a", "b"), floor)
-    assert gains == {
-        effect: gained(out, out.effects[3], out.effects[less], floor)
-        for effect, less in (("a", 2), ("b", 1))
-    }
+    both = "a", "b"
+    assert gains == {x: gained(out, both, (y,), floor) for x, y in (both, both[::-1])}
 
 
 def test_the_ladder_descends_from_no_effect_to_the_noise():
@@ -251,19 +249,21 @@ def test_the_ladder_descends_from_no_effect_to_the_noise():
     names = [step.effects for step in ladder.steps]
     assert names == [(), ("a",), ("a", "b"), SMOOTH, NOISE] and ladder.on == "6 parts"
     squares = [step.rms_left_out**2 for step in ladder.steps]
-    means = [np.average(out.loss[:, k], weights=out.rows) for k in (0, 1, 3)]
+    losses = [out.sets[key].loss for key in names[:3]]
+    means = [np.average(loss, weights=out.rows) for loss in losses]
     np.testing.assert_allclose(squares[:3], means)
     assert squares == sorted(squares)[::-1] and squares[-1] == pytest.approx(floor)
     # Each step gains what the rms falls by; the last two against the last set.
     gains = [step.gain for step in ladder.steps]
     falls = [0, *(-np.diff(squares[:4])), squares[2] - squares[4]]
     np.testing.assert_allclose(gains, falls, atol=1e-9)
-    parts = out.rows / out.rows.sum() * (out.loss[:, 0] - out.loss[:, 1])
+    parts = out.rows / out.rows.sum() * (losses[0] - losses[1])
     assert ladder.steps[1].gain_std == pytest.approx(np.sqrt(6) * np.std(parts, ddof=1))
     assert ladder.steps[0].closed == 0 and ladder.steps[-1].closed == 1
     assert 0 < ladder.steps[1].closed < ladder.steps[2].closed < 1
     # Neither a set without a refit nor an unnamed one is a step.
-    less = out._replace(effects=((), ("a",), ("c",), ("a", "b")))
+    others = {("c",) if key == ("b",) else key: left for key, left in out.sets.items()}
+    less = out._replace(sets=others)
     assert [s.effects for s in ladder_of(less, ("a", "b"), floor).steps] == names
     assert [s.effects for s in ladder_of(out, (), floor).steps] == [(), SMOOTH, NOISE]
 
@@ -321,7 +321,7 @@ def test_without_a_gap_there_are_no_findings():
 
 def test_the_floor_is_at_most_the_loss_without_effects():
     search, _, out = found_in(lambda t: 0.0)
-    loss = np.average(out.loss[:, out.effects.index(())], weights=out.rows)
+    loss = np.average(out.sets[()].loss, weights=out.rows)
     assert floor_of(search.subject, out) == pytest.approx(min(1.0, loss))
     search.subject.floor = 1e9
     assert floor_of(search.subject, out) == pytest.approx(loss)
@@ -331,12 +331,12 @@ def test_nothing_unlisted_is_claimed_where_smooth_functions_predict_no_better():
     """The posterior finds something smooth; leaving out parts that others cover does not."""
     search, posterior, out = found_in(hidden)
     assert posterior.unlisted > 0.9
-    better = out.whitened[:, out.effects.index(posterior.best)]
-    worse = out._replace(smooth_whitened=better + np.arange(6))
+    better = out.sets[posterior.best].whitened
+    worse = out._replace(smooth=out.smooth._replace(whitened=better + np.arange(6)))
     limited = findings_of(search, posterior, worse).unlisted
     # Student's t of the six parts.
     gain = -np.arange(6.0)
     z = gain.sum() / (np.sqrt(6) * np.std(gain, ddof=1))
     assert limited == pytest.approx(t_law.cdf(z, 5)) and limited < 0.1
-    search.subject.is_covered = False
+    worse = worse._replace(folds=out.folds._replace(is_covered=False))
     assert findings_of(search, posterior, worse).unlisted == posterior.unlisted

@@ -100,7 +100,7 @@ def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model, expecte
     given = {"alpha": np.arctan(rows.slip)} if mode == "y" else {"sigma_x": rows.slip}
     inputs = rows.inputs._replace(**given)
     for k, atom in enumerate(base.atoms):
-        effect, scale = atom.effect, float(base.design.prior_scale[k])
+        effect, scale = atom.effect, float(base.priors.scale[k])
         if effect.channels and name not in effect.channels:
             continue
         if atom.variant >= variants or (expected is OF_SHAPE and effect.id not in expected):

@@ -111,7 +111,7 @@ def by_scipy(base, fold, codes, with_offset):
     scale = np.asarray(base.design.scale["fy"])[: base.rows.n]
     keep = np.asarray(base.design.keep)[: base.rows.n] > 0
     names = [atom.effect.id for atom in base.atoms]
-    prior = float(base.design.prior_scale[names.index("slip_offset")])
+    prior = float(base.priors.scale[names.index("slip_offset")])
 
     def missed(x):
         shift = x[2] * prior * with_offset
@@ -131,17 +131,16 @@ def test_losses_agree_with_refits_without_the_fold(five):
     folds = folds_of(five.rows, 1.0)
     none, offset = refitted(five), refitted(five, "slip_offset")
     found = predicted(five, [none, offset], none, folds)
-    assert found.effects == ((), ("slip_offset",))
-    assert found.on == folds.on
+    assert [*found.sets] == [(), ("slip_offset",)] and found.folds is folds
+    plain, shifted = found.sets.values()
     for fold in range(folds.number):
-        for k in (0, 1):
-            loss, size = by_scipy(five, fold, folds.code, bool(k))
+        for has_offset, of in enumerate((plain, shifted)):
+            loss, size = by_scipy(five, fold, folds.code, bool(has_offset))
             # By one linear step from the fit of all runs.
-            assert found.loss[fold, k] == pytest.approx(loss, rel=0.01)
-        assert found.amplitude[1][fold, 0] == pytest.approx(size, rel=0.01)
+            assert of.loss[fold] == pytest.approx(loss, rel=0.01)
+        assert shifted.amplitude[fold, 0] == pytest.approx(size, rel=0.01)
     # The noise is one number here, but for that of the slip.
-    rows = found.rows[:, None]
-    np.testing.assert_allclose(found.whitened, found.loss * rows / STD**2, rtol=1e-4)
+    np.testing.assert_allclose(plain.whitened, plain.loss * found.rows / STD**2, rtol=1e-4)
     assert np.sum(found.rows) == np.sum(np.asarray(five.design.keep) > 0)
 
 
@@ -149,8 +148,7 @@ def test_a_smooth_remainder_is_predicted_down_to_the_noise(five):
     folds = folds_of(five.rows, 1.0)
     none = refitted(five)
     found = predicted(five, [none], none, folds)
-    assert np.mean(found.smooth) < 0.5 * np.mean(found.loss[:, 0])
-    assert np.mean(found.smooth) > 0.8 * STD**2
+    assert 0.8 * STD**2 < np.mean(found.smooth.loss) < 0.5 * np.mean(found.sets[()].loss)
 
 
 TRUE = {"slip_offset", "friction_speed_linear"}

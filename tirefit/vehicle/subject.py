@@ -77,7 +77,6 @@ class Windows:
     tick: Callable[[], None] = field(default=lambda: None)
 
     floor: float = 1.0  # mean square of the noise, over itself
-    is_covered: bool = True  # every part has the slips and speeds of the others
 
     # --- the linearised car ------------------------------------------------------------
 
@@ -208,7 +207,8 @@ class Windows:
             number, what = min(_BLOCKS, count), "blocks of time"
             part = np.arange(count) * number // count
         each = int(np.prod(self._shape[1:]))
-        return Folds(np.repeat(part, each), f"{number} {what} left out in turn")
+        # Every part has the slips and speeds of the others.
+        return Folds(np.repeat(part, each), f"{number} {what} left out in turn", is_covered=True)
 
     def refit(self, starts: Sequence[Start], sets: Sequence[tuple[int, ...]]) -> list[Fit]:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
@@ -241,16 +241,9 @@ class Windows:
         end = minimised(squares, first, sides, _TOLERANCE, _STEPS)
         z, states = np.asarray(end.z)[:size], end.starts
         now = self.linear(self.coefficients(z[:TIRES], atoms, z[TIRES:]), states, places)
-        return fitted(
-            atoms,
-            [self.atoms[k].effect.id for k in atoms],
-            Start(z[:TIRES], z[TIRES:], np.asarray(states)),
-            (self._residual(now), self.projected(now, now.by)),
-            np.ones(size),
-            z,
-            priors.sign[index],
-            (priors.low[index], priors.high[index]),
-        )
+        start = Start(z[:TIRES], z[TIRES:], np.asarray(states))
+        linear = self._residual(now), self.projected(now, now.by)
+        return fitted(self, atoms, start, linear, precision=1.0)
 
     def tangents(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
@@ -287,9 +280,8 @@ class Windows:
 
         def add(quantity: str, covariate: str, by: np.ndarray, places: np.ndarray) -> None:
             columns.append(self.projected(now, by))
-            first, settings = cells[-1].end if cells else 0, covariate == "window"
-            end = first + len(places)
-            cells.append(Cell(quantity, covariate, first, end, places, settings, settings))
+            settings = covariate == "window"
+            cells.append(Cell(quantity, covariate, places, settings, settings))
 
         for covariate, values in self.covariates.items():
             ends = np.quantile(values, [0.01, 0.99]) if "slip" in covariate else (-np.inf, np.inf)

@@ -80,7 +80,7 @@ class Effect:
             both (:data:`effects.record.xp`); amplitude 0 changes nothing.
         scale: prior standard deviation of the amplitude, a judgement: twice as wide
             lowers the log evidence of a certain effect by log 2.
-        per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
+        per: key of :func:`rows.covariates.sizes_of` that is the unit of ``scale``,
             ``center`` and ``bounds``: one for all variants or one for each.
         unit: unit of the amplitude.
         formula, means, remedy, remedy_derived: for the report: the law, its meaning, what to
@@ -185,7 +185,7 @@ class Atom:
         effect = self.effect
         pair = effect.bounds[self.variant if len(effect.bounds) > 1 else 0]
         per = effect.per[self.variant if len(effect.per) > 1 else 0]
-        size = getattr(prepared.sizes, per)
+        size = prepared.sizes[per]
         prior = Prior(effect.scale, effect.center, *pair).times(size)
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 

@@ -18,7 +18,3 @@ hundredth of the resolution of a 24-bit sensor."""
 UNSEEN = 1e-6
 """Smallest length of a direction of whitened rows: an effect of usual size then changes
 all rows together by a millionth of a standard error, which no test can detect."""
-
-SILENT = 0.2
-"""Remainder over the noise below which it is not examined: it is due to rounding, or
-smaller than the stated noise."""

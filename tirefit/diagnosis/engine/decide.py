@@ -215,7 +215,7 @@ def predictions(search: Search) -> tuple[Weighed, Predicted]:
 def floor_of(subject: Forward, out: Predicted) -> float:
     """Mean square of the noise of the first channel, at most the mean square error of the
     model without effects on data left out, which an estimated noise may exceed."""
-    left = out.rows @ out.loss[:, out.effects.index(())] / out.rows.sum()
+    left = out.rows @ out.sets[()].loss / out.rows.sum()
     return min(subject.floor, float(left))
 
 
@@ -224,10 +224,10 @@ def findings_of(
 ) -> Findings:
     """The findings of the search and of the data left out."""
     subject, unlisted = search.subject, posterior.unlisted
-    if subject.is_covered:
+    if out.folds.is_covered:
         # Nothing unlisted is claimed where smooth functions predict no better, but for what
         # no other part could predict, such as a gust.
-        better = out.whitened[:, out.effects.index(posterior.best)] - out.smooth_whitened
+        better = out.sets[posterior.best].whitened - out.smooth.whitened
         error = max(np.sqrt(len(better)) * np.std(better, ddof=1), NONZERO)
         predicts = float(stdtr(len(better) - 1, better.sum() / error))
         local = subject.discrepancy.local_share(posterior.best_of[posterior.best])
@@ -236,10 +236,10 @@ def findings_of(
     first = posterior.best_beside if unlisted > policy.likely else posterior.best
     wholes = [] if no_gap_shows(posterior, policy) else [*dict.fromkeys((first, posterior.best))]
     # Smooth functions may take the place of a listed effect; data left out tell.
-    wholes.sort(key=lambda whole: out.whitened[:, out.effects.index(whole)].sum())
+    wholes.sort(key=lambda whole: out.sets[whole].whitened.sum())
     floor, gains = floor_of(subject, out), dict[Key, dict[str, Gain]]()
     for whole in wholes:
-        parts = [part for part in parts_of(whole) if part in out.effects]
+        parts = [part for part in parts_of(whole) if part in out.sets]
         for part in sorted(parts, key=lambda k: (-len(k), -posterior.log_weight[k])):
             each = gains_of(out, part, floor)
             if len(each) == len(part):
@@ -296,14 +296,14 @@ def gains_of(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
     return {
         effect: gained(out, key, less, floor)
         for effect, less in rest.items()
-        if {key, less} <= {*out.effects}
+        if {key, less} <= out.sets.keys()
     }
 
 
 def swaps_of(out: Predicted, key: Key, floor: float) -> dict[str, dict[str, Gain]]:
     """The gain of a set over each set with another effect in the place of one of its own."""
     swaps = dict[str, dict[str, Gain]]()
-    for other in out.effects:
+    for other in out.sets:
         new, old = set(other) - set(key), set(key) - set(other)
         if len(new) == len(old) == 1:
             swaps.setdefault(old.pop(), {})[new.pop()] = gained(out, key, other, floor)

@@ -7,6 +7,7 @@ averaged over; the same functions show where a gap lies and what is left.
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,14 +26,12 @@ SIZES = 0.5 * 4.0 ** np.arange(4)
 
 
 class Cell(NamedTuple):
-    """A quantity that varies with a covariate: its columns are ``first`` to ``end``, the
-    values at ``places`` of the covariate; ``settings``: these are its only values;
-    ``is_local``: a value belongs to one part of the data, and no other part predicts it."""
+    """A quantity that varies with a covariate, by its values at ``places`` of the covariate;
+    ``settings``: these are its only values; ``is_local``: a value belongs to one part of the
+    data, and no other part predicts it."""
 
     quantity: str
     covariate: str
-    first: int
-    end: int
     places: np.ndarray
     settings: bool
     is_local: bool = False
@@ -74,10 +73,17 @@ def _root(cell: Cell, length: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """Columns (m, q) of the cells, whitened, for usual changes of their quantities."""
+    """Columns (m, q), one for each place of each cell in turn, whitened, for usual changes of
+    their quantities."""
 
     columns: np.ndarray
     cells: tuple[Cell, ...]
+
+    @cached_property
+    def slices(self) -> list[slice]:
+        """The columns of each cell."""
+        ends = np.cumsum([len(cell.places) for cell in self.cells]).tolist()
+        return [slice(first, end) for first, end in pairwise([0, *ends])]
 
     @cached_property
     def _roots(self) -> np.ndarray:
@@ -99,10 +105,10 @@ class Discrepancy:
         score = self.columns.T @ fit.remainder()[: len(self.columns)]
         # Products (cells, k, k) and scores (cells, k) of each cell.
         grams, scores = np.zeros((len(self.cells), most, most)), np.zeros((len(self.cells), most))
-        for k, (cell, gram) in enumerate(zip(self.cells, self._grams, strict=True)):
-            inside, size = used[cell.first : cell.end], len(cell.places)
+        for k, (part, gram) in enumerate(zip(self.slices, self._grams, strict=True)):
+            inside, size = used[part], len(gram)
             grams[k, :size, :size] = gram - inside @ inside.T
-            scores[k, :size] = score[cell.first : cell.end]
+            scores[k, :size] = score[part]
         turned = np.swapaxes(roots, 2, 3) @ grams[:, None] @ roots
         values, vectors = np.linalg.eigh(turned)
         values = np.maximum(values, 0.0)[..., None, :]
@@ -113,7 +119,7 @@ class Discrepancy:
 
     @cached_property
     def _grams(self) -> list[np.ndarray]:
-        parts = (self.columns[:, cell.first : cell.end] for cell in self.cells)
+        parts = (self.columns[:, part] for part in self.slices)
         return [part.T @ part for part in parts]
 
     def log_evidence(self, fit: "Fit") -> float:
@@ -151,7 +157,8 @@ class Discrepancy:
         """Columns (m, q) whose coefficients have unit prior variance each: the sum of all
         cells, with the middle length scale, at usual size."""
         parts = [
-            self.columns[:, cell.first : cell.end] @ _root(cell, LENGTHS[1]) for cell in self.cells
+            self.columns[:, part] @ _root(cell, LENGTHS[1])
+            for cell, part in zip(self.cells, self.slices, strict=True)
         ]
         many = max(len(parts), 1) ** 0.5
         return np.concatenate([self.columns[:, :0], *parts], axis=1) / many

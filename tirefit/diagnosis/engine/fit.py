@@ -27,10 +27,12 @@ class Start(NamedTuple):
 
 class Folds(NamedTuple):
     """A partition of the data. ``code`` (m,) is the part of each residual, -1 for one that
-    is never left out; ``on`` names the parts for the report."""
+    is never left out; ``on`` names the parts for the report. ``is_covered``: each part lies where
+    the others do, as windows of a car, so that smooth functions of the others predict it."""
 
     code: np.ndarray
     on: str
+    is_covered: bool = False
 
     @property
     def number(self) -> int:
@@ -67,8 +69,6 @@ class Forward(Protocol):
         discrepancy: functions for an effect that is not listed.
         given_residual: (m,) whitened residual of a simulator whose parameters are not refitted,
             None for a fitted form.
-        is_covered: whether each part that is left out lies where the others do, as windows of
-            a car: smooth functions of the others then predict it.
     """
 
     @property
@@ -94,9 +94,6 @@ class Forward(Protocol):
 
     @property
     def discrepancy(self) -> Discrepancy: ...
-
-    @property
-    def is_covered(self) -> bool: ...
 
     def groups(self) -> dict[str, np.ndarray]:
         """Covariates (m,) in whose groups the size of an effect is compared."""
@@ -209,26 +206,28 @@ def with_priors(
 
 
 def fitted(
-    atoms: tuple[int, ...], effects: Sequence[str], start: Start,
-    linear: tuple[np.ndarray, np.ndarray], pull: np.ndarray, off: np.ndarray, sign: np.ndarray,
-    within: tuple[np.ndarray, np.ndarray],
-) -> Fit:  # fmt: skip
+    subject: Forward,
+    atoms: tuple[int, ...],
+    start: Start,
+    linear: tuple[np.ndarray, np.ndarray],
+    precision: float = 0.0,
+) -> Fit:
     """A fit from its linearisation.
 
     Args:
         linear: residual (m,) and columns (m, p + k).
-        pull, off: as in :class:`Fit`.
-        sign: (k,) sign of the amplitudes where only one is physical.
-        within: (low, high) of the amplitudes (k,).
+        precision: root of that of the prior of each parameter about zero; 0 without one.
     """
     residual, columns = linear
+    p, priors, index = len(start.z), subject.priors, list(atoms)
+    off = np.append(precision * start.z, start.amplitude - priors.center[index])
+    pull = np.append(np.full(p, precision), np.ones(len(index)))
     pull = np.maximum(pull, np.sqrt(FLAT))  # a parameter at its bound has no slope
     whole, rest = with_priors(columns, residual, pull, off)
     normal = whole.T @ whole
     step = np.linalg.solve(normal, whole.T @ rest)
-    p = len(start.z)
     asked = start.amplitude + step[p:]
-    kept = np.clip(asked, *within)
+    kept = np.clip(asked, priors.low[index], priors.high[index])
     free = np.append(np.full(p, True), kept == asked)
     step[p:] = kept - start.amplitude
     # The others take their best values beside an amplitude at its bound.
@@ -237,10 +236,9 @@ def fitted(
     left = rest - whole @ step
     value = -0.5 * (left @ left) - 0.5 * np.linalg.slogdet(normal)[1]
     std = np.sqrt(np.maximum(np.diag(np.linalg.inv(normal))[p:], ROUNDING))
+    sign = priors.sign[index]
     one_sided = np.log(2) + log_ndtr(sign * (start.amplitude + step[p:]) / std)
     value += np.sum(np.where(sign != 0, one_sided, 0.0))
     value = float(value) if np.isfinite(value) else -np.inf
-    return Fit(
-        tuple(atoms), tuple(effects), start.z, start.amplitude, residual, columns, pull,
-        off, value, start.state,
-    )  # fmt: skip
+    effects = tuple(subject.atoms[k].effect.id for k in atoms)
+    return Fit(tuple(atoms), effects, *start[:2], residual, columns, pull, off, value, start.state)

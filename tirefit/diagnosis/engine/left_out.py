@@ -28,27 +28,32 @@ NOISE: Key = ("noise",)
 close, and the noise floor."""
 
 
-class Predicted(NamedTuple):
-    """Sets of effects fitted without each part, and their errors on it.
+class LeftOut(NamedTuple):
+    """Errors of a model on each part that it was not fitted to: the mean square of the first
+    channel, in its unit (F,); the sum of squares of all channels over the noise (F,); and the
+    parameters (F, p) and amplitudes in prior scales (F, k) without each part."""
 
-    ``on`` is that of :class:`Folds`. ``loss`` (F, S) is the mean squared error of set s in
-    part f, first channel, in its unit; ``whitened`` (F, S) the sum of squares of all
-    channels over the noise; ``rows`` (F,) the number of values of the first channel;
-    ``parameters`` (F, p) and ``amplitude`` (F, k) by set, the latter in prior scales.
-    ``smooth`` and ``smooth_whitened`` (F,) are the same of "anything smooth", ``as_given``
-    (F,) the loss of a simulator whose parameters are not refitted.
-    """
-
-    on: str
-    effects: tuple[Key, ...]
     loss: np.ndarray
     whitened: np.ndarray
+    parameters: np.ndarray
+    amplitude: np.ndarray
+
+
+class Predicted(NamedTuple):
+    """Sets of effects on each part of the ``folds``, with the number of values (F,) of the first
+    channel; ``smooth`` is "anything smooth", ``as_given`` a simulator whose parameters are not
+    refitted: both without parameters."""
+
+    folds: Folds
     rows: np.ndarray
-    parameters: tuple[np.ndarray, ...]
-    amplitude: tuple[np.ndarray, ...]
-    smooth: np.ndarray
-    smooth_whitened: np.ndarray
-    as_given: np.ndarray | None = None
+    sets: Mapping[Key, LeftOut]
+    smooth: LeftOut
+    as_given: LeftOut | None = None
+
+    @property
+    def first(self) -> np.ndarray:
+        """Loss (F,) of the first step of the ladder."""
+        return (self.as_given or self.sets[()]).loss
 
 
 class Gain(NamedTuple):
@@ -103,35 +108,25 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     outs = [folds.code == number for number in range(folds.number)]
     first = [out & (unit > 0) for out in outs]
 
-    def mean_squares(left: Sequence[np.ndarray]) -> np.ndarray:
-        """Of the first channel, for residuals (m,) of each part left out."""
-        return np.array(
-            [np.mean((x * unit)[rows] ** 2) for x, rows in zip(left, first, strict=True)]
-        )
+    def errors(left: Sequence[np.ndarray]) -> np.ndarray:
+        """Loss, and whitened sum of squares, of residuals (m,) for each part: (2, F)."""
+        mean = [np.mean((x * unit)[rows] ** 2) for x, rows in zip(left, first, strict=True)]
+        return np.array([mean, [np.sum(x[out] ** 2) for x, out in zip(left, outs, strict=True)]])
 
-    def squares(left: Sequence[np.ndarray]) -> np.ndarray:
-        return np.array([np.sum(x[out] ** 2) for x, out in zip(left, outs, strict=True)])
-
-    loss, whitened = np.empty((2, len(outs), len(sets)))
-    parameters, sizes = [], []
+    each, none = {}, np.zeros((2, len(outs), 0))
+    every = np.empty((2, len(outs), len(sets)))
     for s, fit in enumerate(sets):
-        moved = np.array([fit.without(out) for out in outs])
-        left = [fit.residual - fit.columns @ step for step in moved]
-        loss[:, s], whitened[:, s] = mean_squares(left), squares(left)
-        parameters.append(fit.z + moved[:, : len(fit.z)])
-        sizes.append(fit.amplitude + moved[:, len(fit.z) :])
-    smooth, given = _smooth(subject, null, outs), subject.given_residual
+        moved, p = np.array([fit.without(out) for out in outs]), len(fit.z)
+        every[..., s] = errors([fit.residual - fit.columns @ step for step in moved])
+        ends = fit.z + moved[:, :p], fit.amplitude + moved[:, p:]
+        each[fit.key] = LeftOut(*every[..., s], *ends)
+    given = subject.given_residual
     return Predicted(
-        folds.on,
-        tuple(fit.key for fit in sets),
-        loss,
-        whitened,
+        folds,
         np.array([rows.sum() for rows in first]),
-        tuple(parameters),
-        tuple(sizes),
-        mean_squares(smooth),
-        squares(smooth),
-        None if given is None else mean_squares([given] * len(outs)),
+        each,
+        LeftOut(*errors(_smooth(subject, null, outs)), *none),
+        None if given is None else LeftOut(*errors([given] * len(outs)), *none),
     )
 
 
@@ -169,9 +164,9 @@ def gained(out: Predicted, new: Key, old: Key, floor: float) -> Gain:
     Args:
         floor: mean square of the noise of the first channel.
     """
-    after, before = out.effects.index(new), out.effects.index(old)
-    parts = out.whitened[:, before] - out.whitened[:, after]
-    closed, error = closed_share(out.rows, out.loss[:, after], out.loss[:, before], floor)
+    after, before = out.sets[new], out.sets[old]
+    parts = before.whitened - after.whitened
+    closed, error = closed_share(out.rows, after.loss, before.loss, floor)
     return Gain(float(parts.sum()), _error(parts), closed, error)
 
 
@@ -208,9 +203,7 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
         floor: mean square of the noise of the first channel.
     """
     share = out.rows / out.rows.sum()
-    loss = dict(zip(out.effects, out.loss.T, strict=True))
-    total = dict(zip(out.effects, out.whitened.sum(axis=0), strict=True))
-    first = loss[()] if out.as_given is None else out.as_given
+    first, loss = out.first, {k: left.loss for k, left in out.sets.items()}
 
     def step(effects: Key, after: np.ndarray, before: np.ndarray) -> Step:
         parts, rms = share * (before - after), float(np.sqrt(share @ after))
@@ -225,13 +218,13 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
     for size in range(1, len(key) + 1):
         larger = [k for k in loss if len(k) == size and {*now} < {*k} <= {*key}]
         if larger:
-            best = min(larger, key=lambda k: total[k])
+            best = min(larger, key=lambda k: out.sets[k].whitened.sum())
             order += tuple(e for e in best if e not in order)
             steps.append(step(order, loss[best], loss[now]))
             now = best
-    steps.append(step(SMOOTH, out.smooth, loss[now]))
+    steps.append(step(SMOOTH, out.smooth.loss, loss[now]))
     steps.append(step(NOISE, np.full(len(share), floor), loss[now]))
-    return Ladder(out.on, tuple(steps))
+    return Ladder(out.folds.on, tuple(steps))
 
 
 class SizeByGroup(NamedTuple):

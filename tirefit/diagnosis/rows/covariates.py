@@ -19,23 +19,6 @@ LOADS, _ANGLE = 0.03, 1e-3
 and of camber, steering or the other slip [rad]."""
 
 
-class Sizes(NamedTuple):
-    """Units of the expected amplitudes."""
-
-    plain: float = 1.0
-    slip: float = 1.0  # slip at half of the largest force over load
-    sliding: float = 1.0  # reciprocal range of the sliding speed [s/m]
-    rolling: float = 1.0  # that of the speed [s/m]
-    growth: float = 1.0  # changes the slip by ``slip`` over the range of v [s/m]
-    inverse_speed: float = 1.0  # and over that of 1/v [m/s]
-    period: float = 1.0  # in which the slip changes by its standard deviation [s]
-    way: float = 1.0  # the same as a distance [m]
-    temperature: float = 1.0  # reciprocal range in 20 K
-    lever: float = 1.0  # changes the slip by ``slip`` at the usual yaw rate over v [m]
-    inertia: float = 1.0  # of the carried mass at the rolling radius [kg m^2]
-    swing: float = 1.0  # changes the force by the load at the usual r' [kg m]
-
-
 def _largest(values: Values) -> float:
     """Typical largest size of values (n,)."""
     return float(np.quantile(np.abs(values), 0.95))
@@ -52,9 +35,11 @@ def half_force_slip(slip: np.ndarray, share: np.ndarray) -> float:
     return float(max(middle, FLAT + 1e-3 * _largest(size)))
 
 
-def sizes_of(rows: Covariates, slip: np.ndarray, mean_load: float, radius: float | None) -> Sizes:
-    """Sizes of a file with these covariates, primary slips (n,), mean load [N] and
-    rolling radius [m], None where unknown."""
+def sizes_of(
+    rows: Covariates, slip: np.ndarray, mean_load: float, radius: float | None
+) -> dict[str, float]:
+    """Units of the expected amplitudes of a file with these covariates, primary slips (n,), mean
+    load [N] and rolling radius [m], None where unknown."""
     spread, rise = float(np.std(np.clip(slip, -1.0, 1.0))), float(rows.rise[0])
 
     def per(of: float, size: float | np.floating) -> float:  # the reciprocal of no range is 1
@@ -64,19 +49,25 @@ def sizes_of(rows: Covariates, slip: np.ndarray, mean_load: float, radius: float
         return np.sqrt(np.mean(values**2))
 
     speeds = np.ptp(rows.v)
-    return Sizes(
-        slip=rise,
-        sliding=per(1.0, _largest(rows.sliding)),
-        rolling=per(1.0, speeds),
-        growth=per(rise, speeds),
-        period=per(spread, rms(rows.rate)),
-        inverse_speed=per(rise, np.ptp(1 / rows.pace) if speeds > 0 else 0.0),
-        way=per(spread, rms(rows.rate / rows.pace)),
-        temperature=per(1.0, np.ptp(rows.temperature)),
-        lever=per(rise, np.std(rows.yaw)),
-        swing=per(mean_load, np.std(rows.swing)),
-        inertia=mean_load / GRAVITY * radius**2 if radius else 1.0,
-    )
+    return {
+        "plain": 1.0,
+        "slip": rise,  # slip at half of the largest force over load
+        "sliding": per(1.0, _largest(rows.sliding)),  # reciprocal range of the sliding speed [s/m]
+        "rolling": per(1.0, speeds),  # that of the speed [s/m]
+        "growth": per(rise, speeds),  # changes the slip by "slip" over the range of v [s/m]
+        # The same over that of 1/v [m/s].
+        "inverse_speed": per(rise, np.ptp(1 / rows.pace) if speeds > 0 else 0.0),
+        # Time [s] and distance [m] in which the slip changes by its standard deviation.
+        "period": per(spread, rms(rows.rate)),
+        "way": per(spread, rms(rows.rate / rows.pace)),
+        "temperature": per(1.0, np.ptp(rows.temperature)),  # reciprocal range in 20 K
+        # Changes the slip by "slip" at the usual yaw rate over v [m].
+        "lever": per(rise, np.std(rows.yaw)),
+        # Changes the force by the load at the usual yaw acceleration [kg m].
+        "swing": per(mean_load, np.std(rows.swing)),
+        # Of the carried mass at the rolling radius [kg m^2].
+        "inertia": mean_load / GRAVITY * radius**2 if radius else 1.0,
+    }
 
 
 class Derived(NamedTuple):

@@ -65,11 +65,6 @@ def quantities(prepared: Prepared, slip_fraction: np.ndarray) -> dict[str, np.nd
     return values | {name: prepared.column(name) for name in named if name in has}
 
 
-def is_mirrored(parameter: str, covariate: str) -> bool:
-    """Whether the change has the sign of the slip."""
-    return covariate == "slip_fraction" and parameter in ("force", "slip")
-
-
 def discrepancy_of(base: "Base") -> Discrepancy:
     """The cells of every parameter with every covariate that varies."""
     rows, fields = base.rows, np.asarray(base.at_null.fields)
@@ -79,8 +74,7 @@ def discrepancy_of(base: "Base") -> Discrepancy:
     for name, (field, usual) in PARAMETERS.items():
         slope = usual * fields[:, PLACE[field]]
         weights[name] = slope * np.tile(load, channels) if field == "force" else slope
-    columns: list[np.ndarray] = [np.zeros((len(fields), 0))]
-    cells, first = [], 0
+    columns, cells = [], []
     # Numbers of places at which a function has its values: 20 or 28, 12 for what a rig sets.
     counts = {"slip_fraction": 20, "slip": 28, "time": 28, "distance": 28}
     for covariate, values in quantities(rows, base.slip_fraction).items():
@@ -89,10 +83,10 @@ def discrepancy_of(base: "Base") -> Discrepancy:
         centers = settings.center if few else None
         shapes, places = places_of(np.asarray(values, float), centers, count)
         for parameter, weight in weights.items():
-            signed = shapes * side[:, None] if is_mirrored(parameter, covariate) else shapes
+            mirrored = covariate == "slip_fraction" and parameter in ("force", "slip")
+            signed = shapes * side[:, None] if mirrored else shapes
             columns.append(weight[:, None] * np.tile(signed, (channels, 1)))
-            cells.append(Cell(parameter, covariate, first, first + len(places), places, few))
-            first += len(places)
+            cells.append(Cell(parameter, covariate, places, few))
     return Discrepancy(np.concatenate(columns, axis=1), tuple(cells))
 
 

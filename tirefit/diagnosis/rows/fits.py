@@ -3,7 +3,7 @@ simulator known by its forces, and refits of hypotheses."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.engine import NONZERO
+from tirefit.diagnosis.engine.fit import Priors, Start
 from tirefit.diagnosis.engine.search import MOST_EFFECTS
 from tirefit.diagnosis.rows.forces import Design, Tire
 from tirefit.diagnosis.rows.prepared import Prepared
@@ -42,39 +43,33 @@ FARTHEST_OFF = 0.2
 """Largest error of a stand-in for a simulator over the simulated force (rms)."""
 
 
-class Refit(NamedTuple):
-    """Refitted hypotheses: parameters (h, p), and amplitudes in prior scales
-    (h, :data:`MOST_EFFECTS`)."""
-
-    z: np.ndarray
-    amplitude: np.ndarray
-
-
-def _weighted(
-    model: Tire, points: np.ndarray, sets: Sequence[tuple[int, ...]], design: Design
+def weighted(
+    model: Tire,
+    points: np.ndarray,
+    sets: Sequence[tuple[int, ...]],
+    design: Design,
+    n: int | None = None,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Whitened residual and slopes (p + k, C n) of sets of atoms, each at its point."""
-    weights, forces = design.weights(), design.forces
+    """Whitened residual (C n,) of the first n rows and its slopes (p + k, C n), of sets of atoms,
+    each at its point."""
     for mean, columns in model.slopes(points, sets, design):
-        yield ((forces - mean) * weights).reshape(-1), (columns * weights).reshape(len(columns), -1)
+        yield design.whitened(design.forces - mean, n), design.whitened(columns, n)
 
 
 def refit(
-    model: Tire,
-    starts: Sequence[tuple[np.ndarray, np.ndarray | tuple[Any, ...]]],
-    sets: Sequence[tuple[int, ...]],
-    design: Design,
-) -> Refit:
-    """Sets of atoms refitted from starts (z, amplitudes in prior scales)."""
-    p, none = len(starts[0][0]), len(design.prior_scale)
+    model: Tire, starts: Sequence[Start], sets: Sequence[tuple[int, ...]], design: Design
+) -> np.ndarray:
+    """Sets of atoms refitted: parameters and amplitudes in prior scales, padded with zeros,
+    (h, p + :data:`MOST_EFFECTS`)."""
+    p, none = len(starts[0].z), len(design.priors.scale)
     begin = np.zeros((len(sets), p + MOST_EFFECTS))
-    for row, (z, amplitude) in zip(begin, starts, strict=True):
-        row[: p + len(amplitude)] = *z, *amplitude
+    for row, start in zip(begin, starts, strict=True):
+        row[: p + len(start.amplitude)] = *start.z, *start.amplitude
     # Smaller sets are padded with amplitudes without effect.
     index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in sets]
-    center = np.hstack([begin[:, :p], np.append(design.prior_center, 0.0)[index]])
+    center = np.hstack([begin[:, :p], np.append(design.priors.center, 0.0)[index]])
     bounds = []
-    for side, end in ((-np.inf, design.low), (np.inf, design.high)):
+    for side, end in ((-np.inf, design.priors.low), (np.inf, design.priors.high)):
         ends = np.clip(np.append(end, side)[index], -_FARTHEST, _FARTHEST)
         bounds.append(np.hstack([np.full((len(sets), p), side), ends]))
     pull = np.append(np.zeros(p), np.ones(MOST_EFFECTS))
@@ -84,8 +79,8 @@ def refit(
         off = points - center[numbers]
         cost, gradient = np.sum(pull * off**2, axis=1), pull * off
         normal = np.tile(np.diag(pull), (len(points), 1, 1))
-        weighted = _weighted(model, points, [tuple(sets[number]) for number in numbers], design)
-        for k, (missed, rows) in enumerate(weighted):
+        some = [tuple(sets[number]) for number in numbers]
+        for k, (missed, rows) in enumerate(weighted(model, points, some, design)):
             used = slice(len(rows))
             cost[k] += missed @ missed
             normal[k, used, used] += rows @ rows.T
@@ -94,8 +89,12 @@ def refit(
 
     # At most 26 steps, until one more would gain less than 1e-3 of chi-squared: whole units of
     # evidence matter.
-    z, _ = minimised(at, begin, bounds, NormalEquations(rtol=0.0, atol=1e-3), 26)
-    return Refit(z[:, :p], z[:, p:])
+    return minimised(at, begin, bounds, NormalEquations(rtol=0.0, atol=1e-3), 26)[0]
+
+
+def refit_base(model: Tire, z: np.ndarray, design: Design) -> np.ndarray:
+    """Parameters z (p,) refitted without effects."""
+    return refit(model, [Start(z, np.zeros(0))], [()], design)[0, : len(z)]
 
 
 def minimised(
@@ -132,8 +131,10 @@ def design_of(prepared: Prepared, effects: tuple[Effect, ...], rig: Rig) -> Desi
     size = padded_size(prepared.n, _LEAST_ROWS)
     slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
-    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
-    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
+    atoms = atoms_of(effects)
+    priors = zip(*(atom.prior(prepared, rig) for atom in atoms), strict=True)
+    scale, center, low, high = map(np.array, priors)
+    odds = [atom.effect.odds(prepared) if atom.effect.odds else 0.0 for atom in atoms]
     return Design(
         inputs=TireInputs(*(pad_rows(x, size) for x in prepared.inputs)),
         slip=pad_rows(slips, size),
@@ -145,10 +146,7 @@ def design_of(prepared: Prepared, effects: tuple[Effect, ...], rig: Rig) -> Desi
         offset={c: np.zeros(size) for c in observed},
         keep=(np.arange(size) < prepared.n).astype(float),
         rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
-        prior_scale=scale,
-        prior_center=center / scale,
-        low=low / scale,
-        high=high / scale,
+        priors=Priors(center / scale, low / scale, high / scale, np.array(odds), scale),
         reference=np.array([np.median(fz), np.median(v)]),
     )
 
@@ -191,7 +189,7 @@ def first_fit(
 
     def at(numbers: Sequence[int], points: np.ndarray) -> Normal:
         normals = []
-        for missed, by in _weighted(tire, points, [()] * len(points), design):
+        for missed, by in weighted(tire, points, [()] * len(points), design):
             size = np.abs(missed)
             root = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, HUBER**2))
             beyond = size > HUBER
@@ -245,16 +243,18 @@ def check_followed(prepared: Prepared, missed: dict[str, Any], name: str) -> Non
 Fitted = tuple[Tire, np.ndarray, np.ndarray]
 """A tire, its parameters z, and the first guess of them."""
 
+StandIn = tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]
+"""The name of a model, the tire fitted to a simulator's forces, and :func:`with_offset` of it."""
+
 
 def standing_in(
     prepared: Prepared, effects: tuple[Effect, ...], rig: Rig, given: GivenSimulator
-) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
-    """(model, tire fitted to a simulator's forces, :func:`with_offset` of it): the first of
-    :data:`STAND_INS` that follows closely, else the better one. The simulator's forces alone
-    choose it."""
+) -> StandIn:
+    """The first of :data:`STAND_INS` that follows closely, else the better one. The simulator's
+    forces alone choose it."""
     simulated = as_measured(prepared.data, prepared.channels)
 
-    def tried(model: str) -> tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]:
+    def tried(model: str) -> StandIn:
         if model in MAGIC_FORMULAS:
             # Its coefficients follow the simulator; only scaling factors are adapted.
             followed = replace(given, tire=fit_magic_formula(simulated, model).tire)
@@ -273,7 +273,7 @@ def standing_in(
     except DataError:  # too few rows for its coefficients
         return first
 
-    def energy(stand_in: tuple[str, Fitted, tuple[Design, dict[str, np.ndarray]]]) -> float:
+    def energy(stand_in: StandIn) -> float:
         return sum(float(np.mean(values**2)) for values in stand_in[-1][1].values())
 
     return min(first, other, key=energy)

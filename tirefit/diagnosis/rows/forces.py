@@ -22,6 +22,7 @@ from tirefit.diagnosis.effects.state import (
     slope_at_rest,
     with_offsets,
 )
+from tirefit.diagnosis.engine.fit import Priors
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.problem.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
@@ -34,9 +35,8 @@ class Design(NamedTuple):
 
     ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their probabilities.
     ``observed``, ``scale`` and ``offset`` (force of a simulator minus that of its tire) are (n,) by
-    channel; ``keep`` (n,) is 0 for padding and outliers. For the amplitudes (K,), ``prior_scale``
-    is in their own units, center, ``low`` and ``high`` are in prior scales. ``reference`` is load
-    and speed.
+    channel; ``keep`` (n,) is 0 for padding and outliers; ``priors`` are those of the amplitudes;
+    ``reference`` is load and speed.
     """
 
     inputs: TireInputs
@@ -48,10 +48,7 @@ class Design(NamedTuple):
     offset: Mapping[str, Values]
     keep: Values
     rows: Covariates
-    prior_scale: Values
-    prior_center: Values
-    low: Values
-    high: Values
+    priors: Priors
     reference: Values
 
     @property
@@ -63,6 +60,11 @@ class Design(NamedTuple):
         """Reciprocal noise (C, n), zero where ``keep`` is."""
         scales = np.stack([self.scale[c] for c in sorted(self.observed)])
         return np.asarray(self.keep, float) / scales
+
+    def whitened(self, values: np.ndarray, n: int | None = None) -> np.ndarray:
+        """Values (..., C, rows) of the first n rows over the noise, (..., C n)."""
+        values = (values * self.weights())[..., :n]
+        return values.reshape(*values.shape[:-2], -1)
 
 
 class Linear(NamedTuple):
@@ -225,7 +227,7 @@ class Tire:
 
     def states(self, design: Design) -> States:
         """States of the rows of a design under hypotheses of these effects."""
-        return States(atoms_of(self.effects), design.rows, design.prior_scale)
+        return States(atoms_of(self.effects), design.rows, design.priors.scale)
 
     def _run(
         self, program: Callable[..., Any], points: np.ndarray, states: Iterator[Any], design: Design
@@ -264,10 +266,9 @@ class Tire:
     def linearised(self, z: np.ndarray, amplitudes: np.ndarray, design: Design, n: int) -> Linear:
         """The first n rows linearised in everything."""
         present, points = _present(amplitudes), np.asarray(z)[None]
-        states, scale = self.states(design), design.prior_scale
-        state, changes = states.state(present), states.changes(present, design.prior_center)
+        states, scale = self.states(design), design.priors.scale
+        state, changes = states.state(present), states.changes(present, design.priors.center)
         mean, by_z, fields = next(self._run(_slopes_of, points, iter([state]), design))
-        weight, observed = design.weights(), design.forces
         columns = np.zeros((len(scale), *mean.shape))
         for atom, slopes in changes.slopes.items():
             columns[atom] = _along(fields, slopes, float(scale[atom]))
@@ -276,20 +277,16 @@ class Tire:
         for (atom, size), (moved, _) in zip(changes.sizes.items(), ends, strict=True):
             columns[atom] = (moved - mean) / size
 
-        def flat(values: np.ndarray) -> np.ndarray:
-            """Of the first n rows, whitened, from (..., C, n)."""
-            values = (values * weight)[..., :n]
-            return np.ascontiguousarray(values.reshape(*values.shape[:-2], -1).T)
-
         by_z, fields = np.swapaxes(by_z, 0, 1), np.swapaxes(fields, 0, 1)
-        return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
+        parts = design.forces - mean, by_z, columns, fields
+        return Linear(*(np.ascontiguousarray(design.whitened(part, n).T) for part in parts))
 
     def slopes(
         self, points: np.ndarray, sets: Sequence[tuple[Any, ...]], design: Design
     ) -> Iterator[tuple[np.ndarray, ...]]:
         """Mean forces (C, n) of each hypothesis, a set of atoms at a point (z, amplitudes, ...),
         and slopes (p + k, C, n) by z and amplitudes in prior scales."""
-        p, scale, by_amplitude = self.layout.size, design.prior_scale, []
+        p, scale, by_amplitude = self.layout.size, design.priors.scale, []
         of_rows = self.states(design)
 
         def states() -> Iterator[np.ndarray]:

@@ -13,9 +13,10 @@ from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
 from scipy.special import chdtr, chdtrc
 
-from tirefit.diagnosis.engine import NONZERO, ROUNDING, SILENT, UNSEEN
+from tirefit.diagnosis.engine import NONZERO, ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.covariates import LOADS
 from tirefit.diagnosis.rows.discrepancy import waves_within
+from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.problem.noise import MAD, autocorrelation_time
 from tirefit.params import Values
 
@@ -70,15 +71,15 @@ def in_order(time: Values | None, run: np.ndarray) -> list[np.ndarray]:
     return [order[run[order] == code] for code in np.unique(run)]
 
 
-_LEAST = 20  # smallest number of independent rows; stronger correlation is treated as a gap
 _LEAST_VARIANCE = 1e-3  # smallest variance of the noise of a row, over the mean
 
 
 def correlation(white: np.ndarray, time: Values | None, run: np.ndarray) -> float:
     """Number of rows per independent row of a remainder (n,), at least 1 and at most that
-    which leaves 20 independent ones; excluded rows are zero."""
+    which leaves the rows of a diagnosis independent, as a stronger correlation is treated as a
+    gap; excluded rows are zero."""
     each = autocorrelation_time([white[rows] for rows in in_order(time, run)])
-    return min(each, len(white) / _LEAST)
+    return min(each, len(white) / LEAST_ROWS)
 
 
 def memory_of(
@@ -98,7 +99,8 @@ def memory_of(
             level is not treated as correlated noise.
     """
     stretches = [rows for rows in stretches if len(rows) > 2]
-    if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
+    # A remainder below a fifth of the noise is due to rounding, or the stated noise is too large.
+    if not stretches or np.sqrt(np.mean(white**2)) < 0.2:
         return (FORGETFUL,)
     rows, q = unit.shape
     variance = float(white @ white) / max(rows - q, 1)
@@ -230,7 +232,7 @@ def judge_noise(
     if inflation > 1:
         flags.append("autocorrelated")
         left = correlation(np.where(keep, rest, 0) / std, time, run)
-        inflation = max(min(inflation, len(rest) / _LEAST), left)
+        inflation = max(min(inflation, len(rest) / LEAST_ROWS), left)
     # At small forces, noise that grows with the force is that of the sensor.
     ratio = float(np.quantile(std / np.sqrt(base**2 + spread), 0.1)) if stated else 1.0
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source, ratio)

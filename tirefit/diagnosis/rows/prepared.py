@@ -12,7 +12,6 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.rows.covariates import (
     Derived,
-    Sizes,
     column,
     covariates_of,
     derived_from,
@@ -57,7 +56,7 @@ class Prepared:
     random_order: bool
     kept: np.ndarray  # numbers of these rows among the used rows of the data
     slip_check: SlipCheck | None
-    sizes: Sizes
+    sizes: Mapping[str, float]  # units of the expected amplitudes
     derived: Derived | None  # None if the force was measured
     shown: float | None  # noise of the slip estimated from the forces, None without an estimate
     scatter: float  # white scatter of the slip about its path, 0 without a path

@@ -1,7 +1,7 @@
 """Differences between the runs of a file: offsets of slip and force, factors on friction and
 stiffness; and the parts of a file that are left out in turn."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,9 +32,10 @@ class RunOffsets(NamedTuple):
     values: Mapping[str, tuple[float, float]]
 
 
-def shrunk(values: np.ndarray, covariance: np.ndarray) -> tuple[RunOffsets, np.ndarray, np.ndarray]:
-    """A normal law of the runs' true values, by restricted maximum likelihood; and these values
-    with their standard errors, (R,) each.
+def shrunk(
+    values: np.ndarray, covariance: np.ndarray, names: Sequence[str], unit: str = ""
+) -> RunOffsets:
+    """A normal law of the runs' true values, by restricted maximum likelihood.
 
     Values ~ N(common, covariance + spread^2 I); see DerSimonian and Laird 1986 for the
     model, Morris 1983 for the values that shrink to it.
@@ -42,6 +43,7 @@ def shrunk(values: np.ndarray, covariance: np.ndarray) -> tuple[RunOffsets, np.n
     Args:
         values: (R,) estimates, two or more.
         covariance: (R, R) of their errors.
+        names: of the runs; unit: of the values.
     """
     error, axes = np.linalg.eigh(covariance)
     along, ones = axes.T @ values, np.sum(axes, axis=0)
@@ -57,23 +59,22 @@ def shrunk(values: np.ndarray, covariance: np.ndarray) -> tuple[RunOffsets, np.n
     inside = tried[logs > logs[best] - 1.353]  # half of chi-squared at 90 %
     trust = tried[best] ** 2 * sharp[best]
     pull = 1 - axes @ (trust * ones)
-    law = RunOffsets(
-        "", float(common[best]), float(weight[best] ** -0.5), float(tried[best]),
-        (float(inside[0]), float(inside[-1])), float(chdtrc(len(off[best]) - 1, square[0])), {},
-    )  # fmt: skip
     errors = np.sqrt(axes**2 @ (trust * error) + pull**2 / weight[best])
-    return law, common[best] + axes @ (trust * off[best]), errors
+    each = zip((common[best] + axes @ (trust * off[best])).tolist(), errors.tolist(), strict=True)
+    return RunOffsets(
+        unit=unit,
+        common=float(common[best]),
+        std=float(weight[best] ** -0.5),
+        spread=float(tried[best]),
+        spread_ci=(float(inside[0]), float(inside[-1])),
+        p_value=float(chdtrc(len(off[best]) - 1, square[0])),
+        values=dict(zip(names, each, strict=True)),
+    )
 
 
-def _estimates(
-    base: Any, kind: str, hypothesis: Fit | None = None
-) -> tuple[list[int], np.ndarray, np.ndarray] | None:
-    """First-order offset of each run in addition to a hypothesis (None: the base fit).
-
-    Returns:
-        (codes, values (R,), covariance (R, R)) in the units of the field; None with
-        fewer than two long runs, or without any slope.
-    """
+def _law_of(base: Any, kind: str, hypothesis: Fit | None = None) -> RunOffsets | None:
+    """The law of the first-order offsets of the runs in addition to a hypothesis (None: the base
+    fit); None with fewer than two long runs, or without any slope."""
     rows, offset = base.rows, RUN_OFFSETS[kind]
     codes = shown_runs(rows.run, rows.data.runs)
     if len(codes) < 2:
@@ -110,20 +111,14 @@ def _estimates(
         values = values - values.mean()
         inverse = inverse - mean @ inverse - inverse @ mean + mean @ inverse @ mean
         inverse = inverse + mean * np.trace(inverse) / max(len(codes) - 1, 1)
-    return codes, values, base.inflation * inverse
+    names = [rows.data.runs[code] for code in codes]
+    return shrunk(values, base.inflation * inverse, names, offset.unit)
 
 
 def offsets_of_runs(base: Any, hypothesis: Fit) -> dict[str, RunOffsets]:
     """Differences of the runs in addition to a hypothesis, by kind; empty for one run."""
-    offsets = {}
-    for kind, offset in RUN_OFFSETS.items():
-        if (seen := _estimates(base, kind, hypothesis)) is not None:
-            law, *each = shrunk(*seen[1:])
-            names = (base.rows.data.runs[code] for code in seen[0])
-            estimates = zip(*(part.tolist() for part in each), strict=True)
-            values = dict(zip(names, estimates, strict=True))
-            offsets[kind] = law._replace(unit=offset.unit, values=values)
-    return offsets
+    laws = {kind: _law_of(base, kind, hypothesis) for kind in RUN_OFFSETS}
+    return {kind: law for kind, law in laws.items() if law is not None}
 
 
 def with_runs(base: Any) -> Any:
@@ -133,13 +128,12 @@ def with_runs(base: Any) -> Any:
         return base
     patterns, rows = {}, base.design.rows
     for kind, offset in RUN_OFFSETS.items():
-        pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
-        if seen is None:
+        pattern, law = np.zeros(base.rows.n), _law_of(base, kind)
+        if law is None:
             continue
-        law, values, _ = shrunk(*seen[1:])
         if law.spread:
-            for code, value in zip(seen[0], values, strict=True):
-                pattern[base.rows.run == code] = value
+            for name, (value, _) in law.values.items():
+                pattern[base.rows.run == base.rows.data.runs.index(name)] = value
             pattern -= pattern.mean()
             pattern /= np.sqrt(np.mean(pattern**2)) or 1.0
         patterns[offset.pattern] = pad_rows(pattern, len(base.design.keep))

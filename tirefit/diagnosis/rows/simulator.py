@@ -192,10 +192,8 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
         return GivenSimulator(kind="columns", source=source, signs=signs)
     if isinstance(sim, MagicFormulaFit):
         return _of_tire(sim.tire, "fit", f"{sim.model} fitted to {sim.data['file']}")
-    if isinstance(sim, FitResult):
-        return _of_fit(sim, sim.problem.model, sim.problem.layout, sim.model)
-    if isinstance(sim, StoredFit):
-        return _of_fit(sim, sim.tire, sim.layout, sim.model)
+    if isinstance(sim, FitResult | StoredFit):
+        return _of_fit(sim if isinstance(sim, StoredFit) else sim.stored, sim.model)
     if isinstance(sim, AbstractTire):
         return _of_tire(sim, "model", type(sim).__name__)
     if not isinstance(sim, Mapping):
@@ -234,23 +232,17 @@ def _arrays(sim: Mapping[str, Any], n: int) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _of_fit(
-    fit: StoredFit | FitResult,
-    tire: AbstractTire,
-    layout: Layout,
-    source: str,
-    sha256: str | None = None,
-) -> GivenSimulator:
-    if any(parameter.per_run for parameter in layout.free):
+def _of_fit(fit: StoredFit, source: str, sha256: str | None = None) -> GivenSimulator:
+    if any(parameter.per_run for parameter in fit.layout.free):
         reason = f"{source}: a fit with parameters for each run is not one simulator"
         remedy = "write its forces into the data (`tirefit predict --beside`), and use --sim"
         raise UsageError(InputProblem(reason, remedy))
-    if isinstance(tire, MFTire):
+    if isinstance(fit.tire, MFTire):
         # Only the scaling factors of a Magic Formula are adapted.
-        values = {k: float(v) for k, v in layout.natural(fit.z).items()}
-        return _of_tire(with_values(tire, values), "fit", source, sha256)
-    given = replace(_of_tire(tire, "fit", source, sha256), layout=layout)
-    return replace(given, z=np.asarray(fit.z), forces=partial(_predicted, fit))
+        return _of_tire(fit.at_estimate(), "fit", source, sha256)
+    given = _of_tire(fit.tire, "fit", source, sha256)
+    z, predicted = np.asarray(fit.z), partial(_predicted, fit)
+    return replace(given, layout=fit.layout, z=z, forces=predicted)
 
 
 def _of_tire(
@@ -294,7 +286,7 @@ def simulator_at(
             reason, remedy = "--set with a fit.json", "use it with the name of a model"
             raise UsageError(InputProblem(reason, remedy))
         fit = load_fit(text)
-        given = _of_fit(fit, fit.tire, fit.layout, text, _digest(text))
+        given = _of_fit(fit, text, _digest(text))
         return replace(given, otherwise=(fit.content["data"]["convention"], text))
     template = find_model(text)
     check_values(template, text, values)

@@ -1,7 +1,7 @@
 """What a simulator lacks, from its forces alone: they have no noise, so a structure that
 explains them does so to their last digits."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.engine import NONZERO
 from tirefit.diagnosis.rows.noise import in_order
 from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.params import Values
 
 _EXPLAINED = 0.005
@@ -30,8 +31,8 @@ _NO_SLIP = 0.5  # scatter about a curve over the slip, over its size, of a force
 _CONSTANTS = np.linspace(np.log(0.005), np.log(0.5), 25)
 """Logarithms of the delays and time constants [s] that are tried."""
 
-_MOST_ROWS, _LEAST_ROWS = 6000, 20
-"""Numbers of consecutive rows in which a delay is looked for."""
+_MOST_ROWS = 6000
+"""Largest number of consecutive rows in which a delay is looked for."""
 
 UNLIKE = ("no_saturation", "clipped", "steps", "no_slip")
 """Structures that no tire model of the library has: its parameters would mislead."""
@@ -156,26 +157,35 @@ def _own_time(prepared: Prepared, channel: str, name: str) -> Iterator[Structure
         if moving and (kind == "delay" or not varies):
             continue
         pace = float(np.median(speed)) if moving else 1.0
-        parts = [(slip[at], share[at], way if moving else time) for at, time, way in stretches]
 
-        def left(log: float, parts: Any = parts, kind: str = kind, pace: float = pace) -> float:
-            return _share_left(parts, float(np.exp(log)) * pace, kind)
+        def late(
+            log: float, kind: str = kind, moving: bool = moving, pace: float = pace
+        ) -> OwnTime:
+            return OwnTime(name, kind, moving, float(np.exp(log)) * pace)
+
+        def left(log: float, late: Callable[..., OwnTime] = late) -> float:
+            """Scatter of the force about a curve over the late slip, over that without."""
+            moved = _behind(slip, stretches, late(log))
+            known = np.isfinite(moved)
+            if known.sum() < LEAST_ROWS:
+                return 1.0
+            with_slip = max(_scatter(slip[known], share[known]), NONZERO)
+            return _scatter(moved[known], share[known]) / with_slip
 
         near, step = min(_CONSTANTS, key=left), _CONSTANTS[1] - _CONSTANTS[0]
         best = minimize_scalar(left, bounds=(near - step, near + step), method="bounded")
-        tried.append((float(best.fun), moving, kind, float(np.exp(best.x)) * pace, pace))
-    least, moving, kind, constant, pace = min(tried)
-    plain = _scatter(slip, share) / max(rms(share), NONZERO)
+        tried.append((float(best.fun), late(best.x), pace))
+    least, own, pace = min(tried)
+    constant, plain = own.constant, _scatter(slip, share) / max(rms(share), NONZERO)
     id, how = "own_delay", f"{1000 * constant:.0f} ms late"
-    if moving:
+    if own.moving:
         id, how = "own_relaxation", f"over a relaxation length of about {constant:.2g} m"
-    elif kind != "delay":
+    elif own.kind != "delay":
         id, how = "own_lag", f"with a time constant of about {1000 * constant:.0f} ms"
     if least < _RATHER:
         remedy = "take this delay out of the simulator, unless the car has it too"
         remedy += " (see channel delay and relaxation length among the effects)"
-        late = OwnTime(name, kind, moving, constant)
-        yield Structure(id, channel, f"it follows the slip {how}", remedy, late=late)
+        yield Structure(id, channel, f"it follows the slip {how}", remedy, late=own)
     # Four rows in a delay always show it; with fewer, a part of the scatter may be due to it.
     elif least < 0.8 and plain > _EXPLAINED and constant < 4.0 * apart * pace:
         means = f"it may follow the slip {how}, which rows {1000 * apart:.0f} ms apart are too"
@@ -209,27 +219,18 @@ def _stretches(data: TireData) -> tuple[list[tuple[Any, Any, Any]], float]:
     return stretches, apart
 
 
-def _share_left(parts: list[Any], constant: float, kind: str) -> float:
-    """Scatter of forces about a curve over the slip after a delay or lag, over that without."""
-    kept = []
-    for slip, share, at in parts:
-        # What was before the first row is not known.
-        known = at > constant * (1.0 if kind == "delay" else 4.0)
-        kept.append((slip[known], share[known], _late(slip, at, constant, kind)[known]))
-    slip, share, moved = map(np.concatenate, zip(*kept, strict=True)) if kept else [np.zeros(0)] * 3
-    if len(slip) < _LEAST_ROWS:
-        return 1.0
-    return _scatter(moved, share) / max(_scatter(slip, share), NONZERO)
-
-
 def slip_behind(data: TireData, late: OwnTime) -> np.ndarray:
     """The slip (n,) of the used rows that a late simulator follows; NaN where the rows do not show
     it, as at the begin of a run."""
-    slip = data.usable(late.column)
+    return _behind(data.usable(late.column), _stretches(data)[0], late)
+
+
+def _behind(slip: np.ndarray, stretches: list[tuple[Any, Any, Any]], late: OwnTime) -> np.ndarray:
+    """:func:`slip_behind` of slips (n,) in these stretches."""
     moved, reach = np.full(len(slip), np.nan), 1.0 if late.kind == "delay" else 4.0
-    for rows, time, way in _stretches(data)[0]:
+    for rows, time, way in stretches:
         at = way if late.moving else time
-        known = at > late.constant * reach
+        known = at > late.constant * reach  # what was before the first row is not known
         moved[rows[known]] = _late(slip[rows], at, late.constant, late.kind)[known]
     return moved
 

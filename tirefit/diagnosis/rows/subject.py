@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -113,15 +113,10 @@ class Base:
 
     # --- what the engine asks of its subject, see engine.fit.Forward -----------------
 
-    is_covered: ClassVar[bool] = False  # a part may be a stretch of slip or time
-
-    @cached_property
+    @property
     def priors(self) -> Priors:
         """Of the amplitudes of all atoms."""
-        design, effects = self.design, [atom.effect for atom in self.atoms]
-        odds = np.array([e.odds(self.rows) if e.odds else 0.0 for e in effects])
-        center, low, high = map(np.asarray, (design.prior_center, design.low, design.high))
-        return Priors(center, low, high, odds, np.asarray(design.prior_scale))
+        return self.design.priors
 
     @property
     def start(self) -> Start:
@@ -191,28 +186,16 @@ class Base:
         """Sets of atoms fitted from these starts, see :class:`engine.fit.Forward`."""
         # At a bound of the parameters, within .25 % of their interval, the slope is zero and a
         # refit could not leave it: begin at the first guess.
-        free = [np.where(np.abs(s.z) > 6.0, self.guess, s.z) if atoms else s.z
-                for s, atoms in zip(starts, sets, strict=True)]  # fmt: skip
-        begin = [(z, s.amplitude) for z, s in zip(free, starts, strict=True)]
-        refit = fits.refit(self.tire, begin, sets, self.design)
-        points = np.concatenate([refit.z, refit.amplitude], axis=1)
-        n, weight, observed = self.rows.n, self.design.weights(), self.design.forces
-        made, p, priors = [], refit.z.shape[1], self.priors
-        slopes = self.tire.slopes(points, sets, self.design)
-        for k, (atoms, (mean, by)) in enumerate(zip(sets, slopes, strict=True)):
-            index = list(atoms)
-            residual = ((observed - mean) * weight)[:, :n].reshape(-1)
-            columns = (by * weight)[..., :n].reshape(len(by), -1).T
-            amplitude = refit.amplitude[k, : len(atoms)]
-            pull, off = np.ones(len(atoms)), amplitude - priors.center[index]
-            pull, off = (np.append(np.zeros(p), part) for part in (pull, off))
-            ids = [self.atoms[a].effect.id for a in atoms]
-            start, linear = (
-                Start(refit.z[k], amplitude),
-                (self.whitened_for_slip(residual), self.whitened_for_slip(columns)),
-            )
-            within = priors.low[index], priors.high[index]
-            made.append(fitted(atoms, ids, start, linear, pull, off, priors.sign[index], within))
+        begin = [
+            s._replace(z=np.where(np.abs(s.z) > 6.0, self.guess, s.z)) if atoms else s
+            for s, atoms in zip(starts, sets, strict=True)
+        ]
+        points, made, p = fits.refit(self.tire, begin, sets, self.design), [], len(self.z)
+        rows = fits.weighted(self.tire, points, sets, self.design, self.rows.n)
+        for point, atoms, (residual, slopes) in zip(points, sets, rows, strict=True):
+            start = Start(point[:p], point[p : p + len(atoms)])
+            linear = self.whitened_for_slip(residual), self.whitened_for_slip(slopes.T)
+            made.append(fitted(self, atoms, start, linear))
         return made
 
     def tangents(self, fit: Fit) -> np.ndarray:
@@ -226,8 +209,7 @@ class Base:
         """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
         prior scales; the others are zero."""
         full, index = np.zeros(len(self.atoms)), list(atoms)
-        scale = np.asarray(self.design.prior_scale)[index]
-        full[index] = np.asarray(sizes)[: len(index)] * scale
+        full[index] = np.asarray(sizes)[: len(index)] * self.priors.scale[index]
         return full
 
     def residual(self, z: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
@@ -274,7 +256,7 @@ def fit_base(
         fits.check_followed(prepared, missed, stand_in)
         remark = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, remark_on_signs=remark)
-        z = fits.refit(tire, [(z, ())], [()], design).z[0]
+        z = fits.refit_base(tire, z, design)
     # The slip of full sliding is 3 mu F_z / (2 c) for the brush with slope and peak of the base.
     slope, mu = tire.brush(z, design)
     slope = np.maximum(np.asarray(slope)[: prepared.n], FLAT)
@@ -351,7 +333,7 @@ def with_noise(
     keep = (np.arange(size) < rows.n).astype(float)
     keep[: rows.n] = ~np.any([level.outlier for level in levels.values()], axis=0)
     design = base.design._replace(scale=scale, keep=keep)
-    z = fits.refit(base.tire, [(base.z, ())], [()], design).z[0]
+    z = fits.refit_base(base.tire, base.z, design)
     return replace(base, design=design, z=z, noise=levels)
 
 

@@ -25,7 +25,7 @@ from tirefit.diagnosis.engine.discrepancy import likeliest_beside
 from tirefit.diagnosis.engine.fit import Fit, Key, without
 from tirefit.diagnosis.engine.left_out import Ladder, Predicted, jackknife_error, ladder_of
 from tirefit.diagnosis.engine.search import Search, Weighed
-from tirefit.diagnosis.rows.fits import refit
+from tirefit.diagnosis.rows.fits import refit_base
 from tirefit.diagnosis.rows.noise import correlation
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rig import Rig
@@ -130,8 +130,8 @@ class Concluded:
             center = None if effect in self.verdict.effects else whole
             sizes.append(averaged(values, self.widening * errors**2, chances, center))
         value, std = np.reshape(sizes, (-1, 2)).T
-        out = self.predicted
-        return value, np.maximum(std, jackknife_error(out.amplitude[self._place]))
+        left_out = self.predicted.sets[self.verdict.key]
+        return value, np.maximum(std, jackknife_error(left_out.amplitude))
 
     @cached_property
     def parameters(self) -> tuple[np.ndarray, np.ndarray]:
@@ -150,12 +150,7 @@ class Concluded:
     @property
     def _scatter(self) -> np.ndarray:
         """Standard errors (p,) of the parameters by the jackknife."""
-        return np.asarray(jackknife_error(self.predicted.parameters[self._place]))
-
-    @property
-    def _place(self) -> int:
-        """The place of the set that helps in the predictions of data left out."""
-        return self.predicted.effects.index(self.verdict.key)
+        return np.asarray(jackknife_error(self.predicted.sets[self.verdict.key].parameters))
 
 
 @dataclass(frozen=True)
@@ -196,7 +191,7 @@ class Case(Concluded):
         forces = base.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude * of_tire))
         observed = {c: pad_rows(x, len(base.design.keep)) for c, x in forces.items()}
         design = base.design._replace(observed=observed)
-        z = refit(base.tire, [(fit.z, ())], [()], design).z[0]
+        z = refit_base(base.tire, fit.z, design)
         columns = base.columns_at(fit)
         taken = np.linalg.lstsq(columns[:, :p], columns[:, p:] * of_tire, rcond=UNSEEN)[0]
         slopes = np.hstack([np.eye(p), taken])
@@ -209,8 +204,8 @@ class Case(Concluded):
         out, fit = self.predicted, self.chosen
         atoms = zip(fit.effects, (self.base.atoms[k] for k in fit.atoms), strict=True)
         key = tuple(name for name, atom in atoms if atom.effect.of != "tire")
-        sets = [out.effects.index(x) for x in (key, ()) if x in out.effects]
-        return np.min([jackknife_error(out.parameters[k]) for k in sets], axis=0)
+        sets = [out.sets[k] for k in (key, ()) if k in out.sets]
+        return np.min([jackknife_error(one.parameters) for one in sets], axis=0)
 
     @cached_property
     def natural(self) -> tuple[np.ndarray, np.ndarray]:

@@ -224,9 +224,8 @@ def _candidates(case: Concluded) -> tuple[Candidate, ...]:
         amplitude, spread = fit.amplitude, fit.errors * np.sqrt(case.widening)
         if key == verdict.key:
             amplitude, spread = case.sizes
-        elif key in case.predicted.effects:
-            left_out = case.predicted.amplitude[case.predicted.effects.index(key)]
-            spread = np.maximum(spread, jackknife_error(left_out))
+        elif key in case.predicted.sets:
+            spread = np.maximum(spread, jackknife_error(case.predicted.sets[key].amplitude))
         scale, atoms = base.priors.scale[list(fit.atoms)], [base.atoms[k] for k in fit.atoms]
         # However bad the fit, the error is at most that of the prior.
         sizes = amplitude * scale, np.minimum(spread, 1.0) * scale

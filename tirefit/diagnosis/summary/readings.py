@@ -61,7 +61,8 @@ def with_readings(
     # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
     search = described.search
-    left = predicted(search.subject, [described.chosen], search.null, folds).loss[:, 0]
+    left = predicted(search.subject, [described.chosen], search.null, folds)
+    left = left.sets[described.chosen.key].loss
     out, changed = case.predicted, _loss(case)
     share = out.rows / out.rows.sum()
     gains = share * (changed - left)
@@ -69,8 +70,7 @@ def with_readings(
     structure = structures_of(whole)
     lacking = any(feature.id in UNLIKE for feature in structure)
     itself = None if lacking else _of_simulator(whole, rig, study, structure)
-    first = out.as_given if out.as_given is not None else out.loss[:, out.effects.index(())]
-    closed = closed_share(out.rows, left, first, floor_of(case.base, out))
+    closed = closed_share(out.rows, left, out.first, floor_of(case.base, out))
     step = Step(OWN_MODEL, float(np.sqrt(share @ left)), *closed, gain, error)
     # Where both predict alike, the one that does not depend on a stand-in for the simulator.
     rough = given.given.tire is None and given.stand_in != model
@@ -120,7 +120,7 @@ def _of_simulator(
 
 def _loss(case: Case) -> np.ndarray:
     """Mean square error (F,) of the effects that help on each part that was left out."""
-    return case.predicted.loss[:, case.predicted.effects.index(case.verdict.key)]
+    return case.predicted.sets[case.verdict.key].loss
 
 
 def _described(case: Case, rms: float) -> Described:
