@@ -14,7 +14,7 @@ from tirefit.online.lugre_observer import LuGreObserver, peak_share
 from tirefit.online.methods import estimator_of
 from tirefit.online.run import run
 from tirefit.params import with_values
-from tirefit.sim.braking import Braking, WheelNumbers, braked_wheel, simulate_braking
+from tirefit.sim.braking import Braking, braked_wheel, simulate_braking
 from tirefit.sim.lugre import Bristles
 
 LOAD, RADIUS, INERTIA, V = 27e3, 0.5, 15.0, 20.0
@@ -30,7 +30,7 @@ def wheel(theta, rate=2000):
     time = np.arange(2 * rate) / rate
     tire = LuGre(mu_s=1.2 * theta, mu_c=0.6 * theta)
     full = 0.7 * RADIUS * float(peak_share(LuGre(), theta, V)) * LOAD
-    numbers = WheelNumbers(full, 2.0, RADIUS, INERTIA, V, LOAD, np.inf, 1 / rate)
+    numbers = full, 2.0, RADIUS, INERTIA, V, LOAD, np.inf, 1 / rate
     omega, _, z = braked_wheel(numbers, (tire, tire), MEAN, time, 1)
     one = np.ones(len(time))
     columns = {
