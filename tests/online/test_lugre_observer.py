@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tirefit.models import LuGre
+from tirefit.models import LuGre, TireInputs
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.lugre_observer import LuGreObserver, peak_share
 from tirefit.online.methods import estimator_of
@@ -100,6 +100,17 @@ def test_the_lyapunov_function_falls_without_noise(theta, wrong):
     assert np.all(np.diff(v) <= 1e-5 * v[0])
     assert v[-1] < 1e-3 * v[0]
     assert abs(1 / path[2][-1] / theta - 1) < 0.02
+
+
+@pytest.mark.parametrize("theta", [0.4, 1.0, 2.5])
+def test_the_first_deflection_gives_the_steady_force(theta):
+    """S(18) of the tire with theta g, at the slip of the first sample."""
+    observer = estimator_of("lugre-observer", LOAD, {"theta": theta})
+    first = {"omega": 38.0, "v": V, "fz": LOAD, "torque": 5e3, "dt": jnp.inf}
+    x = observer.update(observer.init(), jax.tree.map(jnp.asarray, first))[0].x
+    found = observer.share(x[0], x[2], observer.course(x[3:], x[2]))
+    at = TireInputs(sigma_x=V / (38.0 * RADIUS) - 1, fz=LOAD, v=V)
+    np.testing.assert_allclose(found, LuGre().scaled(theta)(at).fx / LOAD, rtol=1e-9)
 
 
 @pytest.mark.parametrize("mu", [0.95, 0.6, 0.4])
