@@ -1,23 +1,20 @@
 """Names of models and effects as text, so that completion need not import JAX."""
 
 import tomllib
+from itertools import product
 from pathlib import Path
 
-_PRESSURE = ("brush", "brush-d", "uniform", "quartic")
-_SPEED = ("", "n", "ns", "h", "hs")
-
-
-def _spelled() -> list[str]:
-    names = []
-    for family in _PRESSURE:
-        for letters in (level + speed for level in ("", "m") for speed in _SPEED):
-            dash = "-" if letters and "-" not in family else ""
-            names.append(f"{family}{dash}{letters}")
-    return names
-
+_LETTERS = product(
+    ("brush", "brush-d", "uniform", "quartic"), ("", "m"), ("", "n", "ns", "h", "hs")
+)
+BRUSHES = {
+    "-".join(filter(None, (shape, level + speed))).replace("-d-", "-d"): (shape, level, speed)
+    for shape, level, speed in _LETTERS
+}
+"""Name of a brush model -> its pressure, and the letters of its kinetic friction."""
 
 MODEL_NAMES = (
-    *_spelled(),
+    *BRUSHES,
     "brush-anisotropic",
     "brush-anisotropic-m",
     "brush-anisotropic-d",

@@ -23,13 +23,7 @@ from tirefit.models import (
     forces,
 )
 from tirefit.models.base import AbstractTire, largest
-from tirefit.models.combined import (
-    braking_slope,
-    mu_rate,
-    nominal_sliding_slip,
-    scaled_to_combined,
-    turned,
-)
+from tirefit.models.combined import braking_slope, mu_rate, scaled_to_combined, turned
 from tirefit.models.mf import mf_tire
 from tirefit.params import parameter_values, with_values
 from tirefit.slip import LOCKED
@@ -314,22 +308,6 @@ def test_property_3_nothing_is_added_but_two_slips_of_full_sliding():
     assert on_ellipse(partly, slips[0]) < on_ellipse(fully, slips[1])
 
 
-def test_property_4_nominal_values_come_from_the_pure_slip_curves():
-    inputs = TireInputs(0.1, 0.1, FZ)
-    # A Magic Formula whose peak is D: 3 D / (B C D).
-    nominal = jax.jit(nominal_sliding_slip, static_argnums=1)
-    np.testing.assert_allclose(nominal(ALONG, "fx", inputs), 3 / (14 * 1.6), rtol=1e-3)
-    np.testing.assert_allclose(nominal(ACROSS, "fy", inputs), 3 / (9 * 1.4), rtol=1e-3)
-    # A brush: the slip from which every bristle slides.
-    tire = AnisotropicBrush(C, MU, A, stiffness_ratio=0.6)
-    full = 3 * MU * FZ / (2 * C)
-    found = [nominal(tire, name, inputs) for name in ("fx", "fy")]
-    np.testing.assert_allclose(found, [full, full / 0.6], rtol=1e-12)
-    # So the curves alone make the model.
-    made = columns(scaled(ALONG, ACROSS, SLIPS))
-    np.testing.assert_allclose(made, on_slips(MF), rtol=0, atol=2e-3 * FZ)
-
-
 def test_the_largest_value_has_the_slope_of_one_value():
     value, slope = jax.jit(jax.value_and_grad(largest))(np.array([1.0, 3.0, 2.0, 3.0]))
     assert value == 3.0 and slope.tolist() == [0.0, 1.0, 0.0, 0.0]
@@ -356,8 +334,18 @@ def test_property_5_braking_and_driving_keep_their_curves():
     assert braked[1] < driven[1] - 50
 
 
-def scaled(along, across, slip, sliding=None):
-    """One slip (2,), or a batch of them (n, 2)."""
+def curves(along, across, at):
+    """The pure-slip fx and fy of two tires as functions of one slip, at one input."""
+    zero = 0.0 * at.fz
+
+    def braked(slip):
+        return along(at._replace(sigma_x=slip, alpha=zero)).fx
+
+    return braked, lambda slip: across(at._replace(sigma_x=zero, alpha=jnp.arctan(slip))).fy
+
+
+def scaled(along, across, slip, sliding):
+    """Of two tires, at one slip (2,) or a batch of them (n, 2)."""
     slip = np.atleast_2d(slip)
     found = _scaled(along, across, resized(slip), sliding)
     return jax.tree.map(lambda part: np.asarray(part)[: len(slip)], found)
@@ -365,9 +353,11 @@ def scaled(along, across, slip, sliding=None):
 
 @jax.jit
 def _scaled(along, across, slips, sliding):
-    return jax.vmap(
-        lambda s: scaled_to_combined(along, across, TireInputs(s[0], s[1], FZ), sliding)
-    )(slips)
+    def sample(slip):
+        at = TireInputs(slip[0], slip[1], FZ)
+        return scaled_to_combined(*curves(along, across, at), at, sliding)
+
+    return jax.vmap(sample)(slips)
 
 
 def columns(found):
@@ -376,13 +366,13 @@ def columns(found):
 
 @pytest.mark.parametrize("m", [None, 0.8])
 def test_scaled_brush_curves_give_the_brush(m):
-    """Isotropic: forces and moment, also for curves that are not parabolic."""
+    """Isotropic: both forces, also for curves that are not parabolic."""
     name, values = ("brush", {}) if m is None else ("brush-m", {"m": m})
     tire = with_values(MODELS[name], {"cpa2": C, "mu": MU, "half_length": A, **values})
     sliding = (3 * MU * FZ / (2 * C),) * 2
     slips = SLIPS[SLIPS[:, 0] > -0.5]  # no curve of pure driving goes to sigma = -1
     found = columns(scaled(tire, tire, slips, sliding))
-    close(found, on_slips(tire, slips), 1e-9)
+    close(found, on_slips(tire, slips)[:, :2], 1e-9)
 
 
 def test_the_share_of_the_bristles_that_stick_turns_the_force():
@@ -424,11 +414,12 @@ def test_scaling_accounts_for_the_turning_of_a_sliding_bristle():
     """The anisotropic brush neglects it: 0.32 mu F_z in full sliding; the scaling
     rotates sliding bristles at once, and is right there."""
     tire, misses = AnisotropicBrush(C, MU, A, stiffness_ratio=0.5), []
+    full = 3 * MU * FZ / (2 * C)
     for size in (0.005, 0.02, 0.15, 0.5):
         slip = (size, np.arctan(size / (1 + size)))
         true = sliding_patch(size, size, 0.5)
         kept = on_slips(tire, [slip])[0, :2]
-        turned = columns(scaled(tire, tire, slip))[0, :2]
+        turned = columns(scaled(tire, tire, slip, (full, full / 0.5)))[0]
         misses.append([np.hypot(*(x - true)) / (MU * FZ) for x in (kept, turned)])
     kept, turned = np.array(misses).T
     assert kept[0] < 0.005 and kept[1] < 0.02 and 0.3 < kept[3] < 0.32
@@ -440,18 +431,6 @@ def test_an_isotropic_bristle_does_not_turn():
     slip = (0.05, np.arctan(0.05 / 1.05))
     found = on_slips(Brush(C, MU, A), [slip])[:, :2]
     close(found, sliding_patch(0.05, 0.05, 1.0)[None], 1e-3)
-
-
-def test_the_moment_of_scaled_curves_is_trail_times_force():
-    tire = AnisotropicBrush(C, MU, A, stiffness_ratio=0.6)
-    found = columns(scaled(tire, tire, SLIPS[:4]))
-    # The equivalent pure side slip has the same trail.
-    full_x = 3 * MU * FZ / (2 * C)
-    sigma_y = np.tan(SLIPS[:4, 1]) * (1 + SLIPS[:4, 0])
-    psi = np.hypot(SLIPS[:4, 0] / full_x, 0.6 * sigma_y / full_x)
-    pure = on_slips(tire, np.stack([0 * psi, np.arctan(psi * full_x / 0.6)], axis=1))
-    np.testing.assert_allclose(found[:, 2] / found[:, 1], pure[:, 2] / pure[:, 1], rtol=1e-9)
-    assert scaled(ALONG, ACROSS, (0.1, 0.1)).mz is None
 
 
 TIR = Path(__file__).parents[1] / "data" / "tir"
@@ -487,8 +466,12 @@ def test_scaling_predicts_the_combined_slip_of_measured_tires(number, least_gain
     inputs, expected = combined_rows(name)
     assert len(expected) > 20
 
+    slips = jnp.geomspace(1e-4, 3.0, 400)
+
     def sample(row):
-        return jnp.stack(scaled_to_combined(tire, tire, row)[:2])
+        both = curves(tire, tire, row)
+        full = [3 * jnp.max(jax.vmap(force)(slips)) / jax.grad(force)(0.0) for force in both]
+        return jnp.stack(scaled_to_combined(*both, row, (full[0], full[1]))[:2])
 
     found = jax.jit(jax.vmap(sample))(inputs)
     pure = np.stack(

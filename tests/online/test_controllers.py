@@ -123,6 +123,15 @@ def test_the_rules_pass_through_their_cycle():
     assert by["dump"] == -0.45
 
 
+def test_a_large_slip_alone_releases_the_pressure():
+    """A wheel that never slows by 9 m/s2 is released above 16 % of slip, not of 7 %."""
+    wheels = 15.0 - 0.04 * np.arange(80)
+    names, _ = phases_of(wheels, slowing=0.0)
+    slip = 1 - wheels / (15.0 - 0.3 * 0.005 * np.arange(80))  # the margin of the reference
+    deep = int(np.argmax(slip > 0.16))
+    assert names[: deep + 1] == ["build"] * deep + ["dump"]
+
+
 def test_a_wheel_that_stays_slow_gets_less_pressure():
     """On ice a wheel stays slow without decelerating: the pressure is released."""
     names, _ = phases_of([15.0, 14.0, 13.0, 13.0, *[12.99] * 20])

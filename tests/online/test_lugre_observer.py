@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tirefit.models import LuGre
+from tirefit.models import LuGre, TireInputs
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.lugre_observer import LuGreObserver, peak_share
 from tirefit.online.methods import estimator_of
 from tirefit.online.run import run
 from tirefit.params import with_values
-from tirefit.sim.braking import Braking, WheelNumbers, braked_wheel, simulate_braking
+from tirefit.sim.braking import Braking, braked_wheel, simulate_braking
 from tirefit.sim.lugre import Bristles
 
 LOAD, RADIUS, INERTIA, V = 27e3, 0.5, 15.0, 20.0
@@ -30,7 +30,7 @@ def wheel(theta, rate=2000):
     time = np.arange(2 * rate) / rate
     tire = LuGre(mu_s=1.2 * theta, mu_c=0.6 * theta)
     full = 0.7 * RADIUS * float(peak_share(LuGre(), theta, V)) * LOAD
-    numbers = WheelNumbers(full, 2.0, RADIUS, INERTIA, V, LOAD, np.inf, 1 / rate)
+    numbers = full, 2.0, RADIUS, INERTIA, V, LOAD, np.inf, 1 / rate
     omega, _, z = braked_wheel(numbers, (tire, tire), MEAN, time, 1)
     one = np.ones(len(time))
     columns = {
@@ -100,6 +100,17 @@ def test_the_lyapunov_function_falls_without_noise(theta, wrong):
     assert np.all(np.diff(v) <= 1e-5 * v[0])
     assert v[-1] < 1e-3 * v[0]
     assert abs(1 / path[2][-1] / theta - 1) < 0.02
+
+
+@pytest.mark.parametrize("theta", [0.4, 1.0, 2.5])
+def test_the_first_deflection_gives_the_steady_force(theta):
+    """S(18) of the tire with theta g, at the slip of the first sample."""
+    observer = estimator_of("lugre-observer", LOAD, {"theta": theta})
+    first = {"omega": 38.0, "v": V, "fz": LOAD, "torque": 5e3, "dt": jnp.inf}
+    x = observer.update(observer.init(), jax.tree.map(jnp.asarray, first))[0].x
+    found = observer.share(x[0], x[2], observer.course(x[3:], x[2]))
+    at = TireInputs(sigma_x=V / (38.0 * RADIUS) - 1, fz=LOAD, v=V)
+    np.testing.assert_allclose(found, LuGre().scaled(theta)(at).fx / LOAD, rtol=1e-9)
 
 
 @pytest.mark.parametrize("mu", [0.95, 0.6, 0.4])

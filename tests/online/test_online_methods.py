@@ -5,12 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from logs import CPA2, LOAD, brush, log
+from scipy.optimize import fsolve
 
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.cubic import friction_by_cubic
 from tirefit.online.ekf import Ekf
 from tirefit.online.methods import estimator_of
 from tirefit.online.regression import regressors
+from tirefit.online.rls import RlsState
 from tirefit.online.run import run
 from tirefit.params import with_values
 from tirefit.results import UsageError
@@ -104,6 +106,23 @@ def test_rls_with_forgetting_agrees_with_weighted_least_squares():
     root = np.sqrt(weight[used])
     theta = np.linalg.lstsq(rows[used] * root[:, None], y[used] * root)[0]
     np.testing.assert_allclose(state.inner.theta, theta, rtol=0.02)
+
+
+def test_the_spread_of_rls_is_that_of_the_equation_which_theta_solves():
+    """theta = phi - theta_2(theta) psi, solved and differentiated by SciPy."""
+    theta, psi = np.array([0.9, 0.7]), np.array([0.2, -0.3])
+    phi = theta + theta[1] ** 2 / theta[0] * psi
+    p = 1e-4 * np.array([[2.0, 0.5], [0.5, 3.0]])
+
+    def solved(phi):
+        return fsolve(lambda t: t - phi + t[1] ** 2 / t[0] * psi, theta, xtol=1e-13)
+
+    slope = np.stack([(solved(phi + h) - solved(phi - h)) / 2e-4 for h in 1e-4 * np.eye(2)], 1)
+    covariance = 4.0 / 2.0 * slope @ p @ slope.T
+    made = estimator_of("rls", LOAD, KNOWN).estimate(RlsState(theta, phi, psi, p, 4.0, 2.0))
+    of_mu = made.value[0] * np.array([2 / theta[0], -1 / theta[1]])
+    expected = [np.sqrt(of_mu @ covariance @ of_mu), CPA2 * np.sqrt(covariance[0, 0])]
+    np.testing.assert_allclose(made.std, expected, rtol=1e-6)
 
 
 def test_the_slope_of_the_mit_rule_agrees_with_its_prediction():

@@ -76,6 +76,18 @@ def test_the_observer_finds_the_force_and_its_errors_shrink_as_stated():
     assert abs(np.std(state.force) / stated - 1) < 0.2  # 200 runs: 5 %, and p dt = 0.08
 
 
+def test_the_force_of_the_axle_has_the_noise_of_two_wheels():
+    random, true = np.random.default_rng(4), wheel_log(60, dt=0.02)
+    wheels = true[0] + 0.05 * random.standard_normal((2, 400, 60))
+    seen = wheels.mean(axis=0).T  # the observer follows the mean of both
+    state = Observer(seen[0], np.full(400, 2500.0))
+    for k in range(1, 60):
+        state = state.after(seen[k], true[1][k], 0.02, 0.3, 1.2, 8.0)
+    path = estimator_of("path", 1.0, {"pole": 8.0, "torque_std": 0.0})
+    stated = path.estimate(path.init()).std[path.method.parameters.index("F_xf")]
+    assert abs(np.std(2 * state.force) / stated - 1) < 0.2
+
+
 def test_rls_of_the_wheel_without_forgetting_agrees_with_least_squares():
     omega, torque = wheel_log(80, noise=0.05, seed=3)
     state = WheelRls(omega[0], 1000.0, 1e12)

@@ -12,7 +12,6 @@ from tirefit.sim.braking import (
     PEAK,
     STEADY,
     Braking,
-    WheelNumbers,
     braked_wheel,
     lugre_tire,
     simulate_braking,
@@ -50,7 +49,7 @@ def test_the_wheel_motion_agrees_with_scipy():
 
 @pytest.mark.long
 def test_a_braking_of_too_many_steps_is_refused_with_a_remedy():
-    numbers = WheelNumbers(4e3, 2.0, 0.3, 1.0, 12.0, LOAD, np.inf, 0.01)
+    numbers = 4e3, 2.0, 0.3, 1.0, 12.0, LOAD, np.inf, 0.01
     tires = source_tire(), source_tire()
     with pytest.raises(tirefit.UsageError, match="(?s)more than 3 steps.*remedy: shorten"):
         braked_wheel(numbers, tires, STEADY, np.arange(5) / 100, 1, max_steps=3)

@@ -263,11 +263,26 @@ def test_a_fit_is_exported_with_its_errors_and_its_range_in_the_signs_of_the_fil
         std = fit.least_squares["cpa2"].std
         assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
         assert any("fy was not fitted" in note for note in done.notes)
+        # Pure numbers have no unit, not "-".
+        assert "# kappa: practical slip" in text and "# alpha [rad]: slip angle" in text
+        assert "[-]" not in text and not re.search(r" -(,|$)", text, re.MULTILINE)
     path = tmp_path / "tire.h"
     tirefit.export(fit, "c", path, convention="braking")
     assert "kappa -0.1111 to 0.2;" in path.read_text()
     with pytest.raises(UsageError, match="together with a fit"):
         tirefit.export(fit, "c", path, values={"mu": 0.5})
+
+
+def test_the_head_says_at_which_speed_and_slip_and_without_which_lag(tmp_path):
+    head = tirefit.export("lugre", "numpy", tmp_path / "tire.py").path.read_text()
+    assert "# parameters:\n#   mu_s = 1.2\n" in head  # no fit, no standard errors
+    assert "# steady state: the bristles of LuGre follow the slip at once" in head
+    assert "# zero slip at 10 m/s: fx" in head
+    peak = re.search(r"# peak at 10 m/s: fx ([\d.]+) F_z at kappa ([\d.]+) \(", head)
+    given = {"sigma_x": sigma_from_kappa(float(peak[2])), "fz": LOAD[0], "v": 10.0}
+    top = forces(MODELS["lugre"], TireInputs(**given)).fx / LOAD[0]
+    assert float(peak[1]) == pytest.approx(float(top), abs=2e-3)
+    assert re.search(r"fy [\d.]+ F_z at alpha [\d.]+ rad \(", head)
 
 
 def test_ranges_of_a_tir_file_keep_its_signs():

@@ -71,6 +71,7 @@ def test_the_file_begins_with_range_errors_and_losses(tmp_path):
     assert float(line.split("+-")[1].split()[0]) == pytest.approx(std, rel=0.06)
     for part in ("mz of the tire is not included", "fx was not fitted", "positive when braking"):
         assert any(part in line for line in head)
+    assert not any("mz was not fitted" in line for line in head)
 
 
 def test_a_large_error_is_refused_without_force(tmp_path):

@@ -120,6 +120,11 @@ def test_a_brush_is_reduced_with_reported_losses(tmp_path):
     assert values["mu"] == pytest.approx(fit.least_squares["mu"].value, rel=1e-12)
     assert values["cpa2"] == pytest.approx(fit.least_squares["cpa2"].value, rel=1e-12)
     told = next(note for note in done.notes if "largest error" in note)
+    head = path.read_text().partition("[MDI_HEADER]")[0]
+    # What is kept is stated with its errors, and no moment that the file lacks.
+    assert f"cpa2 = {fit.least_squares['cpa2'].value:.8g} +- " in " ".join(head.split("\n$  "))
+    assert "mz of the tire is not included" in head
+    assert "mz was not fitted" not in head and "aligning moment" not in head
     slip = np.linspace(-0.1, 0.25, 400)
     own, read = (
         np.asarray(forces(tire, TireInputs(slip, 0.0, 4000.0)).fx)

@@ -140,7 +140,7 @@ def test_a_tir_has_the_parameters_and_reports_lost_effects(tmp_path):
     assert read_tir(path).numbers["LMUX"] == 0.8
     told = "\n".join(done.notes)
     assert "not in this file: load_friction" in told and "in the forces" not in told
-    miss = float(told.split("largest error of the file in F_z: fx ")[1].split("%")[0])
+    miss = float(told.split("largest error of the file: fx ")[1].split("%")[0])
     # Friction times (F_z / F_z0)^-0.03 at the ends of 0.5 to 1.5 times the load.
     most = (1.5 * given.numbers["FNOMIN"] / F0) ** -0.03 - 1
     peak = 1.23 * 0.8

@@ -22,6 +22,7 @@ from tirefit.models.lugre import LuGre, LuGreLumped
 from tirefit.models.magic_formula import MagicFormula
 from tirefit.models.pressure import Asymmetric, Parabolic, Quartic, Uniform
 from tirefit.models.relaxation import Relaxed
+from tirefit.names import BRUSHES
 
 __all__ = [
     "MODELS", "AbstractTire", "AnisotropicBrush", "Asymmetric", "BeamCarcass", "Brush",
@@ -33,10 +34,10 @@ __all__ = [
 ]  # fmt: skip
 
 _PRESSURE = {
-    ("brush", ""): Parabolic(),
-    ("brush", "d"): Asymmetric(),
-    ("uniform", ""): Uniform(),
-    ("quartic", ""): Quartic(),
+    "brush": Parabolic(),
+    "brush-d": Asymmetric(),
+    "uniform": Uniform(),
+    "quartic": Quartic(),
 }
 _LEVEL = {"": (), "m": (Kinetic(),)}
 _SPEED = {
@@ -48,26 +49,15 @@ _SPEED = {
 }
 
 
-def _spelled(family: str, letters: str) -> str:
-    return f"{family}-{letters}" if letters else family
-
-
 MODELS: dict[str, AbstractTire] = {
     **{
-        _spelled(family, shape + level + speed): Brush(
-            pressure=pressure, friction=Friction(_LEVEL[level] + _SPEED[speed])
-        )
-        for (family, shape), pressure in _PRESSURE.items()
-        for level in _LEVEL
-        for speed in _SPEED
+        name: Brush(pressure=_PRESSURE[shape], friction=Friction(_LEVEL[level] + _SPEED[speed]))
+        for name, (shape, level, speed) in BRUSHES.items()
     },
-    **{
-        _spelled("brush-anisotropic", shape + level): AnisotropicBrush(
-            pressure=_PRESSURE["brush", shape], friction=Friction(_LEVEL[level])
-        )
-        for shape in ("", "d")
-        for level in _LEVEL
-    },
+    "brush-anisotropic": AnisotropicBrush(),
+    "brush-anisotropic-m": AnisotropicBrush(friction=Friction(_LEVEL["m"])),
+    "brush-anisotropic-d": AnisotropicBrush(pressure=Asymmetric()),
+    "brush-anisotropic-dm": AnisotropicBrush(pressure=Asymmetric(), friction=Friction(_LEVEL["m"])),
     "brush-m-peak": BrushAtPeak(),
     "brush-stribeck": Brush(friction=Friction((Stribeck(),))),
     "brush-stribeck-s": Brush(friction=Friction((Stribeck(static_too=True),))),

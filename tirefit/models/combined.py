@@ -3,19 +3,19 @@ r"""Combined slip beyond one brush: S(21), scaled pure-slip curves, and O(12)-(2
 The isotropic and the anisotropic brush are in ``tirefit.models.brush``.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from tirefit.arrays import Numbers, Scalar
-from tirefit.models.base import AbstractTire, TireForces, TireInputs, largest
+from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import Brush, bristle_stiffness, friction_coefficient, polar, resultant
 from tirefit.models.magic_formula import MagicFormula
 from tirefit.params import par, specs
-from tirefit.slip import lateral_slip
+from tirefit.slip import kappa_from_sigma, lateral_slip
 
 
 def mu_rate(slip: Numbers, stiffness: Numbers, mu_fz: Numbers) -> Array:
@@ -94,42 +94,15 @@ class LiuPeng(AbstractTire):
 _FASTEST_SPIN = 1 - 1e-6
 """Largest driving slip -sigma at which a curve is evaluated; 1 is a spinning wheel at
 standstill."""
-_GRID = np.geomspace(1e-4, 3.0, 400)
-
-
-def nominal_sliding_slip(tire: AbstractTire, channel: str, inputs: TireInputs) -> Array:
-    r"""Physical slip of full sliding of a pure-slip curve, :math:`3 F_{max} / C`.
-
-    C is the slope at rest. Of a brush with parabolic pressure and constant friction it
-    is the slip from which every bristle slides.
-
-    Args:
-        tire: a model of pure slip.
-        channel: ``fx``, braking, or ``fy``.
-        inputs: one sample; its slips are ignored.
-    """
-
-    def force(slip: Array) -> Array:
-        return getattr(_pure(tire, channel, inputs, slip), channel)
-
-    return 3 * largest(jax.vmap(force)(jnp.asarray(_GRID))) / jax.grad(force)(0.0)
-
-
-def _pure(tire: AbstractTire, channel: str, inputs: TireInputs, slip: Array) -> TireForces:
-    """Forces of a pure physical slip of either sign."""
-    zero = 0.0 * inputs.fz
-    if channel == "fx":
-        return tire(inputs._replace(sigma_x=slip, alpha=zero))
-    return tire(inputs._replace(sigma_x=zero, alpha=jnp.arctan(slip)))
 
 
 def scaled_to_combined(
-    along: AbstractTire,
-    across: AbstractTire,
+    along: Callable[[Array], Array],
+    across: Callable[[Array], Array],
     inputs: TireInputs,
-    sliding: tuple[Scalar, Scalar] | None = None,
+    sliding: tuple[Scalar, Scalar],
 ) -> TireForces:
-    r"""Combined slip of any two pure-slip models (Gäfvert & Svendenius 2005).
+    r"""Combined slip of any two pure-slip curves (Gäfvert & Svendenius 2005).
 
     In a brush with parabolic pressure a share :math:`\psi` of the patch slides,
 
@@ -144,25 +117,17 @@ def scaled_to_combined(
        F_x = \hat F_x(\sigma^\circ_x \psi) \left[A \frac{\sigma_x}{\sigma^\circ_x \psi}
              + (1 - A) \frac{\sigma_x}{\sqrt{\sigma_x^2 + \sigma_y^2}}\right]
 
-    and similarly :math:`F_y` and :math:`M_z`. In full sliding the force is on the ellipse of both
+    and similarly :math:`F_y`. In full sliding the force is on the ellipse of both
     pure-slip forces. The curves of both directions are blended by the cosine of the direction of
-    slip, and must pass through zero at zero slip. The moment of the longitudinal force, which acts
-    beside the wheel plane, is neglected in :math:`M_z`.
+    slip, and must pass through zero at zero slip.
 
     Args:
-        along, across: models that give the pure-slip fx, and fy and mz; may be one.
-        inputs: one sample.
-        sliding: physical slips of full sliding :math:`\sigma^\circ_x, \sigma^\circ_y`;
-            from the curves (:func:`nominal_sliding_slip`) if None.
-
-    Returns:
-        Forces; mz is None if ``across`` has none.
+        along, across: pure-slip fx and fy [N] of one physical slip of either sign.
+        inputs: one sample; its slips are used.
+        sliding: physical slips of full sliding :math:`\sigma^\circ_x, \sigma^\circ_y`:
+            :math:`3 F_{max} / C` with C the slope at rest, which is the slip from which every
+            bristle slides of a brush with parabolic pressure and constant friction.
     """
-    if sliding is None:
-        sliding = (
-            nominal_sliding_slip(along, "fx", inputs),
-            nominal_sliding_slip(across, "fy", inputs),
-        )
     limit_x, limit_y = sliding
     slip_x = inputs.sigma_x
     slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
@@ -171,14 +136,11 @@ def scaled_to_combined(
     forward = psi * limit_x
     # Forces (2,) of both sides.
     x_slips = jnp.stack([forward, -jnp.minimum(forward, _FASTEST_SPIN)])
-    x_curve = jax.vmap(lambda slip: _pure(along, "fx", inputs, slip))(x_slips)
-    y_slips = jnp.stack([psi * limit_y, -psi * limit_y])
-    y_curve = jax.vmap(lambda slip: _pure(across, "fy", inputs, slip))(y_slips)
+    braking = jax.vmap(along)(x_slips)
+    aside = jax.vmap(across)(jnp.stack([psi * limit_y, -psi * limit_y]))
     turn = turned(psi, stuck_y, slid_y)
     return TireForces(
-        turned(psi, stuck_x, slid_x) * blend(slid_x, jnp.asarray(x_curve.fx)),
-        turn * blend(slid_y, jnp.asarray(y_curve.fy)),
-        None if y_curve.mz is None else turn * blend(slid_y, y_curve.mz),
+        turned(psi, stuck_x, slid_x) * blend(slid_x, braking), turn * blend(slid_y, aside), None
     )
 
 
@@ -234,9 +196,12 @@ class CombinedMagicFormula(AbstractTire):
     sliding_y: float = _sliding("y", "lateral")
 
     def __call__(self, inputs: TireInputs) -> TireForces:
+        fz = jnp.maximum(inputs.fz, 0.0)
+        along = MagicFormula(self.Bx, self.Cx, self.Dx, self.Ex)
+        across = MagicFormula(self.By, self.Cy, self.Dy, self.Ey)
         return scaled_to_combined(
-            MagicFormula(self.Bx, self.Cx, self.Dx, self.Ex),
-            MagicFormula(self.By, self.Cy, self.Dy, self.Ey),
-            inputs._replace(fz=jnp.maximum(inputs.fz, 0.0)),
+            lambda slip: along.pure(kappa_from_sigma(slip), fz),
+            lambda slip: across.pure(jnp.arctan(slip), fz),
+            inputs,
             (self.sliding_x * 3 / (self.Bx * self.Cx), self.sliding_y * 3 / (self.By * self.Cy)),
         )

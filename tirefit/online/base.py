@@ -71,6 +71,9 @@ RESOLVED = 0.15
 differ by 0.2 to 0.3, two of these standard deviations."""
 
 
+LONGEST = 0.5  # time [s] without samples after which a state of motion is initialised again
+
+
 class Estimate(NamedTuple):
     """The estimate after one sample (in a scan: after each)."""
 
@@ -170,13 +173,6 @@ class AbstractEstimator(eqx.Module):
         after, flag, surprise = self.update(state, sample)
         made = self.estimate(after)
         flag, surprise = jnp.maximum(made.flag, flag), jnp.asarray(surprise, float)
-        return after, made._replace(flag=flag, surprise=surprise)
-
-    def hold(self, state: Any, dt: Number, steps: Number) -> tuple[Any, Estimate]:
-        """The state and the estimate after a time, see :meth:`wait`."""
-        after = self.wait(state, dt, steps)
-        made = self.estimate(after)
-        flag, surprise = jnp.asarray(made.flag), jnp.asarray(made.surprise)
         return after, made._replace(flag=flag, surprise=surprise)
 
 

@@ -28,7 +28,6 @@ from tirefit.params import par
 
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-], all equally likely at first."""
-_LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _MEMORY, _LEAST_SQUARE = 0.9, 0.02
 """Weight of the previous mean square surprise, and its smallest value."""
 _FORCE_DRIFT = 0.5  # random walk of the forces, over the load [1/sqrt(s)]
@@ -88,7 +87,7 @@ class ForceFilter(vehicle.AbstractVehicleMethod):
         return state._replace(log_weight=self.init().log_weight)
 
     def update(self, state: ForceState, sample: base.Sample) -> base.Updated:
-        dt, anew = jnp.minimum(sample["dt"], _LONGEST), sample["dt"] > _LONGEST
+        dt, anew = jnp.minimum(sample["dt"], base.LONGEST), sample["dt"] > base.LONGEST
         inputs = jnp.stack([*(sample[name] for name in _TORQUES), sample["steering"]])
         seen = jnp.stack([sample[name] for name in _SEEN])
         began = self.init()._replace(

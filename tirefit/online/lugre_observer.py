@@ -47,7 +47,6 @@ from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 
 _SUBSTEPS = 4
-_LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _JUMP = 0.03  # jump of the torque over R F_z after which the motion is initialised again
 _LEAST, _MOST = 0.05, 4.0  # limits of theta
 _PRIOR = 0.5  # relative std of theta at first
@@ -133,8 +132,8 @@ class LuGreObserver(base.AbstractEstimator):
         smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + sample["dt"], 1e3))
         # Time [s] until a wheel follows a jump of the torque: three times J v / R^2 C_x of the
         # wheel of S section 5.
-        anew = (sample["dt"] > _LONGEST) | (smooth < 0.015)
-        dt = jnp.clip(sample["dt"], 1e-6, _LONGEST)
+        anew = (sample["dt"] > base.LONGEST) | (smooth < 0.015)
+        dt = jnp.clip(sample["dt"], 1e-6, base.LONGEST)
 
         def flat(x: Float[Array, "7"], u: Float[Array, "4"]) -> Float[Array, "8"]:
             return jnp.append(*self.moved(x, u, dt))

@@ -144,7 +144,6 @@ class WheelRls(NamedTuple):
         return WheelRls(omega, self.force + gain * error, grown * (1 - gain * lever))
 
 
-_LONGEST = 0.5  # time [s] without samples after which the motion is initialised again
 _USUAL = 0.02  # time [s] between samples for which the noise of the forces is stated
 _PRIOR_MU, _PRIOR_STIFFNESS = 0.5, 0.3  # relative std of the expected mu and of C_f, C_r
 _DRIFT_MU, _DRIFT_STIFFNESS = 0.05, 0.03  # relative random walks of these [1/sqrt(s)]
@@ -217,7 +216,7 @@ class Path(vehicle.AbstractVehicleMethod):
         return state._replace(mu_variance=jnp.full_like(state.mu_variance, _PRIOR_MU**2))
 
     def update(self, state: PathState, sample: base.Sample) -> base.Updated:
-        dt, anew = jnp.minimum(sample["dt"], _LONGEST), sample["dt"] > _LONGEST
+        dt, anew = jnp.minimum(sample["dt"], base.LONGEST), sample["dt"] > base.LONGEST
         omega = (sample["omega_fl"] + sample["omega_fr"]) / 2
         torque = (sample["torque_fl"] + sample["torque_fr"]) / 2
         turned = vehicle.wrapped(sample["road_heading"] - state.inputs["road_heading"])

@@ -157,7 +157,8 @@ def guarded_step(
     usable, gap = unusable == 0, steps > _GAP
 
     lost = jnp.where(usable, jnp.where(gap, steps - 1, 0.0), steps)
-    waited, waiting = estimator.hold(state.inner, dt, lost)
+    waited = estimator.wait(state.inner, dt, lost)
+    waiting = estimator.estimate(waited)
     sums, count = _gathered(state, sample, usable, gap)
     due = usable & (count >= estimator.average)
     broken = ~_all_finite(waited, began.inner)

@@ -14,7 +14,7 @@ state, or a transient LuGre tire (:mod:`tirefit.sim.lugre`). Noise is added to s
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, cast
 
 import diffrax
 import equinox as eqx
@@ -99,27 +99,16 @@ def lugre_tire(peak: float, v: float) -> LuGre:
     return cast(LuGre, tire.scaled(theta))
 
 
-class WheelNumbers(NamedTuple):
-    """Numbers of :class:`tirefit.sim.settings.Braking`."""
-
-    full: Any  # [N m] torque at the end of a tooth
-    period: Any  # [s]
-    radius: Any  # [m]
-    inertia: Any  # [kg m2]
-    v: Any  # [m/s]
-    fz: Any  # [N]
-    change: Any  # [s] time of the change of friction
-    interval: Any  # [s] of sampling
-
-
 def braked_wheel(
-    numbers: WheelNumbers, tires: tuple[Any, Any], bristles: Bristles, time: np.ndarray, teeth: int,
-    max_steps: int = 2**22,
+    numbers: tuple[float, ...], tires: tuple[Any, Any], bristles: Bristles, time: np.ndarray,
+    teeth: int, max_steps: int = 2**22,
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Wheel speed [rad/s], force [N] and mean deflection [m] at the times (n,).
 
     Args:
-        numbers: of the wheel and its brake.
+        numbers: torque at the end of a tooth [N m], its period [s], radius [m], inertia
+            [kg m2], speed [m/s], load [N], time of the change of friction [s], interval of
+            sampling [s].
         tires: before and after the change, two :class:`LuGre` or two steady tires.
         bristles: :data:`PATCH` for LuGre tires; :data:`STEADY` for steady tires.
         time: increasing instants [s]; ``teeth``: number of saw-teeth.
@@ -142,7 +131,7 @@ def _integrate(
     traced: Any, bristles: Bristles, time: Array, teeth: int, max_steps: int
 ) -> tuple[Array, Array, Array, Array]:
     numbers, tires = traced
-    _, period, radius, inertia, v, fz, change, interval = numbers
+    full, period, radius, inertia, v, fz, change, interval = numbers
 
     def parts(t: Numbers, y: Any) -> tuple[Array, Array, Array]:
         """Wheel speed over that of free rolling, force, rate of the bristles."""
@@ -157,7 +146,7 @@ def _integrate(
     def rate(t: Numbers, y: Any, args: Any) -> tuple[Array, Array]:
         del args
         turning, force, bent = parts(t, y)
-        torque = numbers.full * (t % period) / period
+        torque = full * (t % period) / period
         # A brake holds a standing wheel; it does not turn it backwards.
         holds = (turning <= SLOWEST) & (torque > radius * force)
         spun = jnp.where(holds, 0.0, (radius * force - torque) * radius / inertia / v)
@@ -198,9 +187,7 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     full = how.amplitude * how.radius * how.friction * how.load
     change, after = (np.inf, how.friction) if how.drop is None else how.drop
     mu = np.where(time < change, how.friction, after)
-    numbers = WheelNumbers(
-        full, how.period, how.radius, how.inertia, how.speed, how.load, change, 1 / how.rate
-    )
+    numbers = full, how.period, how.radius, how.inertia, how.speed, how.load, change, 1 / how.rate
     is_lugre, ends = how.tire == "lugre", (mu[0], mu[-1])
     tires = [lugre_tire(peak, how.speed) if is_lugre else source_tire(peak) for peak in ends]
     bristles = PATCH if is_lugre else STEADY

@@ -114,20 +114,16 @@ def _expression(program: Program, language: Language, op: str, args: Sequence[Te
     return how.format(*given) if "{" in how else f"{how}({', '.join(given)})"
 
 
-PARAMETERS = "parameters (+- standard error):"
-"""Line above the parameters in the head of a file."""
-
-
 def header(tire: Tire, program: Program, convention: str) -> list[str]:
     """Sentences on a tire at the beginning of every exported file."""
     names = (*program.inputs, *program.outputs)
     return [
         tire.origin,
         f"signs: {convention} ({CONVENTIONS[convention].description})",
-        *("{} [{}]: {}".format(name, *QUANTITIES[name]) for name in names),
+        *("{} [{}]: {}".format(name, *QUANTITIES[name]).replace(" []", "") for name in names),
         "at low speed compute kappa with max(speed, a few tenths of a m/s)",
         f"measured range: {tire.ranges(convention)}",
-        PARAMETERS,
+        tire.listed,
         *(f"  {line}" for line in tire.parameters()),
         *tire.notes,
     ]

@@ -75,27 +75,25 @@ def axles_of(
     Raises:
         UsageError: two tires for a target with one; one axle for a target with two.
     """
-    alike: tuple[str, ...] = ()
     if count < len(tires):
         reason = f"{target} has one tire for all wheels in a file"
         remedy = "give one of --front and --rear; export the other to its own file"
         raise UsageError(InputProblem(reason, remedy))
     if count == 2 and "" in tires:
         tires = {"front": tires[""], "rear": tires[""]}
-        alike = ("one tire was given: front and rear are alike",)
     if len(tires) < count:
         (given,) = tires
         other = "rear" if given == "front" else "front"
         reason = f"{target} has a tire for each axle, and only the {given} one is given"
         remedy = f"give --{other} as well, or one tire without --{given} for both axles"
         raise UsageError(InputProblem(reason, remedy))
-    return tuple(_placed(*item, vehicle, alike) for item in tires.items())
+    return tuple(_placed(*item, vehicle) for item in tires.items())
 
 
-def _placed(name: str, tire: Tire, vehicle: Vehicle | None, notes: tuple[str, ...]) -> Axle:
+def _placed(name: str, tire: Tire, vehicle: Vehicle | None) -> Axle:
     """The tire with the static load at its place."""
     if vehicle is None:
-        return Axle(name, tire, notes=notes)
+        return Axle(name, tire)
     arms = {"front": vehicle.l_r, "rear": vehicle.l_f}
     share = arms[name] / vehicle.wheelbase if name else 0.5
     static = vehicle.mass * vehicle.gravity * share
@@ -104,7 +102,7 @@ def _placed(name: str, tire: Tire, vehicle: Vehicle | None, notes: tuple[str, ..
     load = static * wheels / 2
     what = "one tire" if wheels == 1 else "an axle of two tires"
     note = f"assumed to be a fit of {what}, whose static load is {load:.4g} N"
-    return Axle(name, replace(tire, load=load), wheels, True, (note, *notes))
+    return Axle(name, replace(tire, load=load), wheels, True, (note,))
 
 
 SIGNS = "iso-w"
@@ -197,7 +195,12 @@ def parameter_text(
         failed += axle.named(shape.failed)
         fits.append(fit)
         axles.append(axle._replace(tire=tire))
-    notes += [note for tire in tires.values() for note in tire.notes]
+    if kind.tires > len(tires):
+        notes.append("one tire was given: front and rear are alike")
+    # Of a force that the file does not have, it does not matter whether it was fitted.
+    absent = [f"{name} was" for tire in tires.values() for name in tire.modelled]
+    absent = [words for words in absent if words.split()[0] not in kind.formula.outputs]
+    notes += [n for tire in tires.values() for n in tire.notes if not n.startswith((*absent,))]
     notes += kind.formula.loss
     above = [first, *dict.fromkeys(notes)]
     above.append(f"SI units; signs of the file: {kind.formula.signs.description}")
@@ -205,7 +208,7 @@ def parameter_text(
         above += [
             f"{name or 'tire'}: {tire.origin}",
             f"measured range ({SIGNS}): {tire.ranges(SIGNS)}",
-            "parameters of the tire (+- standard error):",
+            tire.listed.replace("parameters", "parameters of the tire", 1),
             *(f"  {line}" for line in tire.parameters()),
         ]
     above += [f"checks of the written formula, in the signs of {SIGNS}:", *sentences]

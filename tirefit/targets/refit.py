@@ -68,9 +68,9 @@ def check_loss(tire: Tire, held: Tire, target: str, force: bool) -> tuple[str, .
         off = np.abs(both[0][name] - both[1][name]) / fz
         missed.append(float(np.max(off)))
         alone = float(np.max(off[pure]))
-        sizes.append(f"{name} {missed[-1]:.2%} (in pure slip {alone:.2%})")
+        sizes.append(f"{name} {100 * missed[-1]:.2f} % of F_z (in pure slip {100 * alone:.2f} %)")
     where = range_text(turned_range(ranges, "iso-w"))
-    sentence = f"largest error of the file in F_z: {', '.join(sizes)}, over {where}"
+    sentence = f"largest error of the file: {', '.join(sizes)}; over {where} (iso-w)"
     if max(missed) > MOST and not force:
         remedy = "export to c, casadi or numpy, which hold it, or accept it by --force"
         reason = f"{tire.name} for {target}: {sentence}; the limit is {MOST:.0%}"

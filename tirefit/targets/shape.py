@@ -56,11 +56,12 @@ def shape_of(tire: Tire, program: Program, convention: str) -> Shape:
         return at(**{_PURE[name][0]: slips}, fz=fz)[name]
 
     given = [name for name in _PURE if name in names]
+    speed = f" at {tire.speed:.4g} m/s" if "v" in program.inputs else ""
     checks = [
-        _joined("zero slip", [_at_rest(name, along, load) for name in given]),
+        _joined(f"zero slip{speed}", [_at_rest(name, along, load) for name in given]),
         _standing(at, names, "v" in program.inputs),
         _signs(along, given, convention),
-        _joined("peak", [_peak(name, along, (load, most)) for name in given]),
+        _joined(f"peak{speed}", [_peak(name, along, (load, most)) for name in given]),
         _ellipse(at, along, given, most),
     ]
     pure = {name: (_PURE[name][1], along(name, _PURE[name][1])) for name in given}
@@ -88,7 +89,7 @@ def _standing(at: Callable[..., Any], names: Iterable[str], speed: bool) -> tupl
     forces = at(kappa=slips, alpha=_FEW[1], v=0.0)
     sound = all(np.all(np.isfinite(forces[name])) for name in names)
     how = "finite" if sound else "NOT finite"
-    what = "speed zero and a locked wheel" if speed else "a locked wheel"
+    what = "speed zero and at a locked wheel" if speed else "a locked wheel"
     return f"standstill: every force is {how} at {what}", sound
 
 
@@ -111,7 +112,8 @@ def _peak(name: str, along: Callable[..., Any], loads: Iterable[float]) -> tuple
         sound &= bool(np.isfinite(f).all() and top < 5)
         # The peak of a plateau is its beginning.
         first = np.abs(grid)[f >= _PLATEAU * top].min(initial=np.inf)
-        each.append(f"{top:.3g} F_z at {first:.2g}")
+        slip = f"{_PURE[name][0]} {first:.2g}{' rad' * (name == 'fy')}"
+        each.append(f"{top:.3g} F_z at {slip}")
     return f"{name} {each[0]} (twice the largest load: {each[1]})", sound
 
 
@@ -119,7 +121,7 @@ def _ellipse(
     at: Callable[..., Any], along: Callable[..., Any], given: Sequence[str], most: float
 ) -> tuple[str, bool]:
     if len(given) < 2:
-        return "combined slip: only one force", True
+        return "combined slip: not checked, as the file has only one force", True
     worst = 0.0
     for fz in (0.5 * most, most):
         both = at(kappa=_FEW[0], alpha=_FEW[1], fz=fz)

@@ -24,7 +24,7 @@ from tirefit.models import AbstractTire
 from tirefit.models.mf import MAGIC_FORMULAS, WEIGHTS, MFTire
 from tirefit.params import parameter_values, specs
 from tirefit.results import InputProblem, UsageError, unknown_names
-from tirefit.targets.code import PARAMETERS, Draft
+from tirefit.targets.code import Draft
 from tirefit.targets.tire import Tire, turned_range
 
 _WIDEST = 180  # largest length of a comment line; some programs read lines of 200 characters
@@ -55,10 +55,16 @@ def held_as_tir(tire: Tire, model: str | None, wheel: Mapping[str, float]) -> Ti
         tir = kept or _new_file(replace(tire, model=bare))
     else:
         tir = _reduced(bare, tire, wheel, model)
+        own = replace(tire, model=bare).parameters()
+        kept_values = [line for line in own if line.split()[0] in ("cpa2", "mu")]
+        notes = [note for note in notes if not note.startswith("mz ")]
         notes.append(
             "a Magic Formula cannot have the curve of a brush: only the slope 2 c_p a^2"
-            f" and the largest force mu F_z are kept, at F_z = {tire.load:.4g} N"
+            f" and the largest force mu F_z are kept, at F_z = {tire.load:.4g} N, with"
+            f" {'; '.join(kept_values)}"
         )
+        notes.append("mz of the tire is not included")
+        tire = replace(tire, asked=("fx", "fy"))
     if model and MAGIC_FORMULAS[model].version != tir.version:
         reason = f"--model {model}: the tire is a Magic Formula {tir.version}"
         remedy = "fit the other version to the forces that `tirefit predict` gives at rows of yours"
@@ -118,7 +124,7 @@ def _new_file(tire: Tire) -> TirFile:
 
 def _head_of(draft: Draft) -> list[str]:
     """The head without the parameters, which the file lists separately."""
-    listed = {f"  {line}" for line in draft.tire.parameters()} | {PARAMETERS}
+    listed = {f"  {line}" for line in draft.tire.parameters()} | {draft.tire.listed}
     return [line for line in draft.above if line not in listed]
 
 

@@ -13,7 +13,15 @@ from tirefit.data.tir.tir import TirFile
 from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.fitting.source import GivenTire, given_tire
 from tirefit.fitting.tir import TIR_SIGNS, remarks
-from tirefit.models import AbstractTire, CombinedMagicFormula, MagicFormula, TireInputs, modelled
+from tirefit.models import (
+    AbstractTire,
+    CombinedMagicFormula,
+    LuGre,
+    LuGreLumped,
+    MagicFormula,
+    TireInputs,
+    modelled,
+)
 from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
 from tirefit.params import check_names, parameter_values, specs, with_values
@@ -42,7 +50,7 @@ _USUAL_LOAD = 4000.0  # default load [N], of a tire of a passenger car
 _SPEED = 10.0  # speed [m/s] at which tires are compared if it was measured, or nothing was
 
 QUANTITIES = {
-    "kappa": ("-", "practical slip: sliding speed over forward speed of the wheel centre"),
+    "kappa": ("", "practical slip: sliding speed over forward speed of the wheel centre"),
     "alpha": ("rad", "slip angle"),
     "fz": ("N", "load"),
     "v": ("m/s", "forward speed of the wheel centre"),
@@ -54,7 +62,7 @@ QUANTITIES = {
     "mx": ("N m", "overturning moment"),
     "my": ("N m", "rolling resistance moment"),
 }
-"""Input or output of an exported tire -> its unit and meaning."""
+"""Input or output of an exported tire -> its unit, empty if it has none, and meaning."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +105,16 @@ class Tire:
         known, lines = specs(self.model), []
         for name, value in parameter_values(self.model).items():
             error = f" +- {self.spread[name]:.2g}" if name in self.spread else ""
+            unit = f" {known[name].unit}".removesuffix(" -")
             ends = self.ends.get(name) if error else None
             between = "" if ends is None else ", 95 %: {:.4g} to {:.4g}".format(*ends)
-            lines.append(f"{name} = {value:.8g}{error} {known[name].unit}{between}")
+            lines.append(f"{name} = {value:.8g}{error}{unit}{between}")
         return lines
+
+    @property
+    def listed(self) -> str:
+        """The words above :meth:`parameters`."""
+        return "parameters (+- standard error):" if self.spread else "parameters:"
 
     def ranges(self, convention: str) -> str:
         """The measured range of each input as text, in the signs of a convention."""
@@ -176,7 +190,7 @@ def range_text(ranges: Mapping[str, tuple[float, float]]) -> str:
     for name, ends in ranges.items():
         low, high = (end + 0.0 for end in ends)  # no -0
         wide = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-        texts.append(f"{name} {wide} {QUANTITIES[name][0]}".removesuffix(" -"))
+        texts.append(f"{name} {wide} {QUANTITIES[name][0]}".rstrip())
     return ", ".join(texts)
 
 
@@ -292,6 +306,11 @@ def _exportable(tire: Tire) -> Tire:
             " lag the slips by it before the call"
         )
         model = model.tire
+    if isinstance(model, LuGre | LuGreLumped):
+        notes.append(
+            "steady state: the bristles of LuGre follow the slip at once, so the forces do not lag"
+            " behind it as those of the dynamic LuGre tire do"
+        )
     if isinstance(model, MagicFormula):
         curve = parameter_values(model)
         both = {f"{k}{axis}": v for k, v in curve.items() for axis in "xy"}

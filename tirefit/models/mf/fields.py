@@ -24,10 +24,8 @@ class Point(NamedTuple):
     fz: Any  # > 0
     dfz: Any  # normalised change of load (4.E2)
     dpi: Any  # normalised change of pressure (4.E2)
-    friction_x: Any  # scales the friction, lambda*_mu (4.E7)
+    friction_x: Any  # scales friction and vertical shift, lambda*_mu (4.E7) and (4.E8)
     friction_y: Scalar
-    shift_x: Any  # scales the vertical shift, lambda'_mu (4.E8)
-    shift_y: Scalar
     camber_stiffness: bool  # camber acts as in MF 6 (PKY6), or as in 5.2 (PHY3)
     starred: bool  # alpha* is tan alpha
 

@@ -80,7 +80,7 @@ class Lateral(eqx.Module):
             * at.friction_y
         )
         stiffness = self._stiffness(at, gamma, fz0) * scale.LKY
-        camber_shift = (self.PVY3 + self.PVY4 * at.dfz) * gamma * scale.LKYC * at.shift_y
+        camber_shift = (self.PVY3 + self.PVY4 * at.dfz) * gamma * scale.LKYC * at.friction_y
         if at.camber_stiffness:
             thrust = (
                 (self.PKY6 + self.PKY7 * at.dfz) * (1 + self.PPY5 * at.dpi) * (gamma * scale.LKYC)
@@ -89,7 +89,7 @@ class Lateral(eqx.Module):
         else:
             camber_offset = self.PHY3 * gamma
         offset = (self.PHY1 + self.PHY2 * at.dfz) * scale.LHY + camber_offset
-        shift = (self.PVY1 + self.PVY2 * at.dfz) * scale.LVY * at.shift_y
+        shift = (self.PVY1 + self.PVY2 * at.dfz) * scale.LVY * at.friction_y
         shift = shift + camber_shift
         alpha = at.alpha + offset
         curvature = (

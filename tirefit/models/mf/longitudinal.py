@@ -46,7 +46,7 @@ class Longitudinal(eqx.Module):
 
     def shift(self, at: Point, scale: Scaling) -> Scalar:
         """S_Vx / F_z, (4.E18)."""
-        return (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.shift_x
+        return (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.friction_x
 
     def offset(self, at: Point, scale: Scaling) -> Scalar:
         """S_Hx, (4.E17)."""

@@ -39,9 +39,9 @@ class MFTire(AbstractTire):
 
     ``starred``: the equations take tan(alpha) and sin(gamma), as in the book (4.E3,
     4.E4), instead of the angles, as in MF-Tyre.
-    ``digression``: A_mu of (4.E8) in MF 6; the larger it is, the less the vertical
-    shifts decrease with scaled friction (LMUX, LMUY, LMUV). It is 1 in the software of
-    TNO that reads and writes the files; the book recommends 10. MF 5.2 has none.
+    The vertical shifts decrease with scaled friction (LMUX, LMUY, LMUV) as the friction does:
+    A_mu of (4.E8) is 1, as in the software of TNO that reads and writes the files; the book
+    recommends 10.
     ``similarity``: forces in combined slip by :mod:`.similarity`, not by weighting functions.
     ``ellipse``: both forces in combined slip by the friction ellipse.
     ``lacks``: forces that the tire does not have; they are None.
@@ -56,7 +56,6 @@ class MFTire(AbstractTire):
     rolling: Rolling | None = None
     version: str = eqx.field(static=True, default="6.1")
     starred: bool = eqx.field(static=True, default=False)
-    digression: float = eqx.field(static=True, default=1.0)
     similarity: tuple[str, ...] = eqx.field(static=True, default=())
     ellipse: bool = eqx.field(static=True, default=False)
     lacks: tuple[str, ...] = eqx.field(static=True, default=())
@@ -117,7 +116,6 @@ class MFTire(AbstractTire):
     def point(self, inputs: TireInputs) -> fields.Point:
         """The operating point in ISO-W axes; a load of zero becomes FNOMIN."""
         scale, nominal = self.scaling, self.nominal
-        is_52 = self.version == "5.2"
         fz = jnp.where(inputs.fz > 0, inputs.fz, nominal.FNOMIN)
         fz0 = nominal.FNOMIN * scale.LFZO
         kappa = -kappa_from_sigma(inputs.sigma_x)
@@ -125,17 +123,11 @@ class MFTire(AbstractTire):
         pressure = jnp.where(inputs.pressure > 0, inputs.pressure, nominal.INFLPRES)
         sliding = inputs.v * resultant(kappa, tan_alpha) / nominal.LONGVL
         fall = 1 / (1 + scale.LMUV * sliding)
-        friction_x, friction_y = scale.LMUX * fall, scale.LMUY * fall
-        digression = 1.0 if is_52 else self.digression
-
-        def shift(friction: Scalar) -> Scalar:
-            return digression * friction / (1 + (digression - 1) * friction)
-
         return fields.Point(
             kappa, tan_alpha if self.starred else inputs.alpha, fields.cos_arctan(tan_alpha),
             jnp.sin(inputs.gamma) if self.starred else inputs.gamma, inputs.gamma, fz,
-            (fz - fz0) / fz0, (pressure - nominal.NOMPRES) / nominal.NOMPRES, friction_x,
-            friction_y, shift(friction_x), shift(friction_y), camber_stiffness=not is_52,
+            (fz - fz0) / fz0, (pressure - nominal.NOMPRES) / nominal.NOMPRES,
+            scale.LMUX * fall, scale.LMUY * fall, camber_stiffness=self.version != "5.2",
             starred=self.starred,
         )  # fmt: skip
 
@@ -202,7 +194,7 @@ def turned_forces(forces: TireForces, turned: Set[str]) -> TireForces:
 
 
 def mf_tire(
-    version: str, values: Mapping[str, float], *, starred: bool = False, digression: float = 1.0,
+    version: str, values: Mapping[str, float], *, starred: bool = False,
     combination: str | None = None, lacks: Collection[str] = (),
 ) -> MFTire:  # fmt: skip
     """The tire of a set of coefficients.
@@ -212,7 +204,7 @@ def mf_tire(
         values: coefficients by their names in a ``.tir`` file, SI units; other names
             are ignored, and missing coefficients have no effect. Without any of QSX1 to
             QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
-        starred, digression: see :class:`MFTire`.
+        starred: see :class:`MFTire`.
         combination: ``none`` for weighting functions, which are one if their coefficients are
             missing; ``similarity`` and ``ellipse`` for :mod:`.similarity`; None for similarity of
             the forces whose coefficients are missing.
@@ -237,7 +229,6 @@ def mf_tire(
         rolling=Rolling() if "QSY" in begin else None,
         version=version,
         starred=starred,
-        digression=digression,
         similarity=tuple(similar),
         ellipse=ellipse,
         lacks=tuple(lacks),
