@@ -7,7 +7,7 @@ from recipes import FZ, solved, table
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem.build import build, slip_of_forces
 from tirefit.fitting.problem.config import parse_config
-from tirefit.fitting.problem.likelihood import root_deviance, row_moments
+from tirefit.fitting.problem.likelihood import moments, root_deviance
 from tirefit.fitting.solve.multistart import with_densities
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
@@ -114,7 +114,7 @@ def test_all_forces_share_one_noisy_slip():
     blocks = root_deviance(problem, z)
     assert list(blocks) == ["sigma_x"]
     nodes = problem.rows.nodes["sigma_x"]
-    mean, _ = row_moments(problem, z)
+    mean, _ = moments(problem, z)
     checked = 0
     for i in range(40):
         row = {name: column[i] for name, column in columns.items()}

@@ -183,6 +183,10 @@ IMPOSSIBLE = {
         {"cpa2: tied to 'mu', which is not free": "free a parameter",
          "no free parameter": "[parameters]"},
     ),
+    "tied to an unknown one": (
+        "brush", {"cpa2": {"tied": "mu_"}},
+        {"cpa2: tied to 'mu_': the model has no such": "did you mean 'mu'? it has cpa2, mu, h"},
+    ),
     "tied to itself, and to a tied one": (
         "brush-d", {"mu": {"tied": "d"}, "d": {"tied": "d"}},
         {"mu: tied to 'd', which is not free": "tie it to one of cpa2",

@@ -205,4 +205,3 @@ def test_sparse_slopes_agree_with_dense_slopes(slip_noise):
     ends = minima(problem, np.array([start]))
     np.testing.assert_allclose(ends.z[0], dense.z, atol=1e-6)
     np.testing.assert_allclose(ends.cost[0], dense.cost, rtol=1e-9)
-    np.testing.assert_array_equal(ends.steps[0], dense.steps)

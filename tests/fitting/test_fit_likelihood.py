@@ -10,7 +10,7 @@ from scipy.special import erfcx, ndtr
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
 from tirefit.fitting.problem.latent_slip import _erfcx, _normal_part
-from tirefit.fitting.problem.likelihood import root_deviance, row_moments
+from tirefit.fitting.problem.likelihood import moments, root_deviance
 from tirefit.fitting.solve.multistart import with_densities
 
 OFF = {"cpa2": 4.6e4, "mu": 0.97}
@@ -97,7 +97,7 @@ def test_steep_forces_judge_the_measured_slip():
 
 def test_moments_of_a_row_average_over_its_latent_slips():
     data, problem = small(tau=TAU, values=TRUTH)
-    mean, variance = row_moments(problem, problem.layout.unconstrained(TRUTH))
+    mean, variance = moments(problem, problem.layout.unconstrained(TRUTH))
     nodes = problem.rows.nodes["sigma_x"]
     generator = np.random.default_rng(0)
     for i in range(3):

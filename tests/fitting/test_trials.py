@@ -48,12 +48,13 @@ def test_a_better_model_is_advised_with_what_it_improves():
     assert not followed.trials
 
 
-def test_a_model_that_stops_at_a_bound_is_not_advised():
-    """The friction of the sample depends on the speed by more than brush-n allows."""
+def test_a_model_at_its_bound_or_hardly_better_is_not_advised():
+    """The friction of the sample depends on the speed by more than brush-n allows, and its few
+    independent rows do not tell a logarithmic law from none."""
     result = fit(read(SAMPLE), "brush")
     linear, logarithmic = result.trials
     assert linear.model == "brush-n" and linear.against == "n stops at its bound"
-    assert logarithmic.better and logarithmic.aicc[1] < logarithmic.aicc[0]
-    assert "use brush-ln: " in " ".join(result.warnings)
-    followed = fit(read(SAMPLE), "brush-ln")
-    assert not followed.trials and not followed.statistics.at_bound
+    before, after = logarithmic.aicc
+    assert 0 < before - after < 6 and not logarithmic.better
+    said = f"brush-ln was tried: it lowers AICc by only {before - after:.3g}, too little to tell"
+    assert said in " ".join(result.warnings) and "use brush-ln" not in " ".join(result.warnings)

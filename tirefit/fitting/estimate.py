@@ -19,14 +19,13 @@ from tirefit.fitting.solve.least_squares import Solver, solver_name
 from tirefit.fitting.solve.multistart import Solved
 from tirefit.fitting.uncertainty.derived import derived_from_profile, reference_points
 from tirefit.fitting.uncertainty.identified import (
-    at_bound,
+    labels_at_bound,
     minus_two_log_likelihood,
     profile_estimates,
 )
 from tirefit.fitting.uncertainty.profile import profile_all
-from tirefit.fitting.verdict.family import peak_ranges
+from tirefit.fitting.verdict.family import peak_ranges, tried
 from tirefit.fitting.verdict.judge import is_noise, judge
-from tirefit.fitting.verdict.trials import tried
 from tirefit.models import TireInputs
 from tirefit.params import constrain, parameter_values, specs
 from tirefit.precision import require_x64
@@ -35,17 +34,10 @@ from tirefit.precision import require_x64
 def _statistics(solved: Solved) -> FitStatistics:
     problem = solved.problem
     name = problem.channels[0].name
-    observed = problem.used(problem.rows.observed[name])
-    residual = observed - solved.at.mean[name]
-    parameters = problem.layout.size + sum(c.noise_estimated for c in problem.channels)
+    observed, residual = problem.used(problem.rows.observed[name]), solved.residual(name)
     minus_two_log = minus_two_log_likelihood(solved)
     rows = problem.n * len(problem.channels)
-    aicc, bic = information(minus_two_log, rows, solved.n_effective, parameters)
-    labels = tuple(
-        label
-        for i, (label, p) in enumerate(problem.layout.elements)
-        if at_bound(p.spec, float(constrain(solved.z[i], p.spec)))
-    )
+    aicc, bic = information(minus_two_log, rows, solved.n_effective, problem.unknowns)
     total = float(np.sum((observed - observed.mean()) ** 2))
     return FitStatistics(
         rmse=float(np.sqrt(np.mean(residual**2))),
@@ -54,12 +46,12 @@ def _statistics(solved: Solved) -> FitStatistics:
         aicc=aicc,
         bic=bic,
         minus_two_log_likelihood=minus_two_log,
-        unknowns=parameters,
+        unknowns=problem.unknowns,
         n=problem.n,
         n_effective=solved.n_effective,
         dof=solved.n_effective - problem.layout.size,
         converged=solved.converged,
-        at_bound=labels,
+        at_bound=labels_at_bound(solved),
         starts=solved.starts,
         starts_agreeing=solved.agreeing,
         slip_structure=_slip_structure(problem, residual),
@@ -129,14 +121,9 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
         }
         one_std = channel.noise_estimated and np.ptp(scale) == 0
         if one_std and not problem.is_huber and not problem.rows.nodes:
-            force = np.asarray(at.mean[channel.name])
-            record[channel.name] |= noise_by_row(
-                problem.used(problem.rows.observed[channel.name]) - force,
-                fz,
-                force,
-                problem.used(problem.rows.run),
-                problem.layout.runs,
-            )
+            residual, force = settled.solved.residual(channel.name), at.mean[channel.name]
+            run, runs = problem.used(problem.rows.run), problem.layout.runs
+            record[channel.name] |= noise_by_row(residual, fz, np.asarray(force), run, runs)
     for slip, std in problem.slip_noise.items():
         # The share of the variance of each force about its prediction, over all rows.
         shares = {

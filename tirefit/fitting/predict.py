@@ -129,8 +129,7 @@ def predict(
                 raise DataError(reason, f"it knows {', '.join(layout.runs)}", data.file)
             codes = np.array([layout.runs.index(run) for run in data.runs])[codes]
         force, variance = predict_forces(tire, layout, fit.z, fit.covariance, _inputs(data), codes)
-    force, variance = _all_rows(data, force), _all_rows(data, variance)
-    out, names = {}, np.array(data.runs)[data.run]
+    out, names = {}, np.array(data.runs)[data.run[data.used]]
     fitted = [channel for channel in _channels(data, force) if channel in noise]
     if not fitted:
         needs = " and ".join(dict.fromkeys(SLIPS_OF[channel][0] for channel in noise))
@@ -140,15 +139,15 @@ def predict(
             data.file,
         )
     for channel in fitted:
-        out[channel] = force[channel]
+        out[channel] = np.asarray(force[channel])
         if f"{channel}_std" in data:
-            std = data[f"{channel}_std"]
+            std = data.usable(f"{channel}_std")
         else:
-            at = data["fz"], force[channel], names, fit.content["reference"]["fz"]
+            at = data.usable("fz"), out[channel], names, fit.content["reference"]["fz"]
             std = noise_std(noise[channel], *at)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
-    return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
+    return _all_rows(data, out)
 
 
 def _opened(

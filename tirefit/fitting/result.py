@@ -147,7 +147,7 @@ class Trial(NamedTuple):
 
     @property
     def better(self) -> bool:
-        """Whether it has the lower AICc and stops at no bound."""
+        """Whether it has a clearly lower AICc and stops at no bound."""
         return not self.against
 
 

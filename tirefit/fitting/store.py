@@ -39,11 +39,7 @@ class StoredFit:
     content: Mapping[str, Any]  # the whole file
 
     def at_estimate(self) -> AbstractTire:
-        """The tire with its fitted values.
-
-        Raises:
-            UsageError: a parameter has a value for each run.
-        """
+        """The tire with its fitted values: see :func:`at_estimate`."""
         return at_estimate(self.tire, self.layout, self.z)
 
 

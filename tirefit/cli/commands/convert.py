@@ -109,7 +109,7 @@ def _refit(
     from tirefit.fitting.predict import predict
     from tirefit.fitting.problem.build import find_model
     from tirefit.fitting.problem.config import FitConfig, NoiseConfig
-    from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, row_moments
+    from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
     from tirefit.fitting.tir import check_gives, own_tire, remarks, tire_of
     from tirefit.models import AbstractTire
 
@@ -150,11 +150,8 @@ def _refit(
     cli.warn_of(remarks(tir, of_file, data, signs) if tir else (), file)
     result = fit_into(out, data, settings)
     cli.say("MISFIT")
-    problem = result.problem
-    residual = (
-        problem.used(problem.rows.observed[channel]) - row_moments(problem, result.z)[0][channel]
-    )
-    fitted_at = problem.used(problem.rows.inputs.fz)
+    residual = result.solved.residual(channel)
+    fitted_at = result.problem.used(result.problem.rows.inputs.fz)
     for load in np.unique(fitted_at):
         rmse = float(np.sqrt(np.mean(residual[fitted_at == load] ** 2)))
         cli.say(f"  F_z {load:g} N: RMSE {rmse:.4g} N, {rmse / load:.2%} of F_z")

@@ -23,10 +23,10 @@ from tirefit.diagnosis.rows.structure import rms, structures_of
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
+from tirefit.fitting.problem.noise import HUBER
 from tirefit.fitting.solve.inference import REACH
 from tirefit.fitting.solve.least_squares import MAX_STEPS, Normal, NormalEquations, advanced
 from tirefit.fitting.solve.multistart import starting_points
-from tirefit.fitting.verdict.across_files import HUBER
 from tirefit.models import TireInputs
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size

@@ -243,16 +243,13 @@ def guess_from_curve(stiffness: Kept, peak: Kept, load: Kept) -> dict[str, Kept]
     }
 
 
-def _check_size(data: TireData, layout: Layout, channels: Sequence[Channel], n_values: int) -> None:
-    unknowns = layout.size + sum(c.noise_estimated for c in channels)
-    if n_values <= unknowns:
-        raise DataError(
-            f"{n_values} measured values for {unknowns} unknowns"
-            f" ({', '.join(layout.labels)}"
-            + (" and the noise level)" if unknowns > layout.size else ")"),
-            "measure more points, or fix parameters in fit.toml",
-            data.file,
-        )
+def _check_size(data: TireData, problem: FitProblem) -> None:
+    values, unknowns = problem.n * len(problem.channels), problem.unknowns
+    if values <= unknowns:
+        noise = " and the noise level" if problem.noise_estimated else ""
+        reason = f"{values} measured values for {unknowns} unknowns"
+        reason += f" ({', '.join(problem.layout.labels)}{noise})"
+        raise DataError(reason, "measure more points, or fix parameters in fit.toml", data.file)
 
 
 def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> FitTask:
@@ -282,7 +279,6 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         scale[force] = _put(values, size)
         channels.append(Channel(force, estimated, slip_of[force]))
         notes.append(note)
-    _check_size(data, layout, channels, data.n * len(forces))
     slip_std = {}
     for slip in dict.fromkeys(slip_of.values()):
         std, note = _slip_scale(data, slip, config.noise)
@@ -311,6 +307,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         channels=tuple(channels),
         is_huber=config.noise.loss == "huber",
     )
+    _check_size(data, problem)
     time = data.usable("time") if "time" in data else None
     return FitTask(name, problem, guess, time, tuple(notes), data)
 

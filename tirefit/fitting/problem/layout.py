@@ -17,7 +17,7 @@ from tirefit.arrays import Numbers, Same, Scalar
 from tirefit.fitting.problem.config import FitConfig, ParameterConfig
 from tirefit.models import AbstractTire
 from tirefit.params import Spec, Values, constrain, log_jacobian, specs, unconstrain, with_values
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -194,6 +194,9 @@ def _narrow(
         if of not in free:
             reason = f"parameters.{name}: tied to {of!r}, which is not free"
             remedy = f"tie it to one of {', '.join(free)}" if free else "free a parameter"
+            if of not in bounded:
+                reason = f"parameters.{name}: tied to {of!r}: the model has no such parameter"
+                remedy = f"{did_you_mean(of, bounded)}it has {', '.join(bounded)}"
             problems.append(InputProblem(reason, remedy))
             continue
         tied, other = bounded[name], bounded[of]

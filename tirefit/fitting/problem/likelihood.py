@@ -25,16 +25,13 @@ from tirefit.arrays import Numbers
 from tirefit.compiled import BRIEF
 from tirefit.fitting.problem.latent_slip import SlipNodes, integrals, node_weights, unbent
 from tirefit.fitting.problem.layout import Layout
+from tirefit.fitting.problem.noise import HUBER
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import Values, with_values
 
 _BEYOND = 3.0
 """Force standard deviations above the peak from which a row misses the curve: one in 700 does
 by its noise. With less, one-sided misses raise the friction of sliding rows."""
-
-_HUBER = 1.345
-"""Standard deviations up to which Huber's loss is the square; it is linear beyond (95 %
-efficiency at normal noise)."""
 
 CHANNEL_SLIP = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 """Force channel -> the slip that drives it in pure slip."""
@@ -120,6 +117,11 @@ class FitProblem(eqx.Module):
     def noise_estimated(self) -> bool:
         """Whether the noise scale of any channel is estimated."""
         return any(channel.noise_estimated for channel in self.channels)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of free parameters and of noise levels that are estimated."""
+        return self.layout.size + sum(channel.noise_estimated for channel in self.channels)
 
     def block_of(self, channel: Channel) -> str:
         """The block of residuals that a channel is in: its own, or that of its slip if
@@ -292,8 +294,8 @@ def _blocks(problem: FitProblem, forces: Mapping[str, Array]) -> dict[str, Float
 
 def _huber(residual: Float[Array, " n"]) -> Float[Array, " n"]:
     """Signed root of Huber's loss."""
-    beyond = jnp.sqrt(2 * _HUBER * jnp.maximum(jnp.abs(residual), _HUBER) - _HUBER**2)
-    return jnp.where(jnp.abs(residual) <= _HUBER, residual, jnp.sign(residual) * beyond)
+    beyond = jnp.sqrt(2 * HUBER * jnp.maximum(jnp.abs(residual), HUBER) - HUBER**2)
+    return jnp.where(jnp.abs(residual) <= HUBER, residual, jnp.sign(residual) * beyond)
 
 
 def _moments(
@@ -347,14 +349,6 @@ def blocks_and_moments(
         for slip in problem.rows.nodes
     }
     return _blocks(problem, forces), *_moments(problem, forces), unlikely
-
-
-def row_moments(
-    problem: FitProblem, z: Float[Values, " p"]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """:func:`moments` of a problem's own rows, without padding."""
-    mean, variance = jax.tree.map(problem.used, moments(problem, z))
-    return mean, variance
 
 
 @partial(jax.jit, compiler_options=BRIEF)

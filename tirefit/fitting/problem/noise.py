@@ -116,8 +116,11 @@ def non_negative(normal: np.ndarray, aim: np.ndarray) -> np.ndarray:
 
 
 MAD = 1.4826  # standard deviation of a normal law over its median absolute deviation
+HUBER = 1.345
+"""Standard deviations up to which Huber's loss is the square; it is linear beyond (95 %
+efficiency at normal noise; Huber 1964)."""
 
-_CHANCE = 5e-5  # level of significance of a difference in noise
+CHANCE = 5e-5  # level of significance of a difference in noise, and of a trend in residuals
 
 _CLEAR = 3.1
 """Standard errors by which a design effect must exceed one (0.1 %, one-sided)."""
@@ -260,7 +263,7 @@ def noise_by_row(
     parts = [(squares / variance)[run == code] for code in np.unique(run)]
     rows_per_one = autocorrelation_time([part / part.mean() - 1 for part in parts])
     law: dict[str, Any] = {}
-    if gain > rows_per_one * chdtri(2, _CHANCE):
+    if gain > rows_per_one * chdtri(2, CHANCE):
         keys = "constant", "share_of_load", "share_of_force"
         law = dict(zip(keys, np.sqrt(shares).tolist(), strict=True))
         squares = squares / variance
@@ -268,7 +271,7 @@ def noise_by_row(
     by_run = np.bincount(run, squares, len(names)) / np.maximum(count, 1)
     by_run = np.where(count > 0, np.maximum(by_run, 1e-6), 1.0)
     apart = np.sum(count * (by_run - 1 - np.log(by_run)))
-    if apart > rows_per_one * chdtri(len(names) - 1, _CHANCE) > 0:
+    if apart > rows_per_one * chdtri(len(names) - 1, CHANCE) > 0:
         law["by_run"] = dict(zip(names, np.sqrt(by_run).tolist(), strict=True))
     return law
 

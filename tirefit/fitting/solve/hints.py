@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
-from tirefit.fitting.problem.noise import autocorrelation_time, effective_inflation
+from tirefit.fitting.problem.noise import CHANCE, autocorrelation_time, effective_inflation
 from tirefit.fitting.solve.inference import Linearised
 
 _COLUMNS = {
@@ -19,9 +19,9 @@ _COLUMNS = {
 
 _VARIES = 0.2  # smallest relative range (central 95 %) of a column that is tested
 
-_LEAST, _CHANCE = 0.1, 5e-5
+_LEAST = 0.1
 """A trend counts if it explains this share of the residuals' variance, and if its
-chi-square at the effective number of residuals has less than this probability."""
+chi-square at the effective number of residuals has less than :data:`CHANCE` of probability."""
 
 _ROWS = 4096  # largest number of rows, evenly taken: enough to find a share of 0.1
 
@@ -89,7 +89,7 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time: np.ndarray | No
             rest, rank = remainder(values, with_trends(k))
             gain, square = float(before @ before - rest @ rest), float(rest @ rest)
             effective = len(rest) / autocorrelation_time([rest])
-            limit = chdtri(rank - fewer, _CHANCE) * max(square, 1e-300)
+            limit = chdtri(rank - fewer, CHANCE) * max(square, 1e-300)
             explained[k] = gain if effective * gain > limit else 0.0
         best = max(left, key=lambda k: explained[k])
         if not explained[best] > _LEAST * whole:

@@ -54,7 +54,6 @@ class Minima(NamedTuple):
     cost: Float[Values, " m"]
     deviance: Float[Values, " m"]
     converged: Bool[Values, " m"]
-    steps: Int[Values, " m"]
 
 
 @partial(jax.jit, static_argnames=("solver",))
@@ -88,13 +87,11 @@ def _minima(
             upper=REACH,
         )
         z = held(end.z)
-        here = Minima(z, end.cost, deviance(problem, z), end.converged, end.steps)
+        here = Minima(z, end.cost, deviance(problem, z), end.converged)
         return jax.tree.map(lambda all, new: all.at[k].set(new), ends, here)
 
     m, nowhere = len(starts), jnp.full(len(starts), jnp.nan)
-    nothing = Minima(
-        jnp.full_like(starts, jnp.nan), nowhere, nowhere, jnp.zeros(m, bool), jnp.zeros(m, int)
-    )
+    nothing = Minima(jnp.full_like(starts, jnp.nan), nowhere, nowhere, jnp.zeros(m, bool))
     return jax.lax.fori_loop(0, count, search_one, nothing)
 
 
@@ -217,23 +214,33 @@ def covariance(
     deviance is then not a sum of squares.
     """
     if not problem.rows.nodes:
-        slopes = {name: np.asarray(slope) for name, slope in at.slopes.items()}
-        information = sum(s.T @ s / inflation(problem, name) for name, s in slopes.items())
-        return inverse_of(np.asarray(information))
-
-    def slope_at(z: np.ndarray) -> np.ndarray:
-        at = linearise(problem, z)
-        parts = [
-            np.asarray(at.slopes[name]).T @ np.asarray(values) / inflation(problem, name)
-            for name, values in at.values.items()
-        ]
-        return np.sum(parts, axis=0)
-
+        return inverse_of(slope_and_curvature(problem, at)[1])
     # A program for the exact curvature takes longer to compile than the whole fit.
-    z = np.asarray(z)
     steps = _STEP * np.eye(len(z))
-    rows = np.array([slope_at(z + step) - slope_at(z - step) for step in steps]) / (2 * _STEP)
+    up, down = (
+        np.array([slope_and_curvature(problem, linearise(problem, there))[0] for there in ends])
+        for ends in (z + steps, z - steps)
+    )
+    rows = (up - down) / (2 * _STEP)
     return inverse_of((rows + rows.T) / 2)
+
+
+def slope_and_curvature(
+    problem: FitProblem, at: Linearised, *, of_deviance: bool = False
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p p"]]:
+    """Half the slope (p,) of the sum of squares over the inflation, or of the deviance, and half
+    its curvature (p, p) from the slopes of the rows."""
+    size = problem.layout.size
+    slope, curvature = np.zeros(size), np.zeros((size, size))
+    for name, slopes in at.slopes.items():
+        values, slopes = np.asarray(at.values[name]), np.asarray(slopes)
+        rule = problem.rules.get(name, Rule())
+        weight = 1 / rule.inflation
+        if of_deviance and rule.smallest > 0:
+            weight = rule.effective / (values @ values)
+        slope += weight * (values @ slopes)
+        curvature += weight * (slopes.T @ slopes)
+    return slope, curvature
 
 
 def inverse_of(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
@@ -241,11 +248,6 @@ def inverse_of(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"
     its whole range."""
     values, vectors = np.linalg.eigh(information)
     return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
-
-
-def inflation(problem: FitProblem, block: str) -> Array | float:
-    """Inflation of a block of :class:`Linearised`; one for the priors."""
-    return problem.rules[block].inflation if block in problem.rules else 1.0
 
 
 def half_width_95(estimated: bool, dof: float) -> float:

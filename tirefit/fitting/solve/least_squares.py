@@ -1,9 +1,8 @@
 """Least squares: the solver of every fit, and solvers of other libraries in its place.
 
-The only importer of optimistix and jaxopt. :class:`NormalEquations` has the interface of
-optimistix: :func:`least_squares` runs it, or any other least-squares solver of that
-library, in a compiled program; :func:`on_host` runs it where NumPy code collects the
-normal equations of a large problem.
+The only importer of optimistix and jaxopt. :func:`least_squares` runs :class:`NormalEquations`, or
+a least-squares solver of these libraries, in a compiled program; :func:`on_host` runs it where
+NumPy code collects the normal equations of a large problem.
 """
 
 import warnings
@@ -16,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from tirefit.compiled import BRIEF
@@ -94,7 +92,6 @@ class _State(NamedTuple):
     stiffen: Any  # factor of the damping after the next refusal
     promised: Any  # decrease by the trial, if the residuals are linear
     done: Any
-    aux: Any
 
 
 def directions(elements: Int[Values, "n q"], size: int) -> Float[Array, "q size"]:
@@ -106,8 +103,8 @@ def directions(elements: Int[Values, "n q"], size: int) -> Float[Array, "q size"
 
 def _linearise(
     residual: Residual, z: Float[Array, " p"], elements: Int[Array, "n q"] | None = None
-) -> tuple[Normal, Array | None]:
-    """Normal equations, and the weights, from one pass of forward tangents."""
+) -> Normal:
+    """Normal equations, from one pass of forward tangents."""
     each = jnp.eye(z.size) if elements is None else directions(elements, z.size)
 
     def push(direction: Array) -> tuple[Array, Array, Array | None]:
@@ -118,12 +115,12 @@ def _linearise(
     values, rows = jax.lax.optimization_barrier((values, rows))
     weighted = rows if weights is None else rows * weights[None]
     if elements is None:
-        return Normal(values @ values, weighted @ weighted.T, rows @ values), weights
+        return Normal(values @ values, weighted @ weighted.T, rows @ values)
     pairs = weighted.T[:, :, None] * weighted.T[:, None, :]
     normal = jnp.zeros((z.size, z.size))
     normal = normal.at[elements[:, :, None], elements[:, None, :]].add(pairs)
     gradient = jnp.zeros(z.size).at[elements].add(rows.T * values[:, None])
-    return Normal(values @ values, normal, gradient), weights
+    return Normal(values @ values, normal, gradient)
 
 
 def _gain(move: Array, at: Normal) -> Array:
@@ -164,15 +161,14 @@ def _after_step(
     return limited(jnp.linalg.solve(system, beside))[0]
 
 
-class NormalEquations(optx.AbstractLeastSquaresSolver[Any, Any, Any, _State]):
-    """Levenberg's method (1944) on the normal equations of some parameters, for optimistix.
+class NormalEquations(eqx.Module):
+    """Levenberg's method (1944) on the normal equations of some parameters.
 
     optimistix's Levenberg-Marquardt factorises the Jacobian, and finds the same minimum. 512 fits
     of 400 rows side by side took 34 us against 282 us a fit for the brush, and 0.83 against 5.7 ms
     for the Magic Formula, in 5 to 6 steps against 14 to 15; it compiles in half of the time.
 
-    The function may return (residuals, weights), with ``has_aux=True``: see :data:`Residual`. A
-    trial is accepted only if its sum of squares is lower, so NaN is rejected. The start is the
+    A trial is accepted only if its sum of squares is lower, so NaN is rejected. The start is the
     first trial, so that the residuals are compiled only once.
 
     Attributes:
@@ -180,82 +176,18 @@ class NormalEquations(optx.AbstractLeastSquaresSolver[Any, Any, Any, _State]):
             less than this share of it, or this amount.
         first_damping: before the first trial; a large one stays near the start.
         scaling: the damping of each element (p,) from the diagonal of the normal matrix.
-
-    Options:
-        lower, upper: smallest and largest z (p,) of a trial.
-        elements: (n, q) elements of z that each residual depends on; all if missing.
-
-    Example:
-        >>> import optimistix as optx
-        >>> def rosenbrock(z, _):
-        ...     return jnp.stack([10 * (z[1] - z[0] ** 2), 1 - z[0]])
-        >>> end = optx.least_squares(rosenbrock, NormalEquations(), jnp.array([-1.2, 1.0]))
-        >>> end.value.round(6)
-        Array([1., 1.], dtype=float64)
     """
 
     rtol: float = TOLERANCE
     atol: float = TOLERANCE**2
     first_damping: float = FIRST_DAMPING
     scaling: Callable[[Array], Array] = eqx.field(default=at_least_a_share, static=True)
-    norm: Callable[[Any], Any] = eqx.field(
-        default=optx.max_norm, static=True
-    )  # of the interface, unused
 
-    def begin(self, z: Float[Values, " p"], aux: Any = None) -> _State:
+    def begin(self, z: Float[Values, " p"]) -> _State:
         """State before the first trial, which is z."""
         # The start has no predicted decrease, so its share is infinite.
         nothing = Normal(np.inf, np.eye(z.size), np.zeros(z.size), 0.0)
-        return _State(nothing, z, self.first_damping, STIFFEN, 1.0, False, aux)
-
-    def init(
-        self,
-        fn: Any,
-        y: Any,
-        args: Any,
-        options: dict[str, Any],
-        f_struct: Any,
-        aux_struct: Any,
-        tags: Any,
-    ) -> _State:
-        aux = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
-        return jax.tree.map(jnp.asarray, self.begin(ravel_pytree(y)[0], aux))
-
-    def step(
-        self, fn: Any, y: Any, args: Any, options: dict[str, Any], state: _State, tags: Any
-    ) -> tuple[Any, _State, Any]:
-        z, whole = ravel_pytree(y)
-
-        def residual(z: Array) -> tuple[Array, Array | None]:
-            values, weights = fn(whole(z), args)
-            return ravel_pytree(values)[0], weights
-
-        equations, aux = _linearise(residual, state.trial, options.get("elements"))
-        better = equations.cost < state.best.cost
-        aux = jax.tree.map(partial(jnp.where, better), aux, state.aux)
-        limits = options.get("lower"), options.get("upper")
-        z, state = self.advance(z, state._replace(aux=aux), equations, *limits)
-        return whole(z), state, aux
-
-    def terminate(
-        self, fn: Any, y: Any, args: Any, options: dict[str, Any], state: _State, tags: Any
-    ) -> tuple[Array, optx.RESULTS]:
-        failed = state.done & ~jnp.isfinite(state.best.cost)
-        results = optx.RESULTS
-        return state.done, results.where(failed, results.nonlinear_divergence, results.successful)
-
-    def postprocess(
-        self,
-        fn: Any,
-        y: Any,
-        aux: Any,
-        args: Any,
-        options: dict[str, Any],
-        state: _State,
-        tags: Any,
-        result: optx.RESULTS,
-    ) -> tuple[Any, Any, dict[str, Any]]:
-        return y, aux, {}
+        return _State(nothing, z, self.first_damping, STIFFEN, 1.0, False)
 
     def advance(
         self,
@@ -282,9 +214,8 @@ class NormalEquations(optx.AbstractLeastSquaresSolver[Any, Any, Any, _State]):
         settled = jnp.abs(_gain(whole - z, best)) <= self.rtol * best.cost + self.atol
         trial = _after_step(z, best, damping * size, limits, LONGEST_STEP)
         promised = _gain(trial - z, best)
-        return z, _State(
-            best, trial, damping, stiffen, promised, settled | (damping > STUCK), state.aux
-        )
+        done = settled | (damping > STUCK)
+        return z, _State(best, trial, damping, stiffen, promised, done)
 
 
 _advance = jax.jit(NormalEquations.advance, compiler_options=BRIEF)
@@ -351,7 +282,7 @@ def _jaxopt(residual: Callable[[Array], Array], start: Array) -> tuple[Array, Ar
     return z, state.iter_num < MAX_STEPS, state.iter_num
 
 
-Solver = optx.AbstractLeastSquaresSolver[PyTree, PyTree, PyTree, PyTree] | str
+Solver = NormalEquations | optx.AbstractLeastSquaresSolver[PyTree, PyTree, PyTree, PyTree] | str
 SOLVERS: dict[str, Solver] = {
     "gauss-newton": NormalEquations(),
     "optimistix": optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
@@ -382,35 +313,45 @@ def least_squares(
     start: Float[Array, " p"],
     solver: Solver = "gauss-newton",
     max_steps: int = MAX_STEPS,
-    **options: Any,
+    *,
+    elements: Int[Array, "n q"] | None = None,
+    lower: Values | float | None = None,
+    upper: Values | float | None = None,
 ) -> Solution:
     """Least squares from a start, by any solver; can be compiled and vmapped.
 
     Args:
-        residual: residuals and scoring weights.
+        residual: residuals and scoring weights, which only :class:`NormalEquations` uses: the
+            other solvers get no rows with noisy slips.
         start: first z.
-        solver: a name of :data:`SOLVERS`, or a least-squares solver of optimistix.
+        solver: a name of :data:`SOLVERS`, or a solver.
         max_steps: largest number of trials, including the start.
-        options: of :class:`NormalEquations`.
+        elements: of z that each residual depends on; all if None. For :class:`NormalEquations`.
+        lower, upper: smallest and largest z (p,) of a trial of :class:`NormalEquations`.
     """
     chosen: Any = SOLVERS[solver] if isinstance(solver, str) else solver
-    is_normal = isinstance(chosen, NormalEquations)
-    # The solvers of other libraries get no rows with noisy slips, whose weights they lack.
-    function: Any = residual if is_normal else lambda z: residual(z)[0]
+    if isinstance(chosen, NormalEquations):
+
+        def step(carry: tuple[Array, _State, Array]) -> tuple[Array, _State, Array]:
+            z, state, steps = carry
+            equations = _linearise(residual, state.trial, elements)
+            return *chosen.advance(z, state, equations, lower, upper), steps + 1
+
+        first = jax.tree.map(jnp.asarray, (start, chosen.begin(start), 0))
+        z, state, steps = jax.lax.while_loop(
+            lambda carry: ~carry[1].done & (carry[2] < max_steps), step, first
+        )
+        converged = state.done & jnp.isfinite(state.best.cost)
+        return Solution(z, state.best.cost, converged, steps, state.best.normal)
+
+    def values(z: Array, _: None = None) -> Array:
+        return residual(z)[0]
+
     if isinstance(chosen, str):
-        z, converged, steps = _jaxopt(function, start)
+        z, converged, steps = _jaxopt(values, start)
     else:
-        settings: Any = {
-            "options": options,
-            "has_aux": is_normal,
-            "max_steps": max_steps,
-            "throw": False,
-        }
-        end: Any = optx.least_squares(lambda z, _: function(z), chosen, start, **settings)
-        converged = jnp.asarray(end.result == optx.RESULTS.successful)
+        end = optx.least_squares(values, chosen, start, max_steps=max_steps, throw=False)
+        converged = end.result == optx.RESULTS.successful
         z, steps = end.value, end.stats["num_steps"]
-        if is_normal:
-            return Solution(z, end.state.best.cost, converged, steps, end.state.best.normal)
-    values, _ = residual(z)
-    cost = values @ values
-    return Solution(z, cost, converged & jnp.isfinite(cost), steps)
+    cost = jnp.sum(values(z) ** 2)
+    return Solution(z, cost, jnp.asarray(converged) & jnp.isfinite(cost), steps)

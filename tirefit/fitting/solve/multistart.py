@@ -35,9 +35,9 @@ from tirefit.fitting.solve.inference import (
     best_of,
     covariance,
     deviance_at,
-    inflation,
     linearise,
     minima,
+    slope_and_curvature,
     threshold,
 )
 from tirefit.fitting.solve.least_squares import Solver
@@ -82,6 +82,10 @@ class Solved(NamedTuple):
     chi2_dof: float | None
     n_effective: float
     misfit: Misfit = Misfit()
+
+    def residual(self, channel: str) -> np.ndarray:
+        """Measured less fitted force of the used rows, (n,)."""
+        return self.problem.used(self.problem.rows.observed[channel]) - self.at.mean[channel]
 
 
 def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
@@ -353,8 +357,8 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
         # At a bound the bijection goes to infinity and no solver stops, although the other
         # parameters have converged: one more step would gain nothing in them.
         free = np.abs(z) < 0.6 * REACH
-        parts = [at.slopes[k].T @ v / inflation(problem, k) for k, v in at.values.items()]
-        gradient, information = np.sum(parts, axis=0)[free], np.linalg.inv(cov)[np.ix_(free, free)]
+        gradient = slope_and_curvature(problem, at)[0][free]
+        information = np.linalg.inv(cov)[np.ix_(free, free)]
         converged = bool(gradient @ np.linalg.solve(information, gradient) < _SETTLED)
     converged = converged and bool(np.all(np.isfinite(z)))
     # With exact data, starts that agree to the solver's tolerance found one minimum.

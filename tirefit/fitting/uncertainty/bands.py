@@ -1,5 +1,6 @@
 """The fitted curve at any inputs, with 95 % bands of the curve and of a measurement."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -27,12 +28,14 @@ class Band(NamedTuple):
     noise_high: np.ndarray
 
 
-def _elsewhere(problem: FitProblem, inputs: TireInputs, run: Values) -> list[FitProblem]:
-    """The problem at other inputs (m,), with exact slip, in blocks of as many rows as it
-    has, so that a figure uses the programs that the fit has compiled, unless many rows
-    would take longer than compiling.
+def _force_at(
+    problem: FitProblem, channel: str, inputs: TireInputs, run: Values
+) -> Callable[[np.ndarray], np.ndarray]:
+    """z (p,) -> one force at other inputs (m,), with exact slip.
 
-    For a transient tire they are one series.
+    It is evaluated in blocks of as many rows as the problem has, so that a figure uses the programs
+    that the fit has compiled, unless many rows would take longer than compiling. For a transient
+    tire they are one series.
     """
     room, count = len(problem.rows.weight), len(run)
     room = min(room, padded_size(count, _ROOM))
@@ -46,11 +49,8 @@ def _elsewhere(problem: FitProblem, inputs: TireInputs, run: Values) -> list[Fit
         )
         return problem.with_rows(**rows._replace(inputs=there, run=of_run)._asdict())
 
-    return [block(first) for first in range(0, count, room)]
-
-
-def _force_at(blocks: list[FitProblem], channel: str, z: np.ndarray, count: int) -> np.ndarray:
-    return np.concatenate([moments(block, z)[0][channel] for block in blocks])[:count]
+    blocks = [block(first) for first in range(0, count, room)]
+    return lambda z: np.concatenate([moments(each, z)[0][channel] for each in blocks])[:count]
 
 
 def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run: Values) -> np.ndarray:
@@ -60,7 +60,7 @@ def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run: Value
         channel: a fitted force.
         inputs: (m,) each; ``run`` (m,): the run of each.
     """
-    return _force_at(_elsewhere(result.problem, inputs, run), channel, result.z, len(run))
+    return _force_at(result.problem, channel, inputs, run)(result.z)
 
 
 def force_band(
@@ -76,12 +76,8 @@ def force_band(
         noise: (m,) standard deviation of a measured force, without slip noise.
     """
     problem, std, layout = result.problem, noise, result.problem.layout
-    blocks = _elsewhere(problem, inputs, run)
+    at = _force_at(problem, channel, inputs, run)
     quantile = half_width_95(problem.noise_estimated, result.statistics.dof)
-
-    def at(z: np.ndarray) -> np.ndarray:
-        return _force_at(blocks, channel, z, len(run))
-
     force = at(result.z)
     if result.chains is not None:
         flat = np.asarray(result.chains).reshape(-1, layout.size)

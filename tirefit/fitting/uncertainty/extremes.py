@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tirefit.fitting.solve.inference import REACH, deviance_at, inflation, linearise
+from tirefit.fitting.solve.inference import REACH, deviance_at, linearise, slope_and_curvature
 from tirefit.fitting.solve.least_squares import Normal, NormalEquations, on_host
 from tirefit.fitting.solve.multistart import Solved
 
@@ -14,17 +14,9 @@ Quantity = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 def _bowl(solved: Solved, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Deviance at z, half its slope (p,), and half its curvature (p, p)."""
-    problem = solved.problem
-    at = linearise(problem, z)
-    slope, curvature = np.zeros(len(z)), np.zeros((len(z), len(z)))
-    for name, slopes in at.slopes.items():
-        values, slopes = np.asarray(at.values[name]), np.asarray(slopes)
-        weight = 1 / inflation(problem, name)
-        if name in problem.rules and problem.rules[name].smallest > 0:
-            weight = problem.rules[name].effective / (values @ values)
-        slope += weight * (values @ slopes)
-        curvature += weight * (slopes.T @ slopes)
-    return deviance_at(problem, at), slope, curvature
+    at = linearise(solved.problem, z)
+    slopes = slope_and_curvature(solved.problem, at, of_deviance=True)
+    return deviance_at(solved.problem, at), *slopes
 
 
 _SEARCHES = 42

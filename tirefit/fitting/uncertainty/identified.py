@@ -10,24 +10,18 @@ from tirefit.params import Spec, constrain, log_jacobian
 
 
 def limited(spec: Spec, low: float, high: float) -> bool:
-    """Whether an interval within the bounds identifies the parameter."""
-    return not not_identified(spec, low, high, low <= spec.lower, high >= spec.upper)
+    """Whether an interval, which ends at a bound where it is open, limits the parameter.
 
-
-def not_identified(spec: Spec, low: float, high: float, open_low: bool, open_high: bool) -> bool:
-    """Whether an interval does not really limit the parameter.
-
-    That is the case if it is open on both sides; or open on one side and wider than half
+    It does not if it is open on both sides; or open on one side and wider than half
     of the allowed range; or wider than 0.8 of the range; or, for a positive quantity, if
     its ends differ by a factor of ten (three for a friction coefficient).
     """
+    open_ends = int(low <= spec.lower) + int(high >= spec.upper)
     if spec.scale == "log":
-        return open_low or open_high or high / low > 10
-    share = (high - low) / (spec.upper - spec.lower)
-    open_ends = open_low + open_high
+        return open_ends == 0 and high / low <= 10
     if spec.lower > 0 and high / low > 3:
-        return True
-    return open_ends == 2 or (open_ends == 1 and share > 0.5) or share > 0.8
+        return False
+    return open_ends < 2 and (high - low) / (spec.upper - spec.lower) <= (0.8, 0.5)[open_ends]
 
 
 def profile_estimates(
@@ -48,9 +42,10 @@ def profile_estimates(
         profile = profiles[i]
         low = spec.lower if profile.open_low else float(constrain(profile.low, spec))
         high = spec.upper if profile.open_high else float(constrain(profile.high, spec))
-        free = not_identified(spec, low, high, profile.open_low, profile.open_high)
-        known = not free and not at_bound(spec, value)
-        estimates[label] = Estimate(value, std if known else None, spec.unit, (low, high), not free)
+        is_limited = limited(spec, low, high)
+        known = is_limited and not at_bound(spec, value)
+        ends = low, high
+        estimates[label] = Estimate(value, std if known else None, spec.unit, ends, is_limited)
         by_covariance[label] = (value - quantile * std, value + quantile * std)
     return estimates, by_covariance
 
@@ -61,6 +56,14 @@ def at_bound(spec: Spec, value: float) -> bool:
         return not spec.lower * 1.01 < value < spec.upper / 1.01
     margin = 1e-3 * (spec.upper - spec.lower)
     return not spec.lower + margin < value < spec.upper - margin
+
+
+def labels_at_bound(solved: Solved) -> tuple[str, ...]:
+    """Labels of the elements of z whose estimates lie at a bound."""
+    elements = enumerate(solved.problem.layout.elements)
+    return tuple(
+        k for i, (k, p) in elements if at_bound(p.spec, float(constrain(solved.z[i], p.spec)))
+    )
 
 
 def minus_two_log_likelihood(solved: Solved) -> float:

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtri, stdtrit
 
-HUBER = 1.345
-"""Standard deviations beyond which a file gets a lower weight (95 % efficient; Huber 1964)."""
+from tirefit.fitting.problem.noise import HUBER
 
 _MEDIAN = float(ndtri(0.75))
 

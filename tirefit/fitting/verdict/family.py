@@ -1,4 +1,4 @@
-"""The peak over a family of models, where it rests on the shape of one of them.
+"""Other models on the rows of a fit: the peak over a family of them, and what to try.
 
 Below the peak the rows do not determine the peak: the shape of the model does. The same
 rows are then fitted with models of other shapes, and the result is the range of the peak
@@ -7,6 +7,9 @@ treated likewise if the peak of such a model lies outside of the interval of the
 
 ``docs/how-it-works/uncertainty.md`` states how often the true peak lies in the interval of
 a fit that is ok, and in the range of the others (``make statistics``).
+
+Models with an effect that the residuals show are tried too (:func:`tried`). One is advised only if
+it was fitted to these rows, stops at no bound, and lowers AICc clearly.
 """
 
 import re
@@ -17,11 +20,12 @@ from scipy.special import chdtrc
 
 from tirefit.fitting.problem.build import FitTask, build
 from tirefit.fitting.problem.config import FitConfig
-from tirefit.fitting.result import Estimate, PeakRange
+from tirefit.fitting.result import Estimate, FitResult, PeakRange, Trial, information
 from tirefit.fitting.solve.hints import remainder
 from tirefit.fitting.solve.multistart import Solved, solve_problem
 from tirefit.fitting.uncertainty.derived import derived_from_profile, quantity_of
-from tirefit.fitting.uncertainty.identified import minus_two_log_likelihood
+from tirefit.fitting.uncertainty.identified import labels_at_bound, minus_two_log_likelihood
+from tirefit.fitting.verdict.judge import exactness, models_with
 from tirefit.models import MODELS, modelled
 from tirefit.params import specs
 from tirefit.results import DataError, UsageError
@@ -39,6 +43,10 @@ _IN_DOUBT = 0.3
 fitted to rows that reach the peak. It finds 95 of 96 sets of the wrong model in which
 another is significantly better (0.1: 92); of 100 sets that follow the model, other shapes
 are fitted to 30, which takes 0.3 s of processor."""
+
+_CLEAR = 6.0
+"""Least decrease of AICc at which a model is advised: odds of 20 to 1 for it, exp(6 / 2), if the
+rows are as independent as they are counted."""
 
 _BRUSH = re.compile(r"(brush(?:-load|-anisotropic)?)(?:-(d?)([mnhs]*))?")
 """Name of a brush: family, pressure, friction."""
@@ -201,3 +209,33 @@ def probabilities(models: Mapping[str, Solved]) -> dict[str, float]:
         return float(chdtrc(extra, max(independent * (fits[name] - fits[best]), 0.0)))
 
     return {name: chance(name) for name in fits}
+
+
+def tried(result: FitResult, task: FitTask, config: FitConfig) -> tuple[Trial, ...]:
+    """Trials of the models that depend on a column which the residuals follow."""
+    trials = []
+    columns = () if exactness(result) else result.solved.misfit.columns
+    pairs = [(c.column, name) for c in columns for name in models_with(task.name, c.column)]
+    for column, name in pairs:
+        other = solved_as(name, task, config) if name in MODELS else None
+        if other is None:
+            continue
+        before, after = _criteria(result.solved, other)
+        against = "" if before - after >= _CLEAR else "its AICc is no lower"
+        if 0 < before - after < _CLEAR:
+            against = f"it lowers AICc by only {before - after:.3g}, too little to tell"
+        if stops := labels_at_bound(other):
+            against = f"{stops[0]} stops at its bound"
+        trials.append(Trial(column, name, against, (before, after)))
+    return tuple(trials)
+
+
+def _criteria(*models: Solved) -> tuple[float, ...]:
+    """AICc of each model, at the number of independent rows of the most likely one."""
+    fits = [minus_two_log_likelihood(model) for model in models]
+    effective = models[int(np.argmin(fits))].n_effective
+    rows = models[0].problem.n * len(models[0].problem.channels)
+    unknowns = [model.problem.unknowns for model in models]
+    return tuple(
+        information(fit, rows, effective, k)[0] for fit, k in zip(fits, unknowns, strict=True)
+    )

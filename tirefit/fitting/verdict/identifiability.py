@@ -24,7 +24,7 @@ from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.problem.noise import autocorrelation_time
 from tirefit.fitting.solve.inference import inverse_of, linearise
 from tirefit.fitting.solve.least_squares import Normal, on_host
-from tirefit.fitting.uncertainty.identified import not_identified
+from tirefit.fitting.uncertainty.identified import limited
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
@@ -274,7 +274,7 @@ def _grade(spec: Spec, value: float, std: float) -> str:
         low, high = value / times, value * times
     else:
         low, high = max(value - half, spec.lower), min(value + half, spec.upper)
-    if not_identified(spec, low, high, False, False):
+    if not limited(spec, low, high):
         return NOT
     size = value if _is_size(spec) else max(abs(value), (spec.upper - spec.lower) / 4)
     return WELL if half <= _WELL * size else ROUGHLY

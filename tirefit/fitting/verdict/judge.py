@@ -66,7 +66,7 @@ def _unexplained(result: FitResult) -> list[tuple[Outcome | None, str]]:
 def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """A sentence for each force whose residuals contradict its stated noise, by chi-square at
     the effective number of rows. The noise stays as stated."""
-    chi2, at, problem = result.statistics.chi2_dof, result.solved.at, result.solved.problem
+    chi2 = result.statistics.chi2_dof
     if chi2 is not None and chi2 > _POOR_CHI2:
         text = (
             f"the model does not describe these data: chi2/dof = {chi2:.3g}, the"
@@ -75,9 +75,9 @@ def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
         )
         return [(Outcome.POOR_FIT, text)]
     sentences: list[tuple[Outcome | None, str]] = []
-    for channel in problem.channels:
-        observed = problem.used(problem.rows.observed[channel.name])
-        square = np.mean((observed - at.mean[channel.name]) ** 2 / at.variance[channel.name])
+    for channel in result.problem.channels:
+        residual = result.solved.residual(channel.name)
+        square = np.mean(residual**2 / result.solved.at.variance[channel.name])
         size, dof = float(np.sqrt(square)), max(result.statistics.dof, 1.0)
         chance = min(chdtr(dof, size**2 * dof), chdtrc(dof, size**2 * dof))
         if channel.noise_estimated or chance > _CHANCE:
@@ -100,11 +100,11 @@ def _stated_noise(result: FitResult) -> list[tuple[Outcome | None, str]]:
 
 def exactness(result: FitResult) -> str:
     """A sentence on the intervals of exact data; empty for measured data."""
-    problem, shares = result.solved.problem, []
-    for name, mean in result.solved.at.mean.items():
-        observed = problem.used(problem.rows.observed[name])
-        rmse = float(np.sqrt(np.mean((observed - mean) ** 2)))
-        shares.append(rmse / max(float(np.ptp(observed)), 1e-300))
+    solved, shares = result.solved, []
+    for name, mean in solved.at.mean.items():
+        residual = solved.residual(name)
+        spread = max(float(np.ptp(mean + residual)), 1e-300)
+        shares.append(float(np.sqrt(np.mean(residual**2))) / spread)
     misfit = max(shares)
     if misfit >= _EXACT:
         return ""

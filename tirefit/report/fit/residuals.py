@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.rig.levels import cells, levels
-from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, row_moments
+from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
 from tirefit.report.canvas import BLUE, DARK, ORANGE, Panel, dots, drawn, tidy
 from tirefit.report.fit.curves import slip_axis
@@ -37,10 +37,7 @@ class Means(NamedTuple):
 
 def standardised(result: FitResult, channel: str) -> np.ndarray:
     """(observed - fitted) / standard deviation of a measurement, (n,)."""
-    problem = result.problem
-    mean, variance = row_moments(problem, result.z)
-    observed = problem.used(problem.rows.observed[channel])
-    return (observed - mean[channel]) / np.sqrt(variance[channel])
+    return result.solved.residual(channel) / np.sqrt(result.solved.at.variance[channel])
 
 
 def means_over(x: np.ndarray, residual: np.ndarray, inflation: float) -> Means:

@@ -9,7 +9,6 @@ import numpy as np
 
 from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
 from tirefit.data.table import CANONICAL, FORCES
-from tirefit.fitting.problem.likelihood import row_moments
 from tirefit.fitting.result import Estimate, FitResult
 from tirefit.fitting.uncertainty.derived import derived_channel, quantities, quantity_of
 from tirefit.report.numbers import format_estimate, format_interval, format_number
@@ -185,9 +184,7 @@ def run_rows(result: FitResult) -> Rows:
     rows = [["run", "rows", f"RMSE [{FORCE_UNIT[name]}]", "bias"]]
     if len(result.data["runs"]) < 2:
         return rows
-    mean, _ = row_moments(problem, result.z)
-    residual = problem.used(problem.rows.observed[name]) - mean[name]
-    run = problem.used(problem.rows.run)
+    residual, run = result.solved.residual(name), problem.used(problem.rows.run)
     for code in np.unique(run):
         part, label = residual[run == code], short_run(result, str(problem.layout.runs[code]))
         rms = format_number(float(np.sqrt(np.mean(part**2))), 3)
