@@ -6,6 +6,7 @@ import pytest
 
 import tirefit
 from tirefit.data.accept import as_data
+from tirefit.data.table import TireData
 from tirefit.results import DataError, InputProblem, UsageError, in_python
 
 SLIP = np.linspace(0.002, 0.12, 40)
@@ -41,9 +42,9 @@ def given(request, tmp_path):
 
 
 def test_the_same_data_are_accepted_in_every_form(given):
-    data = as_data(given)
-    for name, values in COLUMNS.items():
-        np.testing.assert_array_equal(data[name], values)
+    for data in [as_data(given)] + [tirefit.read(given)] * (not isinstance(given, TireData)):
+        for name, values in COLUMNS.items():
+            np.testing.assert_array_equal(data[name], values)
 
 
 def test_only_needed_columns_are_required():
@@ -56,8 +57,9 @@ def test_only_needed_columns_are_required():
 
 
 def test_anything_else_is_refused():
-    with pytest.raises(UsageError, match="data of type bytes: give what"):
-        tirefit.fit(b"rig.csv")
+    for accepts in (tirefit.fit, tirefit.read):
+        with pytest.raises(UsageError, match="data of type bytes: give what"):
+            accepts(b"rig.csv")
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,21 @@ def test_a_convention_in_the_file_overrides_that_of_a_model(tmp_path, line, conv
     assert any("stated in line 1, not as" in note for note in data.source.notes)
 
 
+def test_a_convention_below_the_header_counts_and_an_unknown_one_is_reported(tmp_path):
+    text = written(tmp_path / "a.csv", in_signs(canonical(), "sae"), "").read_text().lstrip()
+    header, rows = text.split("\n", 1)
+    for line in ("# convention sae", "# convention xyz"):
+        path = tmp_path / "below.csv"
+        path.write_text(f"{header}\n{line}\n{rows}")
+        if line.endswith("sae"):
+            data = read(path)
+            same(data, canonical())
+            assert any("stated in line 2" in note for note in data.source.notes)
+        else:
+            said = read(path, convention="sae").source.warnings
+            assert any("line 2 states the convention 'xyz'" in text for text in said)
+
+
 def test_a_convention_of_a_model_overrides_the_default_and_is_reported(tmp_path):
     path = written(tmp_path / "a.csv", in_signs(longitudinal(), "iso-w"))
     data = read(path, otherwise=MODEL)

@@ -225,6 +225,23 @@ def test_inactive_slow_and_faulty_samples_are_counted_separately(tmp_path):
         assert reason in log.summary()
 
 
+@pytest.mark.parametrize(("name", "value"), [("x", 3.0), ("y", 0.0)])
+def test_a_position_that_never_changes_is_refused(tmp_path, name, value):
+    columns = pose_log()
+    columns[name] = np.full_like(columns[name], value)
+    with pytest.raises(DataError, match=f"{name} is the same in all rows") as caught:
+        derive(write_log(tmp_path / "a.csv", columns), pose_vehicle(tmp_path))
+    (problem,) = caught.value.problems
+    assert problem.column == name and "[columns] of vehicle.toml" in problem.remedy
+
+
+def test_a_unit_without_a_column_is_reported(tmp_path):
+    path = write_log(tmp_path / "a.csv", pose_log())
+    settings = vehicle(tmp_path, CAR + POSE + KEEP + '[units]\nx = "m"\na_y = "g"\n')
+    (said,) = derive(path, settings).warnings
+    assert said.startswith("a_y = 'g' of [units] or --unit is not used: the log has no column of")
+
+
 def test_a_log_with_few_usable_samples_is_doubted(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log())
     every = derive(path, vehicle(tmp_path, CAR + POSE))
@@ -291,7 +308,7 @@ def test_every_contradiction_in_a_vehicle_file_is_reported_with_its_remedy(tmp_p
     assert sorted(said) == [
         "[steering]",
         "mass_rear",
-        "units.roll:",
+        "units.roll",
         "units.v_x",
         "wheelbase",
         "yaw_offset",

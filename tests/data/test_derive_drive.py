@@ -182,8 +182,7 @@ def test_the_scatter_of_logs_counts_in_their_mean():
 
 
 def _pair(channel, delay, std):
-    pair = SimpleNamespace(channel=channel, exact=False)
-    return SimpleNamespace(pair=pair, delay=delay, delay_std=std)
+    return SimpleNamespace(channel=channel, is_exact=False, delay=delay, delay_std=std)
 
 
 def test_the_steering_rate_is_computed_at_the_full_sample_rate(tmp_path):

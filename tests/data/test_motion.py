@@ -268,7 +268,7 @@ def test_the_filter_has_settled_after_the_stated_time(tmp_path, order):
     """The response to a step of the yaw rate at time 0, away from the edges."""
     settings = pose_vehicle(tmp_path, after=f"[filter]\norder = {order}\n")
     time = np.arange(-10, 10, 0.01)
-    columns = {"t": time, "x": 2 * time, "y": 0 * time, "psi": np.maximum(time, 0)}
+    columns = {"t": time, "x": 2 * time, "y": 1e-9 * time, "psi": np.maximum(time, 0)}
     log = derive(write_log(tmp_path / "a.csv", columns), settings)
     after = log.columns["time"] - 10
     error = np.abs(log.columns["yaw_rate"] - (after > 0))

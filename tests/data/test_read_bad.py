@@ -322,9 +322,9 @@ def test_bad_data_are_refused_with_place_reason_and_remedy(tmp_path, content, op
     [
         ({"convention": "iso"}, ["'iso'", "mean 'iso-w'", "valid: braking, iso-w"]),
         ({"slip": "kapa"}, ["--slip", "mean 'kappa'"]),
-        ({"columns": {"fxx": "a"}}, ["--column", "mean 'fx'"]),
-        ({"units": {"forze": "N"}}, ["--unit", "'forze'", "valid:"]),
-        ({"constants": {"kapa": 1.0}}, ["--constant", "'kapa'"]),
+        ({"columns": {"fxx": "a"}}, ["--column or [data.columns]", "mean 'fx'"]),
+        ({"units": {"forze": "N"}}, ["--unit or [data.units]", "'forze'", "valid:"]),
+        ({"constants": {"kapa": 1.0}}, ["--constant or [data.constants]", "'kapa'"]),
         ({"constants": {"fz": -1.0}}, ["--constant fz=-1 is not a positive number"]),
         ({"constants": {"gamma": float("nan")}}, ["gamma=nan is not a finite number"]),
         ({"rolling_radius": -0.3}, ["--rolling-radius -0.3"]),

@@ -100,8 +100,14 @@ def test_units_of_the_command_line_override_those_of_the_file(tmp_path):
     text = CAR + RATES + KEEP + '[units]\nv_x = "mph"\na_y = "g"\n'
     vehicle = loaded(tmp_path, text, {"v_x": "km/h"})
     assert vehicle.units == {"v_x": "km/h", "a_y": "g"}
-    with pytest.raises(UsageError, match=r"units.v_x = 'furlong' is not one of m/s"):
-        loaded(tmp_path, text, {"v_x": "furlong"})
+    for units, said in (
+        ({"v_x": "N"}, "--unit v_x=N is not one of m/s, km/h"),
+        ({"v_z": "km/h"}, "--unit v_z=km/h, but v_z is not one of time, x, y"),
+    ):
+        with pytest.raises(UsageError) as caught:
+            loaded(tmp_path, text, units)
+        (problem,) = caught.value.problems
+        assert problem.reason.startswith(said) and not problem.file
     with pytest.raises(UsageError, match="units = "):
         loaded(tmp_path, "units = 3\n" + CAR + RATES, {"v_x": "km/h"})
 
@@ -143,7 +149,7 @@ def test_a_measured_a_x_is_used_and_filtered(tmp_path):
     result = derive(write_log(tmp_path / "a.csv", log), loaded(tmp_path, text))
     right = truth(result.columns["time"] + time[0]).a_x
     np.testing.assert_allclose(result.columns["a_x"], right, atol=0.02)
-    found = [a.as_dict() for a in result.compared.pairs if a.pair.channel == "a_x"]
+    found = [a.as_dict() for a in result.compared.pairs if a.channel == "a_x"]
     assert found[0]["gains"][0]["value"] == pytest.approx(1, abs=0.05)
 
 

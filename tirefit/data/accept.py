@@ -1,12 +1,10 @@
 """Accept data in any form: a result of ``tirefit.read``, a file, a frame or arrays."""
 
 import os
-from collections.abc import Mapping
 from typing import Any
 
 from tirefit.data.read import Columns, read, read_frame
 from tirefit.data.table import TireData
-from tirefit.results import UsageError
 
 DataLike = TireData | Columns | str | os.PathLike[str]
 """What every function takes as data: read, columns by name, or a path."""
@@ -31,12 +29,4 @@ def as_data(data: DataLike, name: str = "data", **how: Any) -> TireData:
     if isinstance(data, str | os.PathLike):
         return read(data, **how)
     how.pop("otherwise", None)
-    fields = getattr(getattr(data, "dtype", None), "names", None)
-    # A lazy frame of polars warns if its columns are read.
-    is_frame = fields or hasattr(data, "collect_schema") or hasattr(data, "columns")
-    if isinstance(data, Mapping) or is_frame:
-        return read_frame(data, name, **how)
-    raise UsageError(
-        f"data of type {type(data).__name__}: give what `tirefit.read` returns, a path,"
-        " a frame, or a mapping of column to array"
-    )
+    return read_frame(data, name, **how)

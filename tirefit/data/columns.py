@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from tirefit.data.declared import Options
+from tirefit.data.declared import DECLARED_BY, Options
 from tirefit.data.table import CANONICAL, FORCES, SIMULATED, WHEELS, Layout
 from tirefit.data.units import (
     MEANING_OF_SLIP,
@@ -65,13 +65,6 @@ _SIM_WORDS = {"sim", "simulated"}
 _BRACKETED = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _SEPARATORS = r"[\s_/,:.\-]+"
-
-_DECLARED_BY = {
-    "columns": "--column or [data.columns]",
-    "units": "--unit or [data.units]",
-    "slip": "--slip or [data] slip",
-}
-
 
 _LONGEST = 200  # characters of the longest header; a longer text is a line that was not split
 
@@ -244,7 +237,7 @@ def _declared(headers: Sequence[str], options: Options, plan: Plan) -> dict[str,
         elif _is_predicted(name, options):
             plan.assumptions.append(f"column {header!r} ({name}) is not there")
         else:
-            how = f"declared as {name} by {_DECLARED_BY['columns']}"
+            how = f"declared as {name} by {DECLARED_BY['columns']}"
             there = f"columns found: {', '.join(map(repr, headers))}"
             remedy = did_you_mean(wanted, headers) + there
             plan.problem(f"the file has no such column ({how})", remedy, header)
@@ -348,7 +341,7 @@ def _check_all_used(options: Options, plan: Plan) -> None:
         units = {n: unit for n, unit in options.units.items() if _group(n) == group}
         if len(set(units.values())) > 1:
             listed = ", ".join(f"{name}={unit}" for name, unit in units.items())
-            reason = f"two units of the slip column ({_DECLARED_BY['units']}): {listed}"
+            reason = f"two units of the slip column ({DECLARED_BY['units']}): {listed}"
             plan.problem(reason, "declare one of them")
     declared = [("units", name) for name in options.units]
     declared += [("slip", options.slip)] if options.slip else []
@@ -359,5 +352,5 @@ def _check_all_used(options: Options, plan: Plan) -> None:
             column = _with_unit(Column(name, name, -1, options.units[name]), plan)
             plan.units_to_write |= {name: column.unit_text} if column.unit else {}
         else:
-            reason = f"declared by {_DECLARED_BY[option]} for {name}, which the file does not have"
+            reason = f"declared by {DECLARED_BY[option]} for {name}, which the file does not have"
             plan.problem(reason, f"remove it, or name the column with --column {name}=HEADER", name)

@@ -37,6 +37,15 @@ def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple[An
     return layout, tuple(doubts)
 
 
+DECLARED_BY = {
+    "columns": "--column or [data.columns]",
+    "units": "--unit or [data.units]",
+    "constants": "--constant or [data.constants]",
+    "slip": "--slip or [data] slip",
+}
+"""Option of :func:`tirefit.data.read.read` -> where users declare it."""
+
+
 class Signs(NamedTuple):
     """The sign convention in which a file is read."""
 
@@ -101,9 +110,9 @@ class Options(NamedTuple):
         readable = [*named, "run", *(f"{name}_std" for name in named), *SIMULATED]
         constant = [name for name in readable if base_column(name) in CANONICAL]
         problems = [
-            *unknown_names("--column", self.columns, readable),
-            *unknown_names("--unit", self.units, [n for n in readable if n != "run"]),
-            *unknown_names("--constant", self.constants, constant),
+            *unknown_names(DECLARED_BY["columns"], self.columns, readable),
+            *unknown_names(DECLARED_BY["units"], self.units, [n for n in readable if n != "run"]),
+            *unknown_names(DECLARED_BY["constants"], self.constants, constant),
             *unknown_names("--convention", [self.convention], CONVENTIONS),
             *unknown_names("--slip", [self.slip], SLIP_DEFINITIONS),
         ]

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from tirefit.data import check, signs
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
-from tirefit.data.declared import Options, Signs, declared
+from tirefit.data.declared import DECLARED_BY, Options, Signs, declared
 from tirefit.data.readers.cells import words_of
 from tirefit.data.readers.kinds import read_table
 from tirefit.data.readers.quaternion import with_headings
-from tirefit.data.readers.remote import Place, file_at
+from tirefit.data.readers.remote import Place, RemoteFile, file_at
 from tirefit.data.readers.text import Table, table_of_frame
 from tirefit.data.readers.ttc import recognised
 from tirefit.data.table import CANONICAL, FORCES, SlipCheck, Source, TireData
@@ -48,7 +48,7 @@ class Columns(Protocol):
 
 
 def read(
-    path: Place | str | os.PathLike[str],
+    path: Place | str | os.PathLike[str] | Columns,
     *,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -68,7 +68,8 @@ def read(
     their content and not by the file name.
 
     Args:
-        path: the file, or its address (``s3://...`` and others of fsspec).
+        path: the file, or its address (``s3://...`` and others of fsspec); a frame or arrays,
+            as :func:`read_frame` takes them.
         columns: canonical name (or slip definition, ``run``, ``<column>_std``) -> header
             of the file; other columns are inferred, which the assumptions report.
         units: canonical name -> unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
@@ -108,7 +109,9 @@ def read(
         rolling_radius=rolling_radius, mask_bad_rows=mask_bad_rows, forces=forces,
         curve=curve, otherwise=otherwise,
     )  # fmt: skip
-    return _checked(read_table(file_at(path), options.columns.values()), options)
+    if isinstance(path, str | os.PathLike | RemoteFile):
+        return _checked(read_table(file_at(path), options.columns.values()), options)
+    return _checked(table_of_frame(path, "data"), options)
 
 
 def read_frame(frame: Columns, name: str = "data", **options: Any) -> TireData:
@@ -312,7 +315,7 @@ def _constants(reading: _Reading) -> None:
         there = {_canonical(known): known for known in reading.headers}
         if name in there:
             header = reading.headers[there[name]]
-            reason = f"{name} = {value:g}, declared by --constant or [data.constants], conflicts"
+            reason = f"{name} = {value:g}, declared by {DECLARED_BY['constants']}, conflicts"
             remedy = f"remove the constant: the file has {name}"
             reading.problem(f"{reason} with this column", remedy, header)
             continue

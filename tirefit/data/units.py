@@ -51,16 +51,17 @@ _DEG, _FOOT, _INCH = np.pi / 180, 0.3048, 0.0254
 _LBF = 4.4482216152605  # pound-force [N]
 
 _USUAL = {
-    "time": {1: "s sec second seconds", 1e-3: "ms millisecond milliseconds", 1e-6: "us microsecond",
-             1e-9: "ns nanosecond", 60: "min minute minutes", 3600: "h hr hour hours"},
+    "time": {1: "s sec second seconds", 1e-3: "ms msec millisecond milliseconds",
+             1e-6: "us microsecond", 1e-9: "ns nanosecond", 60: "min minute minutes",
+             3600: "h hr hour hours"},
     "ratio": {1: "- 1 none dimensionless ratio", 0.01: "% pct percent"},
     "angle": {1: "rad radian radians", 1e-3: "mrad", _DEG: "deg degree degrees"},
     "angular speed": {
         1: "rad/s radps rads 1/s rad/sec radian/second",
         _DEG: "deg/s degps deg/sec degree/second degrees/second",
         _TURN / 60: "rpm 1/min rev/min revolutionsperminute", _TURN: "rev/s Hz"},
-    "force": {1: "N newton newtons", 1e3: "kN kilonewton", 10: "daN", GRAVITY: "kgf",
-              _LBF: "lbf lb lbs poundforce"},
+    "force": {1: "N newton newtons", 1e3: "kN kilonewton knewton", 10: "daN dekanewton",
+              GRAVITY: "kgf kgforce kilogramforce", _LBF: "lbf lb lbs poundforce"},
     "moment": {1: "Nm N-m newtonmeter", 1e3: "kNm", 1e-3: "Nmm", _LBF * _INCH: "in-lb inlbf lbfin",
                _LBF * _FOOT: "lbfft ftlbf ft-lb ft-lbs ft-lbf lb-ft"},
     "speed": {1: "m/s mps meter/second", 1 / 3.6: "km/h kmh kph kilometer/hour",
@@ -158,6 +159,11 @@ def units_of(dimension: str) -> list[str]:
     if dimension == "temperature":
         return ["degC", "K", "degF"]
     return [names.split()[0] for names in _USUAL[dimension].values()]
+
+
+def names_of(dimension: str) -> list[str]:
+    """Every name of the usual units of a dimension."""
+    return [name for names in _USUAL[dimension].values() for name in names.split()]
 
 
 def sign_of(convention: str, column: str) -> int:

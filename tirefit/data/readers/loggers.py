@@ -7,7 +7,6 @@ sections, of which :func:`vbo_table` makes a header, units and rows.
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,15 +35,6 @@ NO_UNIT = "not stated"
 """Unit of a column whose line in [channel units] is not known: no reader accepts it."""
 
 
-class VboTable(NamedTuple):
-    """Line in the file (from 1) and cells of the header and the rows, units, notes, warnings."""
-
-    rows: list[tuple[int, list[str]]]
-    units: list[str]
-    notes: list[str]
-    doubts: tuple[str, ...]
-
-
 def exported_by(line: str) -> tuple[str, str]:
     """The program whose CSV export begins with this line, and its delimiter; else empty."""
     export = _EXPORT.match(line)
@@ -57,8 +47,11 @@ def is_vbo(text: str) -> bool:
     return "data" in titles and len(titles) > 1
 
 
-def vbo_table(text: str, file: str) -> VboTable:
-    """Content of a .vbo file, with the time in seconds since midnight of its first day.
+def vbo_table(
+    text: str, file: str
+) -> tuple[list[tuple[int, list[str]]], list[str], list[str], tuple[str, ...]]:
+    """Line (from 1) and cells of the header and the rows of a .vbo file, units, notes, warnings;
+    the time in seconds since midnight of its first day.
 
     Raises:
         DataError: the file has no columns or no data.
@@ -81,7 +74,7 @@ def vbo_table(text: str, file: str) -> VboTable:
             notes.append(
                 f"{name!r} is named 'course' and not read as a yaw: it is the way of travel"
             )
-    return VboTable([(names[0][0], header), *data], units, notes, doubts)
+    return [(names[0][0], header), *data], units, notes, doubts
 
 
 def _sections(lines: Sequence[str]) -> dict[str, list[tuple[int, str]]]:

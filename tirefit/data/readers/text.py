@@ -32,7 +32,7 @@ from tirefit.data.readers.loggers import exported_by, vbo_table
 from tirefit.data.readers.remote import Place
 from tirefit.data.table import Layout
 from tirefit.door import DATA, too_large
-from tirefit.results import DataError, did_you_mean
+from tirefit.results import DataError, UsageError, did_you_mean
 
 Row = tuple[int, list[str]]
 """Line in the file, and cells."""
@@ -168,20 +168,23 @@ def table_of_text(
         return next(split((lines[k] for k in range(line - 1, len(lines))), delimiter))
 
     table = _with_rows(table, itertools.chain(first, rows), row_of, commas)
-    layout, doubts = stated_convention(raw[:start], str(path))
-    above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
-    stated = re.findall(r".*, constants (.*)", above)
+    # Comments stand above the header, or between it and the rows.
+    above = raw[: table.lines[0] - 1]
+    above = [x if k < start or lines[k] == "\n" else "" for k, x in enumerate(above)]
+    layout, doubts = stated_convention(above, str(path))
+    of_us = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
+    stated = re.findall(r".*, constants (.*)", of_us)
     constants = {k: float(v) for k, v in _CONSTANT.findall("".join(stated))}
     return replace(table, layout=layout, doubts=doubts, constants=constants)
 
 
 def table_of_vbo(text: str, path: Place, digest: str, notes: list[str]) -> Table:
     """Cells of a .vbo file of Racelogic."""
-    vbo = vbo_table(text, str(path))
-    notes = [*notes, "read as a .vbo file of Racelogic", *vbo.notes]
-    table = table_of_rows(vbo.rows, path, digest, notes)
+    rows, units, more, doubts = vbo_table(text, str(path))
+    notes = [*notes, "read as a .vbo file of Racelogic", *more]
+    table = table_of_rows(rows, path, digest, notes)
     layout = Layout(units_from="[channel units], or standard in .vbo files")
-    return replace(table, units_row=vbo.units, layout=layout, doubts=vbo.doubts)
+    return replace(table, units_row=units, layout=layout, doubts=doubts)
 
 
 def table_of_rows(rows: list[Row], path: Place, digest: str, notes: list[str]) -> Table:
@@ -293,10 +296,20 @@ def _split_rows(lines: list[str], delimiter: str, start: int, path: Place) -> It
 
 def table_of_frame(frame: Any, name: str) -> Table:
     """A table of a frame, a structured array or a mapping of arrays; rows are counted
-    from 0. Dates and times become seconds since the first."""
+    from 0. Dates and times become seconds since the first.
+
+    Raises:
+        UsageError: data of another type.
+        DataError: columns of different lengths.
+    """
     if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
         frame = frame.collect()  # a lazy frame of polars
     fields = getattr(getattr(frame, "dtype", None), "names", None)
+    if not (fields or isinstance(frame, Mapping) or hasattr(frame, "columns")):
+        raise UsageError(
+            f"data of type {type(frame).__name__}: give what `tirefit.read` returns, a path,"
+            " a frame, or a mapping of column to array"
+        )
     names = list(fields or getattr(frame, "columns", frame))
     headers = [str(header) for header in names]
     if hasattr(frame, "iloc"):

@@ -25,6 +25,7 @@ from tirefit.data.tir.tir_keys import (
     UNITS,
 )
 from tirefit.data.tir.tire_file import other_tire
+from tirefit.data.units import names_of
 from tirefit.door import TIRE, content_of, control_character
 from tirefit.results import DataError, InputProblem
 
@@ -77,12 +78,12 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _of_units(tir: TirFile) -> Iterator[InputProblem]:
-    for quantity, sizes in UNITS.items():
+    for quantity, dimension in UNITS.items():
         entry = tir.find(quantity, "UNITS")
-        if entry is None or entry.text.lower() in sizes:
+        if entry is None or entry.size_of(dimension):
             continue
         reason = f"{quantity} = {entry.value} in [UNITS] is not supported"
-        remedy = f"write the file with one of {', '.join(sizes)}"
+        remedy = f"write the file with one of {', '.join(names_of(dimension))}"
         yield _problem(tir, quantity, reason, remedy, "UNITS")
 
 

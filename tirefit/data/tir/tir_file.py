@@ -21,6 +21,7 @@ from tirefit.data.tir.tir_keys import (
     SECTIONS,
     UNITS,
 )
+from tirefit.data.units import known_unit
 from tirefit.results import InputProblem, UsageError
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?"
@@ -63,6 +64,11 @@ class Entry:
     def text(self) -> str:
         """The value without quotes."""
         return self.value.strip("'\"").strip()
+
+    def size_of(self, dimension: str) -> float | None:
+        """Size in SI of the unit that an entry of [UNITS] names; None if it is not known."""
+        unit = known_unit("inch" if self.text.lower() == "in" else self.text)
+        return unit.scale if unit and unit.dimension == dimension else None
 
 
 @dataclass(frozen=True)
@@ -180,9 +186,9 @@ class TirFile:
         return asked and self.stated.name == "5.2"
 
     def unit(self, quantity: str) -> float:
-        """Size in SI of a quantity of [UNITS]; 1 if it is not stated."""
+        """Size in SI of a quantity of [UNITS]; 1 if it is not stated, or not known."""
         entry = self.find(quantity, "UNITS")
-        return UNITS[quantity].get(entry.text.lower(), 1.0) if entry else 1.0
+        return (entry and entry.size_of(UNITS[quantity])) or 1.0
 
     def _size(self, key: str) -> float:
         """Size in SI of the unit in which a key is written."""

@@ -1,9 +1,5 @@
 """The keys of a ``.tir`` file: section, unit, version, and which are required."""
 
-from math import pi
-
-from tirefit.slip import GRAVITY
-
 FITTYP: dict[float, str] = dict.fromkeys((5, 6, 21, 51, 52), "5.2")
 FITTYP |= {60: "6.1", 61: "6.1", 62: "6.2"}
 """Value of FITTYP -> version of the Magic Formula whose equations are used."""
@@ -104,33 +100,14 @@ ALIASES = {"LFZ0": "LFZO", "IP_NOM": "NOMPRES", "IP": "INFLPRES"}
 NUMERIC = {*COEFFICIENTS, *DIMENSIONS, *sum(LIMITS.values(), ()), "USE_MODE"}
 """Keys whose values must be numbers."""
 
-_SPELLINGS = {
-    "LENGTH": {
-        1.0: "meter meters metre m", 1e-3: "millimeter mm", 1e-2: "centimeter cm",
-        1e3: "kilometer km", 0.0254: "inch in", 0.3048: "foot ft",
-    },
-    "FORCE": {
-        1.0: "newton newtons n", 1e3: "kilonewton knewton kn", 10.0: "dekanewton dan",
-        GRAVITY: "kilogram_force kg_force kgf",
-        4.4482216152605: "pound_force poundforce lbf",
-    },
-    "ANGLE": {1.0: "radians radian rad", pi / 180: "degrees degree deg"},
-    "MASS": {
-        1.0: "kilogram kg", 1e-3: "gram g", 0.45359237: "pound_mass lbm lb",
-        14.59390293720636: "slug", 1e3: "megagram",
-    },
-    "TIME": {
-        1.0: "second seconds sec s", 1e-3: "millisecond msec ms", 60.0: "minute min",
-        3600.0: "hour h",
-    },
-    "PRESSURE": {1.0: "pascal pa", 1e3: "kilopascal kpa", 1e5: "bar"},
-}  # fmt: skip
-
 UNITS = {
-    quantity: {name: size for size, names in sizes.items() for name in names.split()}
-    for quantity, sizes in _SPELLINGS.items()
+    "LENGTH": "length",
+    "FORCE": "force",
+    "ANGLE": "angle",
+    "TIME": "time",
+    "PRESSURE": "pressure",
 }
-"""Key of [UNITS] -> spelling, in lower case, -> size in SI."""
+"""Key of [UNITS] that is used -> dimension, whose units :mod:`tirefit.data.units` lists."""
 
 KNOWN = {*NUMERIC, *SECTIONS, *UNITS, "PROPERTY_FILE_FORMAT", "FILE_TYPE", "FE_METHOD"}
 """Keys that are read."""

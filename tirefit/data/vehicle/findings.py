@@ -29,8 +29,8 @@ def found_in(logs: Sequence[Any]) -> dict[str, float]:
         means["alpha_zero"] = float(np.mean(zeros))
     estimates = {"found_point": [log.point.estimate for log in logs]}
     for compared in (compared for log in logs for compared in log.compared.pairs):
-        if compared.pair.exact or compared.pair.channel in _LAGS:
-            late = estimates.setdefault(f"late_{compared.pair.channel}", [])
+        if compared.is_exact or compared.channel in _LAGS:
+            late = estimates.setdefault(f"late_{compared.channel}", [])
             late.append((compared.delay, compared.delay_std))
     for name, each in estimates.items():
         known = np.array([value for value in each if value and 0 < value[1] < np.inf])

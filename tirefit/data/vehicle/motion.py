@@ -128,13 +128,6 @@ def slip_and_force(
     return alpha, force, motion.v_x * np.cos(steer) + sideways * np.sin(steer)
 
 
-def further_ahead(motion: Motion, vehicle: Vehicle, x: float) -> tuple[Motion, Vehicle]:
-    """Move the tracked point x [m] ahead: changes v_y and a_y only."""
-    v_y = motion.v_y - x * motion.yaw_rate
-    a_y = motion.a_y - x * motion.yaw_acceleration
-    return replace(motion, v_y=v_y, a_y=a_y), vehicle
-
-
 def _lateral(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
     """Force across the vehicle at an axle [N], to the left: (n,)."""
     arm, sign = (vehicle.l_f, -1) if axle == "rear" else (vehicle.l_r, 1)

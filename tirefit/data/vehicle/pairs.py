@@ -23,6 +23,7 @@ unit. The equation of the steering is valid up to a factor of a few, as cars und
 import math
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -56,20 +57,19 @@ _ROUNDS = 4
 _TINY = 1e-300  # divisor in place of zero
 
 _PAIRS = (
-    ("yaw", "the direction of travel", {"rate of the path's direction": "turning"}),
-    ("yaw_rate", "the rate of the heading", {"dyaw/dt": "yaw_turn"}),
-    ("v_x", "the speed of the positions", {"positions": "path_v_x"}),
-    ("v_y", "the speed of the positions", {"positions": "path_v_y"}),
-    ("a_x", "the acceleration of the positions", {"positions": "path_a_x"}),
-    ("a_y", "the acceleration of the positions", {"positions": "path_a_y"}),
-    ("steering", "the path's curvature", {"curvature": "path_curve"}),
-    ("a_y", "", {"v_x r": "v_x yaw_rate", "dv_y/dt": "v_y_rate"}),
-    ("a_x", "", {"dv_x/dt": "v_x_rate", "(-v_y r)": "-v_y yaw_rate"}),
-    ("steering", "", {"L r / v_x": "curve"}),
+    ("yaw", {"the direction of travel": "turning"}),
+    ("yaw_rate", {"the rate of the heading": "yaw_turn"}),
+    ("v_x", {"the speed of the positions": "path_v_x"}),
+    ("v_y", {"the speed of the positions": "path_v_y"}),
+    ("a_x", {"the acceleration of the positions": "path_a_x"}),
+    ("a_y", {"the acceleration of the positions": "path_a_y"}),
+    ("steering", {"the path's curvature": "path_curve"}),
+    ("a_y", {"v_x r": "v_x yaw_rate", "dv_y/dt": "v_y_rate"}),
+    ("a_x", {"dv_x/dt": "v_x_rate", "(-v_y r)": "minus_v_y yaw_rate"}),
+    ("steering", {"L r / v_x": "curve"}),
 )
-"""A channel, words for its prediction (else those of its terms), and the terms: words -> the
-signals of :func:`_signals` whose product it is. Terms of missing signals but the first are
-left out."""
+"""A channel, and the terms whose sum it is: words -> the signals of :func:`_signals` whose product
+a term is. Terms of missing signals but the first are left out."""
 
 _POWERS: dict[str, dict[str, int]] = {
     "turning": {"y": 1},
@@ -79,6 +79,7 @@ _POWERS: dict[str, dict[str, int]] = {
     "path_a_x": {"xy": 1},
     "path_a_y": {"xy": 1, "y": 1},
     "path_curve": {"xy": -1, "y": 1},
+    "minus_v_y": {"v_y": 1},
     "v_x_rate": {"v_x": 1},
     "v_y_rate": {"v_y": 1},
     "curve": {"yaw_rate": 1, "v_x": -1},
@@ -105,106 +106,88 @@ STEADY = 0.8
 constant, for which the yaw is the heading: a drift by 37 deg to both sides."""
 
 
-class Term(NamedTuple):
-    """A term of the other side: values (n,), and the powers of the channels in it minus
-    those of the channel that it is compared with."""
-
-    values: np.ndarray
-    powers: dict[str, int]
-    words: str
-
-
-class Pair(NamedTuple):
-    """A channel (n,) and its prediction from others. ``exact``: both agree at every time, without
-    dynamics of the car between them, which would resemble a delay."""
+class Gain(NamedTuple):
+    """The factor of a term in the prediction of a channel, 1 if they agree."""
 
     channel: str
-    words: str  # the other side, for the user
-    values: np.ndarray  # (n,) on the grid, NaN where the channel is not known
-    terms: tuple[Term, ...]  # summands of the other side
-    zero: float  # standard deviation of the zero error of a good sensor [channel's unit]
-    exact: bool = True
+    of: str  # the term, for the user
+    powers: Counter[str]  # of the channels in the term, minus those of ``channel``
+    value: float
+    std: float
+    seen: float  # share of the term's variation that is no noise, beyond the other terms
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """The estimate of a pair; standard errors use the effective number of samples.
+    """A channel compared with its prediction from others; standard errors use the effective
+    number of samples."""
 
-    ``seen``: share of the variation of a term, beyond the other terms, that the
-    instruments explain, so that it is not noise; ``delay_seen``, ``own_seen``: the same
-    for the rate of the terms, which determines the delay, and for the channel itself.
-    """
-
-    pair: Pair
-    gains: tuple[float, ...]  # one for each term, 1 if the two sides agree
-    gain_stds: tuple[float, ...]
+    gains: tuple[Gain, ...]
+    values: np.ndarray  # (n,) of the channel on the grid, NaN where it is not known
     delay: float  # [s] of the channel behind the others
     delay_std: float
+    delay_seen: float  # as ``seen``, of the rate of the prediction, which determines the delay
     offset: float  # of the channel, in its unit
     offset_std: float
-    seen: tuple[float, ...]
-    delay_seen: float
-    own_seen: float
-    size: float  # rms of the other side's variation
+    size: float  # rms of the prediction's variation
     own_size: float  # rms of the channel's variation
     correlation: float  # of the two sides at that delay
     samples: int  # number of rows that were compared
-    effective: float  # number of independent rows
+    effective_samples: float  # number of independent rows
+
+    @property
+    def channel(self) -> str:
+        """The channel that is predicted."""
+        return self.gains[0].channel
+
+    @property
+    def against(self) -> str:
+        """The prediction, for the user."""
+        return " + ".join(gain.of for gain in self.gains)
 
     @cached_property
-    def judged(self) -> list[bool]:
-        """Which gains are known well enough to be compared with 1: five standard errors from 0,
-        of channels that move and follow each other. The level of a speed is compared too."""
-        level = self.pair.channel == "v_x"
+    def judged(self) -> list[Gain]:
+        """The gains that are known well enough to be compared with 1: five standard errors from
+        0, of channels that move and follow each other. The level of a speed is compared too."""
+        level = self.channel == "v_x"
         # Far beyond the longest delay, two channels are not the same quantity.
         related = level or not (
             abs(self.correlation) < RELATED
-            or max(self.size, self.own_size) < _SENSORS[self.pair.channel][1]
+            or max(self.size, self.own_size) < _SENSORS[self.channel][1]
             or abs(self.delay) > 1.5 * LATEST + 2 * self.delay_std
             or self.strays
         )
-        return [
-            related and (level or self._is_signal(k)) and abs(gain) > 5.0 * std
-            for k, (gain, std) in enumerate(zip(self.gains, self.gain_stds, strict=True))
-        ]
+        # Another sensor confirms a term with a correlation of more than noise can share.
+        confirmed = self.gains[:1] if level or abs(self.correlation) > 0.9 else ()
+        known = [gain for gain in self.gains if gain.seen > SEEN or gain in confirmed]
+        return [gain for gain in known if related and abs(gain.value) > 5 * gain.std]
 
-    def _is_signal(self, k: int) -> bool:
-        """Whether a term is no noise: the instruments explain it, or another sensor confirms it
-        with a correlation of more than noise can share."""
-        return self.seen[k] > SEEN or (k == 0 and abs(self.correlation) > 0.9)
-
-    @cached_property
+    @property
     def strays(self) -> bool:
-        """Whether a channel certainly does not follow the others, in any unit."""
-        channel = self.pair.channel
-        floor = _SENSORS[channel][1]
-        if channel == "v_x":
-            return False
-        if channel in ("a_y", "yaw_rate", "yaw") and self.own_seen > SEEN:
-            if not self._is_signal(0):  # the others are noise, and no hill or bank moves it so far
-                return self.own_size > 3.0 * floor
-        # Unrelated: even 2.5 standard errors above the correlation.
-        highest = abs(self.correlation) + 2.5 / math.sqrt(self.effective)
-        return self.size > floor and self.seen[0] > SEEN and highest < 0.7
+        """Whether a channel certainly does not follow the others, in any unit: they are
+        unrelated even 2.5 standard errors above the correlation."""
+        highest = abs(self.correlation) + 2.5 / math.sqrt(self.effective_samples)
+        moves = self.size > _SENSORS[self.channel][1] and self.gains[0].seen > SEEN
+        return self.channel != "v_x" and moves and highest < 0.7
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether both sides agree at every time, without dynamics of the car between them,
+        which would resemble a delay."""
+        return self.channel not in ("yaw", "steering") and self.against != "v_x r"
 
     @property
     def has_delay(self) -> bool:
-        """Whether the delay cannot be caused by the dynamics of the car."""
-        return any(self.judged) and self.pair.exact and self.delay_seen > SEEN
+        """Whether the delay is known, and the dynamics of the car cannot cause it."""
+        return bool(self.judged) and self.is_exact and self.delay_seen > SEEN
 
     def as_dict(self) -> dict[str, Any]:
         """The estimates, for the companion file."""
-        numbers = zip(self.pair.terms, self.gains, self.gain_stds, strict=True)
-        gains = [{"of": t.words, "value": gain, "std": std} for t, gain, std in numbers]
+        gains = [{"of": gain.of, "value": gain.value, "std": gain.std} for gain in self.gains]
+        of = {"channel": self.channel, "against": self.against, "gains": gains}
         names = ("delay", "delay_std", "offset", "offset_std", "correlation", "samples")
-        return {
-            "channel": self.pair.channel,
-            "against": self.pair.words,
-            "gains": gains,
-            **{name: getattr(self, name) for name in names},
-            "effective_samples": self.effective,
-            "judged": any(self.judged),
-        }
+        of |= {name: getattr(self, name) for name in (*names, "effective_samples")}
+        return of | {"judged": bool(self.judged)}
 
 
 # --- the pairs of a log ---------------------------------------------------------
@@ -215,28 +198,28 @@ def agreements(track: Track, motion: Motion, vehicle: Vehicle) -> list[Agreement
     of, usable = _signals(track, motion, vehicle)
     if not usable.any():
         return []
-    speed = float(np.sqrt(np.mean(of["speed"][usable] ** 2)))
     estimates = []
-    for channel, words, products in _PAIRS:
-        terms = []
-        for text, product in products.items():
-            names = product.removeprefix("-").split()
-            if not set(names) <= set(of):
+    for channel, products in _PAIRS:
+        terms, of_terms = [], []
+        for words, product in products.items():
+            names = product.split()
+            if not of.keys() >= {*names}:
                 break
             powers = Counter({channel: 1})
             for name in names:
                 powers.subtract(_POWERS.get(name, {name: 1}))
-            values = np.prod([of[name] for name in names], axis=0)
-            sign = -1 if product.startswith("-") else 1
-            terms.append(Term(sign * values, dict(powers), text))
-        compared = "yaw_turn" if channel == "yaw" else channel
-        if compared in of and terms:
-            words = words or " + ".join(term.words for term in terms)
-            zero = _SENSORS[channel][0] or 0.02 * speed
-            exact = channel not in ("yaw", "steering") and words != "v_x r"
-            pair = Pair(channel, words, of[compared], tuple(terms), zero, exact)
-            estimates.append(_agreement(pair, motion.part, usable, vehicle))
-    return [agreement for agreement in estimates if agreement is not None]
+            terms.append(np.prod([of[name] for name in names], axis=0))
+            of_terms.append((channel, words, powers))
+        values = of.get("yaw_turn" if channel == "yaw" else channel)
+        if values is not None and terms:
+            zero = _SENSORS[channel][0] or 0.02 * np.sqrt(np.mean(of["speed"][usable] ** 2))
+            with suppress(np.linalg.LinAlgError):  # not determined
+                sides = np.column_stack(terms)
+                if found := _estimate(values, sides, zero, motion, usable, vehicle):
+                    each = zip(of_terms, found[0], strict=True)
+                    gains = tuple(Gain(*term, *numbers) for term, numbers in each)
+                    estimates.append(Agreement(gains, values, *found[1:]))
+    return estimates
 
 
 def _signals(
@@ -261,6 +244,7 @@ def _signals(
         of["steering"] = np.interp(of["steering"], vehicle.steering.command, vehicle.steering.angle)
     rates = {"v_x": "v_x_rate", "v_y": "v_y_rate", "yaw": "yaw_turn"}
     of |= {rate: rate_of(of[name]) for name, rate in rates.items() if name in of}
+    of |= {"minus_v_y": -of["v_y"]} if "v_y" in of else {}
     by_rates = "v_x" in vehicle.columns.motion
     with np.errstate(divide="ignore", invalid="ignore"):
         if {"x", "y"} <= set(of):
@@ -303,25 +287,32 @@ class Fit(NamedTuple):
     error: np.ndarray  # (n,) residuals
 
 
-def _agreement(
-    pair: Pair, part: np.ndarray, usable: np.ndarray, vehicle: Vehicle
-) -> Agreement | None:
-    """The pair's gains, delay and offset; None if too few rows are usable.
+def _estimate(
+    values: np.ndarray,
+    terms: np.ndarray,
+    good_zero: float,
+    motion: Motion,
+    usable: np.ndarray,
+    vehicle: Vehicle,
+) -> tuple[Any, ...] | None:
+    """Value, standard error and ``seen`` of each gain, then the numbers of an
+    :class:`Agreement`; None if too few rows are usable.
 
     Args:
-        part: (n,) int, the unbroken stretch of each grid sample.
+        values: (n,) of the channel.
+        terms: (n, k) whose sum predicts it.
+        good_zero: standard deviation of the zero error of a good sensor [channel's unit].
         usable: (n,) bool, samples that may be compared.
     """
-    rate = vehicle.filter.sample_rate
-    terms = np.column_stack([term.values for term in pair.terms])
-    known = np.isfinite(pair.values) & np.isfinite(terms).all(axis=1)
+    rate, k = vehicle.filter.sample_rate, terms.shape[1]
+    known = np.isfinite(values) & np.isfinite(terms).all(axis=1)
     usable = usable & known
     # Beyond three times the 99th percentile, a sample is a glitch.
-    for column in (pair.values, *terms.T) if usable.any() else ():
+    for column in (values, *terms.T) if usable.any() else ():
         usable &= np.abs(column) <= 3.0 * np.percentile(np.abs(column[usable]), 99)
     # After this time the noise of a filtered sensor is independent.
     step, latest = max(1, round(SLOWER / vehicle.filter.cutoff * rate)), round(LATEST * rate)
-    rows = surrounded(part, usable, known, max(2 * step, latest) + 1)
+    rows = surrounded(motion.part, usable, known, max(2 * step, latest) + 1)
     rows = rows[:: max(1, step // EACH)]
     if len(rows) < FEWEST:
         return None
@@ -329,39 +320,33 @@ def _agreement(
     terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
 
     def zero(factors: np.ndarray) -> float:
-        return pair.zero * float(np.linalg.norm(factors[:-1]))
+        return good_zero * float(np.linalg.norm(factors[:-1]))
 
-    shift, gains = _delay(pair.values, terms, rows, latest)
+    shift, gains = _delay(values, terms, rows, latest)
     # This is wrong only next to a break, where no row is used.
-    rates, k = np.gradient(terms, 1 / rate, axis=0), terms.shape[1]
+    rates = np.gradient(terms, 1 / rate, axis=0)
     for turn in range(_ROUNDS):
         along = gains if gains.any() else np.ones(k)  # the gains of a dead channel are 0
         sides = np.column_stack([terms, rates @ along])
-        late = pair.values[rows + shift]
-        fit = instrumented(late, sides[rows], around(sides, rows, step), zero)
-        if fit is None:
-            return None
+        late = values[rows + shift]
+        near = around(sides, rows, step)
+        fit = instrumented(late, sides[rows], near, zero)
         about = np.abs(fit.error - np.median(fit.error))
         good = about <= 5.0 * 1.4826 * np.median(about)  # no outlier of five standard deviations
         good |= good.sum() < FEWEST
-        rest = round(fit.theta[k] * rate)
+        rest = round(float(fit.theta[k]) * rate)
         if turn == _ROUNDS - 1 or (good.all() and abs(rest) < 1):
             break
         # The terms were shifted by their rate, which is valid for a small delay only.
         shift = int(np.clip(shift - rest, -latest, latest))
         gains, rows = fit.theta[:k], rows[good]
-    assert fit is not None  # the loop has at least one round
-    near = np.hstack([around(pair.values[:, None], rows + shift, step), np.ones((len(late), 1))])
-    unseen = np.var(late - near @ np.linalg.lstsq(near, late)[0]) / max(np.var(late), _TINY)
     moves = np.ptp(late) > 0 and np.ptp(late - fit.error) > 0
-    return Agreement(
-        pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
-        float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
-        float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
-        float(1 - unseen), float(np.std(terms[rows].sum(axis=1))), float(np.std(late)),
-        float(np.corrcoef(late, late - fit.error)[0, 1]) if moves else 0.0, len(late),
-        fit.effective,
-    )  # fmt: skip
+    correlation = float(np.corrcoef(late, late - fit.error)[0, 1]) if moves else 0.0
+    theta, std, seen = fit.theta.tolist(), fit.std.tolist(), fit.seen.tolist()
+    delay = shift / rate - theta[k], std[k], seen[k]
+    sizes = float(np.std(terms[rows].sum(axis=1))), float(np.std(late))
+    gains_found = list(zip(theta[:k], std, seen, strict=False))
+    return gains_found, *delay, theta[-1], std[-1], *sizes, correlation, len(late), fit.effective
 
 
 def around(values: np.ndarray, rows: np.ndarray, step: int) -> np.ndarray:
@@ -400,14 +385,17 @@ def _delay(
 
 def instrumented(
     values: np.ndarray, sides: np.ndarray, near: np.ndarray, zero: Callable[[np.ndarray], float]
-) -> Fit | None:
-    """Two-stage least squares with a prior on the offset; None if not determined.
+) -> Fit:
+    """Two-stage least squares with a prior on the offset.
 
     Args:
         values: (n,); sides: (n, k).
         near: (n, m), the instruments.
         zero: function of the (k,) factors of the sides that returns the standard
             deviation of the offset, in the unit of the values.
+
+    Raises:
+        LinAlgError: the instruments do not determine the factors.
     """
     ones = np.ones((len(values), 1))
     scale = np.concatenate([np.std(sides, axis=0), [1.0]])
@@ -418,28 +406,15 @@ def instrumented(
     curvature, slope = seen.T @ columns, seen.T @ values
     prior = np.zeros_like(curvature)
     theta = np.linalg.lstsq(curvature, slope)[0]
-    count, noise = 1.0, 0.0
-    try:
-        for _ in range(2):
-            error = values - columns @ theta
-            # The autocorrelation is summed while pairs of neighbouring lags are positive (Geyer).
-            n = len(error)
-            power = np.abs(np.fft.rfft(error - error.mean(), 2 * n)) ** 2
-            covariance = np.fft.irfft(power)[: n // 2]
-            count = float(n)
-            if covariance[0] > 0:
-                pairs = covariance[: len(covariance) // 2 * 2].reshape(-1, 2).sum(axis=1)
-                until = np.flatnonzero([*(pairs <= 0), True])[0]
-                total = 2 * float(np.sum(pairs[:until])) / float(covariance[0]) - 1
-                count = n / max(total, 1.0)
-            noise = float(np.var(error)) * len(values) / count
-            level = zero((theta / scale)[:-1])
-            prior[-1, -1] = noise / max(level, 1e-9) ** 2
-            theta = np.linalg.solve(curvature + prior, slope)
-        # The instruments do not determine the factors, even if the columns would.
-        spread = np.linalg.inv(seen.T @ seen + prior)
-    except np.linalg.LinAlgError:
-        return None
+    for _ in range(2):
+        error = values - columns @ theta
+        count = _independent(error)
+        noise = float(np.var(error)) * len(values) / count
+        level = zero((theta / scale)[:-1])
+        prior[-1, -1] = noise / max(level, 1e-9) ** 2
+        theta = np.linalg.solve(curvature + prior, slope)
+    # The instruments do not determine the factors, even if the columns would.
+    spread = np.linalg.inv(seen.T @ seen + prior)
     std = np.sqrt(np.maximum(noise * np.diag(spread), 0.0))
     shares = []
     # Share of the variation of a column, beyond the others, that the instruments explain: small
@@ -449,3 +424,15 @@ def instrumented(
         kept, whole = (each[:, k] - np.delete(each, k, axis=1) @ part for each in (seen, columns))
         shares.append(float(np.mean(kept**2) / max(np.mean(whole**2), _TINY)))
     return Fit(theta / scale, std / scale, np.array(shares), count, values - columns @ theta)
+
+
+def _independent(error: np.ndarray) -> float:
+    """Number of independent values among (n,) values. The autocorrelation is summed while pairs of
+    neighbouring lags are positive (Geyer)."""
+    n = len(error)
+    covariance = np.fft.irfft(np.abs(np.fft.rfft(error - error.mean(), 2 * n)) ** 2)[: n // 2]
+    if covariance[0] <= 0:
+        return float(n)
+    pairs = covariance[: n // 4 * 2].reshape(-1, 2).sum(axis=1)
+    until = np.flatnonzero([*(pairs <= 0), True])[0]
+    return float(n / max(2 * np.sum(pairs[:until]) / covariance[0] - 1, 1.0))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.vehicle.findings import point_words
-from tirefit.data.vehicle.motion import Motion, further_ahead, slip_and_force, slowed
+from tirefit.data.vehicle.motion import Motion, slip_and_force, slowed
 from tirefit.data.vehicle.pairs import (
     ALIKE,
     AROUND,
@@ -103,20 +103,18 @@ class PointCheck(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """The point, fitted."""
+    """A point on the car at which a stable tire explains the force."""
 
-    at: float = 0.0  # [m] ahead of the rear axle
-    ahead: float = 0.0  # of the stated point [m]
-    std: float = math.inf  # its standard error
-    effect: float = 0.0  # of the distance on the slip angle (rms over rms)
-    misfit: float = 0.0  # rms of the slip angle that is not explained [rad]
-    known: bool = False  # whether a stable tire at this point on the car explains the force
-    slope: float = 0.0  # slip angle over force at the stated point, in its standard errors
+    at: float  # [m] ahead of the rear axle
+    ahead: float  # of the stated point [m]
+    std: float  # its standard error
+    effect: float  # of the distance on the slip angle (rms over rms)
+    misfit: float  # rms of the slip angle that is not explained [rad]
 
     @property
     def is_off(self) -> bool:
         """Whether the stated point is wrong by more than the error, with an effect."""
-        return self.known and abs(self.ahead) > SURE * self.std and self.effect > CHANGED
+        return abs(self.ahead) > SURE * self.std and self.effect > CHANGED
 
 
 def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -> PointCheck:
@@ -125,18 +123,18 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
     Args:
         kept: (n,) bool, the samples that will be written.
     """
-    point = _point(motion, vehicle, kept)
+    point, slope = _point(motion, vehicle, kept)
     line, estimate = "this log does not determine it", None
-    if point.known:
+    if point:
         line, estimate = point_words(point.ahead, point.std), (point.at, point.std)
     check = PointCheck(f"tracked point: {line}", estimate)
-    against = point.slope <= -SURE
-    if (point.is_off or not point.known) and _fits_mirrored(motion, vehicle, kept, point):
+    against, is_off = slope <= -SURE, point is None or point.is_off
+    if is_off and _fits_mirrored(motion, vehicle, kept, point, against):
         other = "yaw_rate" if vehicle.columns.a_y_follows else "a_y"
         unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
         words = f"v_y or {other} has the wrong sign"
         remedy = f'set v_y = "{unit}" in [units] of vehicle.toml'
-    elif point.is_off:
+    elif point and is_off:
         stated, left = point.at - point.ahead, (vehicle.tracked_point or (0.0, 0.0))[1]
         words = f"the tracked point is {point.at:.3g} ± {point.std:.1g} m ahead of the rear axle,"
         words += f" not {stated:.3g} m"
@@ -156,25 +154,27 @@ def check_point(motion: Motion, vehicle: Vehicle, kept: np.ndarray, file: str) -
     if not against:
         return check._replace(warnings=(f"lateral force against slip angle: {words}; {remedy}",))
     reason = "channels contradict each other: the lateral force acts in the direction"
-    reason += f" of the axle's slip ({-point.slope:.0f} standard errors): {words}"
+    reason += f" of the axle's slip ({-slope:.0f} standard errors): {words}"
     return check._replace(problems=(InputProblem(reason, remedy, file),))
 
 
-def _fits_mirrored(motion: Motion, vehicle: Vehicle, kept: np.ndarray, point: _Point) -> bool:
+def _fits_mirrored(
+    motion: Motion, vehicle: Vehicle, kept: np.ndarray, point: _Point | None, against: bool
+) -> bool:
     """Whether the stated point fits the other sign of v_y of the tracked point (and of the a_y
     that follows from it where none is logged) better than ``point`` fits the logged one. If
     neither sign determines a point, whether the force is in the direction of the slip only as
-    stated."""
+    stated, which ``against`` tells."""
     if vehicle.columns.motion == POSE:
         return False
     v_y = 2 * vehicle.cg_from_tracked[0] * motion.yaw_rate - motion.v_y
     a_y = motion.a_y
     if vehicle.columns.a_y_follows:
         a_y = a_y + motion.rate_of(v_y - motion.v_y)
-    other = _point(replace(motion, v_y=v_y, a_y=a_y), vehicle, kept)
-    if not other.known:
-        return not point.known and point.slope <= -SURE < other.slope
-    return not other.is_off and (not point.known or other.misfit < point.misfit)
+    other, slope = _point(replace(motion, v_y=v_y, a_y=a_y), vehicle, kept)
+    if other is None:
+        return point is None and against and slope > -SURE
+    return not other.is_off and (point is None or other.misfit < point.misfit)
 
 
 # --- fit ------------------------------------------------------------------------
@@ -206,14 +206,14 @@ class _Lines(NamedTuple):
         share = (self.force + x * self.force_x) / strong
         return np.arctan(self.slip + x * self.slip_x), np.column_stack([share, share**3])
 
-    def solved(self, alpha: np.ndarray, sides: np.ndarray, rows: np.ndarray, offset: float) -> Fit:
+    def solved(self, alpha: np.ndarray, sides: np.ndarray, rows: np.ndarray, zero: float) -> Fit:
         """The fit of alpha by the sides (n, k), with standard errors that include a zero error
         that is not fitted."""
         near = around(sides, rows, self.step)
-        fit = instrumented(alpha[rows], sides[rows], near, lambda _: offset)
-        other = fit if offset else instrumented(alpha[rows] + _ZERO, sides[rows], near, lambda _: 0)
-        if fit is None or other is None:
-            raise np.linalg.LinAlgError
+        fit = instrumented(alpha[rows], sides[rows], near, lambda _: zero)
+        if zero:
+            return fit
+        other = instrumented(alpha[rows] + _ZERO, sides[rows], near, lambda _: zero)
         return fit._replace(std=np.hypot(fit.std, other.theta - fit.theta))
 
 
@@ -221,11 +221,12 @@ def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Lines | None:
     """The lines of the filtered signals; None if too few rows are known."""
     if not kept.any():
         return None
-    small = 0.01 * vehicle.wheelbase
     alpha, force, _ = slip_and_force(motion, vehicle)
-    alphas, forces, _ = slip_and_force(*further_ahead(motion, vehicle, small))
-    slopes = (np.tan(alphas) - np.tan(alpha)) / small, (forces - force) / small
-    signals = np.stack([np.tan(alpha), force, *slopes], axis=1)
+    # A point further ahead has v_y - x r and a_y - x dr/dt.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slip_x = -motion.yaw_rate / motion.v_x
+    force_x = vehicle.mass * vehicle.l_f / (vehicle.l_f + vehicle.l_r) * motion.yaw_acceleration
+    signals = np.stack([np.tan(alpha), force, slip_x, force_x], axis=1)
     # Values of other rows, as at standstill, are arbitrary.
     signals = np.clip(signals, np.nanmin(signals[kept], axis=0), np.nanmax(signals[kept], axis=0))
     slower = 1.0
@@ -244,37 +245,38 @@ def _lines(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Lines | None:
     return _Lines(slip, force, slip_x, force_x, every, step)
 
 
-def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Point:
-    """Fit of the tracked point; starts at the best point of a grid."""
+def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> tuple[_Point | None, float]:
+    """Fit of the tracked point, which starts at the best point of a grid, None if it is not
+    determined; and the slope of the slip angle over the force at the stated point."""
     lines = _lines(motion, vehicle, kept)
     if lines is None:
-        return _Point()
+        return None, 0.0
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
     slope, start, smallest = _slope(lines), 0.0, math.inf
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
-        rows, strong, offset = lines.moderate(x)
+        rows, strong, zero = lines.moderate(x)
         alpha, sides = (values[rows] for values in lines.at(x, strong))
-        sides = np.hstack([sides, np.ones((len(rows), 1 if offset else 0))])
+        sides = np.hstack([sides, np.ones((len(rows), int(zero == math.inf)))])
         theta = np.linalg.lstsq(sides, alpha)[0]
         variance = float(np.var(alpha - sides @ theta))
         if theta[0] > 0 and variance < smallest:
             start, smallest = x, variance
-    rows, strong, offset = lines.moderate(start)
+    rows, strong, zero = lines.moderate(start)
     x, fit = start, None
     try:
         for _ in range(_ROUNDS):
             alpha, sides = lines.at(x, strong)
-            theta = lines.solved(alpha, sides, rows, offset).theta
+            theta = lines.solved(alpha, sides, rows, zero).theta
             bend = (theta[0] + 3 * theta[1] * sides[:, 0] ** 2) * lines.force_x / strong
             turn = lines.slip_x * np.cos(alpha) ** 2
             sides = np.column_stack([sides, turn - bend])
-            fit = lines.solved(alpha, sides, rows, offset)
+            fit = lines.solved(alpha, sides, rows, zero)
             x -= float(fit.theta[2])
             if abs(fit.theta[2]) < 0.05 * fit.std[2]:
                 break
     except np.linalg.LinAlgError:
-        return _Point(slope=slope)
+        return None, slope
     assert fit is not None  # the loop has at least one round
     size = max(float(np.mean(alpha[rows] ** 2)), 1e-300)
     effect = abs(x) * math.sqrt(np.mean(sides[rows, 2] ** 2) / size)
@@ -288,28 +290,24 @@ def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> _Point:
     stable = float(np.mean(sides[rows, 0] * (sides[rows, :2] @ fit.theta[:2]))) > 0
     # Largest standard error [wheelbases] of an estimate that is reported: a quarter of the distance
     # from the centre of gravity to an axle, about.
-    known = on_car and stable and std < 0.15 * vehicle.wheelbase
-    if not known:
-        return _Point(slope=slope)
-    return _Point(stated + x, x, std, effect, math.sqrt(np.mean(fit.error**2)), True, slope)
+    if not (on_car and stable and std < 0.15 * vehicle.wheelbase):
+        return None, slope
+    return _Point(stated + x, x, std, effect, math.sqrt(np.mean(fit.error**2))), slope
 
 
 def _slope(lines: _Lines) -> float:
-    """Slope of the slip angle over the force at the stated point, in its standard errors: the
-    smaller one, without and with a zero error."""
-    rows, strong, offset = lines.moderate(0.0)
+    """Slope of the slip angle over the force at the stated point, in its standard errors."""
+    rows, strong, zero = lines.moderate(0.0)
     alpha, sides = lines.at(0.0, strong)
-    share, slopes = sides[rows, :1], [0.0]
+    share = sides[rows, :1]
     if np.std(share) < 0.05:  # one operating point, at which the slope is undefined
         return 0.0
-    for free in {offset, math.inf}:
-        try:
-            fit = lines.solved(alpha, sides[:, :1], rows, free)
-        except np.linalg.LinAlgError:
-            continue
-        if fit.effective * np.mean(share**2) ** 2 / np.mean(share**4) >= SURE**2:  # enough rows
-            slopes.append(float(fit.theta[0] / max(fit.std[0], 1e-300)))
-    return min(slopes)
+    try:
+        fit = lines.solved(alpha, sides[:, :1], rows, zero)
+    except np.linalg.LinAlgError:
+        return 0.0
+    enough = fit.effective * np.mean(share**2) ** 2 / np.mean(share**4) >= SURE**2
+    return float(fit.theta[0] / max(fit.std[0], 1e-300)) if enough else 0.0
 
 
 # --- parts that a tire hardly caused ----------------------------------------------

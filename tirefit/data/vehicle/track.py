@@ -82,24 +82,34 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         label = np.array(words_of(table.cells[table.headers.index(header)]))
     needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
-    read = [c.header for c in (clock, *channels[:needed])]
+    used = (clock, *channels[:needed])
+    read = [c.header for c in used]
+    fill = "fill the column, or name another one in [columns] of vehicle.toml"
+
+    def refuse(wrong: Sequence[Channel], reason: str) -> None:
+        columns_of = ((reason.format(c.quantity), c.header) for c in wrong)
+        DataError.raise_for([InputProblem(r, fill, table.file, None, h) for r, h in columns_of])
+
     if not finite.any():
-        remedy = "fill the column, or name another one in [columns] of vehicle.toml"
-        reason = "has no value in any row, but {} is needed"
-        empty = [c for c in (clock, *channels[:needed]) if not np.isfinite(columns[c.header]).any()]
-        where = f"no row has a value in all of {', '.join(map(repr, read))}"
-        raise DataError(
-            [
-                InputProblem(reason.format(c.quantity), remedy, table.file, None, c.header)
-                for c in empty
-            ]
-            or [InputProblem(where, remedy, table.file)]
-        )
+        empty = [c for c in used if not np.isfinite(columns[c.header]).any()]
+        refuse(empty, "has no value in any row, but {} is needed")
+        reason = f"no row has a value in all of {', '.join(map(repr, read))}"
+        raise DataError(reason, fill, table.file)
     absent = {h: np.flatnonzero(~np.isfinite(columns[h])) for h in read}
     faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items() if len(rows)]
     lacking, _ = excluded(faults, table.lines, table.file, False)
+    read_as = {c.quantity for c in (clock, *channels)}
+    unused = [
+        f"{name} = {text!r} of [units] or --unit is not used: the log has no column of {name}"
+        for name, text in vehicle.units.items()
+        if name not in read_as
+    ]
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
+    # A car that turns by more than noise of its heading leaves both axes.
+    if vehicle.columns.motion == POSE and np.ptp(np.unwrap(signals[:, 2])) > 0.1:
+        still = [c for c, x in zip(channels[:2], signals.T, strict=False) if not np.ptp(x)]
+        refuse(still, "{} is the same in all rows, while the car turns")
     max_gap = vehicle.filter.max_gap or 3.5 * period
     time, run, runs = _in_runs(time, label[finite], period, max_gap, notes)
     later = _later(time, period)
@@ -121,7 +131,7 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
         max_gap, epoch, len(table.lines), dropped, table.sha256,
-        tuple(notes), run[fresh], runs, (*table.doubts, *([lacking] if lacking else [])),
+        tuple(notes), run[fresh], runs, (*table.doubts, *([lacking] if lacking else []), *unused),
     )  # fmt: skip
 
 

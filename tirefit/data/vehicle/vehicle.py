@@ -7,7 +7,7 @@ The axes of the log are those of ISO 8855: x forward, y left, yaw counter-clockw
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,7 +15,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from tirefit.data.units import Unit, known_unit, units_of
 from tirefit.door import read_toml
-from tirefit.results import InputProblem
+from tirefit.results import InputProblem, UsageError
 from tirefit.settings import Section, parse_settings
 from tirefit.slip import GRAVITY
 
@@ -282,38 +282,20 @@ class Vehicle(Section):
                 reason = f"{name} {stated:g} kg contradicts mass, l_f and l_r, which give"
                 remedy = f"correct one of them, or leave {name} out"
                 yield InputProblem(f"{reason} {implied:.4g} kg", remedy)
-        for name, text in self.units.items():
-            if name in QUANTITIES and unit_of(text, name) is not None:
-                continue
-            units = units_of(QUANTITIES[name]) if name in QUANTITIES else []
-            what = f"units.{name} = {text!r}" if units else f"units.{name}: {name}"
-            known = ", ".join(units or QUANTITIES)
-            yield InputProblem(f"{what} is not one of {known}", "choose one of them")
+        yield from _unit_problems(self.units, "units.{} = {!r}")
         pose = self.columns.motion == POSE
-        for is_wrong, reason, remedy in (
-            (
-                (self.steering is None) != (self.columns.steering is None),
-                "[steering] and columns.steering need each other",
-                "give both, or leave both out",
-            ),
-            (
-                self.rear_share is not None and self.driven != "all",
-                'rear_share applies to driven = "all" only',
-                "leave it out, or state which axles drive",
-            ),
-            (
-                self.yaw_offset and not pose,
-                "yaw_offset applies to a pose log only",
-                "leave it out: a log of rates has no yaw",
-            ),
-            (
-                self.sideslip_offset and pose,
-                "sideslip_offset applies to a log of rates only",
-                "leave it out; for a pose log, correct yaw_offset",
-            ),
-        ):
-            if is_wrong:
-                yield InputProblem(reason, remedy)
+        if (self.steering is None) != (self.columns.steering is None):
+            reason = "[steering] and columns.steering need each other"
+            yield InputProblem(reason, "give both, or leave both out")
+        if self.rear_share is not None and self.driven != "all":
+            reason = 'rear_share applies to driven = "all" only'
+            yield InputProblem(reason, "leave it out, or state which axles drive")
+        if self.yaw_offset and not pose:
+            reason = "yaw_offset applies to a pose log only"
+            yield InputProblem(reason, "leave it out: a log of rates has no yaw")
+        if self.sideslip_offset and pose:
+            reason = "sideslip_offset applies to a log of rates only"
+            yield InputProblem(reason, "leave it out; for a pose log, correct yaw_offset")
 
     def doubts(self) -> tuple[str, ...]:
         """Warnings on numbers that vehicles do not have, usually because of a wrong unit.
@@ -384,6 +366,24 @@ def unit_of(text: str, quantity: str) -> Unit | None:
     return unit if unit and unit.dimension == QUANTITIES[quantity] else None
 
 
+def _unit_problems(units: Mapping[str, str], how: str) -> Iterator[InputProblem]:
+    """Units of unknown quantities, and those that are no unit of their quantity.
+
+    Args:
+        how: format of quantity and unit as they are declared.
+    """
+    for name, text in units.items():
+        known: Iterable[str] = QUANTITIES
+        stated = how.format(name, text)
+        if name in QUANTITIES:
+            known = units_of(QUANTITIES[name])
+            if unit_of(text, name) is not None:
+                continue
+        else:
+            stated += f", but {name}"
+        yield InputProblem(f"{stated} is not one of {', '.join(known)}", "choose one of them")
+
+
 def load_vehicle(path: str | Path, units: Mapping[str, str] | None = None) -> Vehicle:
     """Read ``vehicle.toml``.
 
@@ -392,8 +392,9 @@ def load_vehicle(path: str | Path, units: Mapping[str, str] | None = None) -> Ve
 
     Raises:
         UsageError: The file is missing, is not TOML or does not describe a vehicle; it
-            lists all problems.
+            lists all problems. Or one of the ``units`` is not known.
     """
+    UsageError.raise_for([*_unit_problems(units or {}, "--unit {}={}")])
     content = read_toml(path)
     declared = content.get("units", {})
     if units and isinstance(declared, dict):
