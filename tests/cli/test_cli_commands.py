@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 from functools import cache
@@ -10,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from typer.main import get_command
 
 from tirefit.cli.commands import COMMANDS, app
+from tirefit.cli.commands.simulate import simulate
 from tirefit.models import MODELS
 from tirefit.names import MODEL_NAMES, effect_names
 
@@ -201,12 +204,6 @@ def test_version(run):
     assert run("--version").stdout.strip() == f"tirefit {__version__}"
 
 
-def test_tirefit_without_a_command_shows_the_help(run):
-    result = run("--help")
-    for word in ("fit", "inspect", "predict", "derive", "models", "not identified"):
-        assert word in result.stdout
-
-
 @cache
 def modules_after(*arguments):
     """Names of the modules that a command has imported at its end, and its output."""
@@ -330,3 +327,41 @@ def test_inspect_lists_identifiable_parameters(run, tmp_path):
     plain = run("inspect", "rig.csv", "--no-gate").stdout
     assert "expected standard errors" not in plain
     run("inspect", "rig.csv", "--model", "brusch", exit_code=2)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("fit", "tirefit fit: missing argument 'FILE'\n    remedy: 'FILE': measurements: CSV"),
+        (
+            "fit a.csv --modle x",
+            "fit: no such option: --modle\n    remedy: did you mean '--model'?",
+        ),
+        ("fit a.csv --seed x", "value for '--seed': Input should be a valid integer"),
+        ("fit a.csv --model", "fit: option '--model' requires an argument"),
+        ("brake --out o --stops 0", "remedy: '--stops': number of stops, each with"),
+        ("simulate rigg", "simulate: no such command 'rigg'\n    remedy: did you mean 'rig'?"),
+        ("fitt a.csv", "tirefit: no such command 'fitt'\n    remedy: did you mean 'fit'?"),
+        ("--foo", "tirefit: no such option: --foo"),
+    ],
+)
+def test_wrong_words_are_reported_with_a_remedy(run, words, said):
+    result = run(*words.split(), exit_code=2)
+    assert result.stderr.startswith("error:\n  tirefit") and said in result.stderr
+    command = re.match(r"error:\n  (.*?): ", result.stderr)[1]
+    assert f"`{command} --help` lists what it takes\n" in result.stderr
+
+
+def helps():
+    """The words of every command and of every kind of simulation."""
+    kinds = typer.main.get_command(simulate).commands
+    return [(), *((name,) for name in COMMANDS), *(("simulate", kind) for kind in kinds)]
+
+
+@pytest.mark.parametrize("words", helps(), ids=" ".join)
+def test_help_is_whole_at_80_columns(run, monkeypatch, words):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = run(*words, "--help").stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    cut = [line for line in lines[1:] if re.search(r"\w\.\.\.$", line)]
+    assert cut == [] and not re.search(r"\.{4}|\}\.\.\.\}|\[\[", lines[0])

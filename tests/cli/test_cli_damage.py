@@ -25,7 +25,7 @@ from test_cli_fit import FAST, write
 from fits.fuzz.kinds import log_toml, short_log
 from tirefit.cli import output
 from tirefit.cli.options import complain, say
-from tirefit.cli.output import claimed, staged
+from tirefit.cli.output import staged
 from tirefit.diagnosis import diagnose as engine
 
 LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}" for k in range(60)))
@@ -98,11 +98,9 @@ def there(folder):
 
 
 @pytest.mark.parametrize("name", INTO_FOLDERS)
-def test_full_and_missing_folders_are_named_and_the_report_printed(
+def test_a_full_folder_is_named_and_the_report_printed(
     run, unrendered, inputs, tmp_path, monkeypatch, name
 ):
-    """A quota while files are written; then a folder that is removed meanwhile."""
-
     @contextmanager
     def with_quota(directory, *rest):
         with files_of_at_most(64), staged(directory, *rest) as folder:
@@ -120,18 +118,6 @@ def test_full_and_missing_folders_are_named_and_the_report_printed(
     cause = ": cannot be written: File too large; o is as it was before"
     assert cause in full.stderr
     assert "make room" in full.stderr and there(tmp_path / "o") == ["notes.txt"]
-
-    @contextmanager
-    def vanishing(directory):
-        with claimed(directory):
-            shutil.rmtree(directory)
-            yield
-
-    monkeypatch.setattr(MODULES[name], "claimed", vanishing)
-    gone = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
-    assert gone.stdout == full.stdout and not (tmp_path / "o").exists()
-    assert "o: cannot be written: No such file or directory" in gone.stderr
-    assert "the folder o is gone" in gone.stderr
 
 
 def test_one_full_folder_does_not_stop_the_other_files(run, unrendered, inputs, tmp_path):

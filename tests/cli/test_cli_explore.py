@@ -48,7 +48,8 @@ def test_the_page_of_a_fit_is_linked_to_its_sliders_beside_it(run, unrendered):
         (["brush", "--data", "none.csv"], 3, "none.csv"),
         (["brush", "--out", "none/tire.html"], 2, "there is no folder none"),
         (["brush", "--out", "tire.txt"], 2, "tire.txt: the output is a HTML"),
-        (["brusch"], 2, "did you mean brush"),
+        (["brusch"], 2, "did you mean 'brush'"),
+        (["no folder"], 2, "no folder: there is no such file or folder"),
     ],
 )
 def test_a_fault_is_named_and_nothing_written(run, arguments, code, reason):

@@ -43,7 +43,7 @@ def test_every_note_is_printed_once_with_its_count(run, sweeps, no_figures, name
         return
     column = "column 'kappa' read as kappa in -"
     if name in ("fit, joint", "fit, Magic Formula"):  # one report has a line of columns
-        column = "columns kappa [-]"
+        column = "columns kappa"
     for said in (column, "columns not read: 'note'"):
         assert len(re.findall(re.escape(said), stdout)) == 1, said
         assert said.startswith("columns kappa") or f"{FILES} files: {said}" in stdout

@@ -14,8 +14,8 @@ from test_cli_fit import FAST, content, write
 from tests.killed import steps_of
 from tirefit.cli import options
 from tirefit.cli.commands import app
-from tirefit.cli.output import check_results, claimed, is_page, staged
-from tirefit.files import replacing
+from tirefit.cli.output import check_results, is_page, staged
+from tirefit.files import remove_left, replacing
 from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
@@ -42,7 +42,7 @@ def test_a_foreign_page_is_not_overwritten(tmp_path):
 
 
 def test_an_unused_folder_is_removed(tmp_path):
-    with pytest.raises(ZeroDivisionError), claimed(tmp_path / "a" / "b"):
+    with pytest.raises(ZeroDivisionError), staged(tmp_path / "a" / "b", [], ""):
         assert (tmp_path / "a" / "b").is_dir()
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
@@ -77,10 +77,9 @@ def test_a_new_result_replaces_only_the_earlier_result(tmp_path):
     torn.write_text("torn")
     for left in (torn, tmp_path / ".tirefit-writing"):
         os.utime(left, (0, 0))  # not of a living process
-    with claimed(tmp_path):
-        assert not torn.exists()
     known = ["fit.json", "corner.png", "trace.png"]
     with staged(tmp_path, known, "") as folder:
+        assert not torn.exists()
         (folder / "fit.json").write_text("new")
         assert (tmp_path / "fit.json").read_text() == "old"
     kept = {"fit.json": b"new", "notes.txt": b"old"}
@@ -106,8 +105,7 @@ def test_a_killed_command_leaves_no_figure_beside_another_document(tmp_path):
 
     states = set()
     for _ in steps_of(work, restore):
-        with claimed(tmp_path):
-            pass
+        remove_left(tmp_path)
         there = {path.name: path.read_bytes() for path in tmp_path.glob("[!.]*")}
         state = there["fit.json"]
         assert there == dict.fromkeys(old if state == b"old" else new, state)
@@ -152,10 +150,10 @@ def test_an_interrupt_while_files_are_moved_keeps_the_earlier_result(tmp_path, m
     assert states == [dict.fromkeys(old, b"old")] * 4 + [dict.fromkeys(new, b"new")]
 
 
-def test_a_folder_is_claimed_without_the_files_of_living_processes(tmp_path):
-    """A worker claims the folder in which the command writes the table of all results."""
+def test_a_result_leaves_the_files_of_living_processes(tmp_path):
+    """A worker writes into the folder in which the command writes the table of all results."""
     with replacing(tmp_path / "results.parquet") as temporary:
-        with claimed(tmp_path):
+        with staged(tmp_path, [], ""):
             assert temporary.exists()
         temporary.write_text("new")
     assert files_of(tmp_path) == {"results.parquet": b"new"}

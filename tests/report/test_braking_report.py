@@ -94,6 +94,17 @@ def test_the_panels_of_a_stop_show_the_log(result):
     assert highest < axes.get_ylim()[1] < 2 * highest
 
 
+def test_dots_of_a_narrow_range_lie_over_those_of_a_wide_one(result):
+    """Whatever the order of the controllers: they would be hidden below."""
+    for names in (list(result.stops), list(result.stops)[::-1]):
+        stops = {name: result.stops[name] for name in names}
+        (axes,) = paths_figure(replace(result, stops=stops)).axes
+        widths = [np.ptp(x.get_xdata()) for x in axes.lines if x.get_rasterized()]
+        assert len(widths) == 3 and widths == sorted(widths, reverse=True)
+        legend = [text.get_text() for text in axes.get_legend().get_texts()]
+        assert [text.partition(":")[0] for text in legend] == names
+
+
 @pytest.mark.long
 def test_figures_are_drawn_for_one_and_for_all_stops(result):
     pictures = [draw(result) for draw in (stop_figure, paths_figure)]

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from pages import PHONE, Page, browse, in_browser, width_on_phone, without_pictures
 
-import tirefit
 from tirefit.data.table import Source, TireData
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.result import Estimate, PosteriorSummary, Verdict
@@ -21,7 +20,7 @@ from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.fit.curves import fit_curve
 from tirefit.report.fit.report import fit_page
-from tirefit.report.many_files import fits_page
+from tirefit.report.many_files import write_fits_page
 from tirefit.report.numbers import format_estimate, format_interval
 from tirefit.results import InputProblem, Outcome, UsageError
 
@@ -174,8 +173,9 @@ def test_points_at_other_inputs_keep_their_residual(plain):
     np.testing.assert_allclose(np.sort(np.concatenate(off)), np.sort(expected), atol=2.0)
 
 
-def test_the_page_of_several_has_a_row_for_each(several):
-    text = fits_page(several)
+def test_the_page_of_several_has_a_row_for_each(several, tmp_path):
+    write_fits_page(several, tmp_path / "fits.html")
+    text = (tmp_path / "fits.html").read_text("utf-8")
     shown = " ".join(re.sub(r"<[^>]*>", " ", text).split())
     assert "Verdict: of 4 files: 4 ok" in shown
     assert "drum_2026-03-12_cold_asphalt_*" in shown
@@ -185,15 +185,15 @@ def test_the_page_of_several_has_a_row_for_each(several):
         assert f">{format_estimate(mu.value, mu.std)}<" in row
 
 
-def test_a_page_needs_a_fit():
+def test_a_page_needs_a_fit(tmp_path):
     with pytest.raises(UsageError, match="no fit for the page"):
-        fits_page({})
+        write_fits_page({}, tmp_path / "fits.html")
 
 
 @in_browser
 def test_chromium_shows_the_page_of_several(several, tmp_path):
     page = tmp_path / "fits.html"
-    tirefit.write_fits_page(several, page)
+    write_fits_page(several, page)
     shot = tmp_path / "shot.png"
     _, asked = browse(page, tmp_path, f"--screenshot={shot}")
     assert asked == []

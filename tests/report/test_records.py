@@ -1,6 +1,7 @@
 """Every result is printed, displayed, drawn and saved by the same methods."""
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -262,6 +263,16 @@ def test_the_figure_of_many_fits_has_their_values_and_standard_deviations():
         np.testing.assert_array_equal(points.get_ydata(), value)
         ends = [segment[:, 1] for segment in bars.get_segments()]
         np.testing.assert_allclose(ends, np.stack([value - std, value + std], axis=1))
+
+
+def test_every_row_of_a_table_in_parts_has_its_method_and_parameter():
+    result = tirefit.estimate(tirefit.simulate(teeth=2).columns)
+    ((name, method),) = result.methods.items()
+    long = f"{name}, whose name fills half a line"
+    text = replace(result, methods={long: method}).summary()
+    assert text.count("flagged rows") == 1 and "\n\n" in text
+    for parameter in method.parameters:
+        assert len(re.findall(rf"^  {long} +{parameter} ", text, re.M)) == 2
 
 
 def test_estimates_below_zero_lie_within_their_axis():

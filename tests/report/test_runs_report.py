@@ -137,7 +137,7 @@ def test_corner_and_trace_draw_the_requested_parameters(by_run):
 
 def test_runs_are_drawn_side_by_side(by_run):
     panels = run_points(by_run)
-    assert [p.label for p in panels] == ["cpa2 [N]", "mu [-]"]
+    assert [p.label for p in panels] == ["cpa2 [N]", "mu"]
     mu = panels[1]
     assert mu.names == [f"run{i:02d}" for i in range(1, 15)]
     expected = [by_run.parameters[f"mu[{run}]"] for run in RUNS]

@@ -11,7 +11,7 @@ import pickle
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -21,7 +21,6 @@ import typer
 from tirefit import __version__
 from tirefit.cli import options as cli
 from tirefit.cli.notes import merged_notes
-from tirefit.cli.output import swept
 from tirefit.data.readers.extras import extra
 from tirefit.results import DataError, ExitCode, TirefitError, UsageError
 
@@ -108,53 +107,39 @@ def run_pieces(
     shared among processes also get the table of all results and its page, in ``out``.
     """
     count = len(pieces)
-    with merged_notes(count > 1) as notes:
-        if sharing.apart:
-            yield from _shared_outcomes(title, pieces, work, sharing, out, notes)
-            return
-        for number, piece in enumerate(pieces, 1):
-            if count > 1 and cli.has_terminal():
-                cli.complain(f"file {number} of {count}: {piece.file}")
-            yield Outcome(*(work(piece) if count == 1 else _attempted(work, piece)))
-
-
-def _shared_outcomes(
-    title: str, pieces: Sequence[Piece], work: Work, sharing: Sharing, out: Path, notes: list[Any]
-) -> Iterator[Outcome]:
-    """Process every file by the workers; print and yield results in the order of files."""
+    if not sharing.apart:
+        with merged_notes(count > 1):
+            for number, piece in enumerate(pieces, 1):
+                if count > 1 and cli.has_terminal():
+                    cli.complain(f"file {number} of {count}: {piece.file}")
+                yield Outcome(*(work(piece) if count == 1 else _attempted(work, piece)))
+        return
     from tirefit.data.records import FileRecord, records_into
     from tirefit.report.many_files import write_fleet_page
 
     there = partial(_apart, (os.getcwd(), __version__), pickle.dumps(work))
     out.mkdir(parents=True, exist_ok=True)
-    count, records, (table_file, page) = len(pieces), list[FileRecord](), sharing.files(out)
-    try:
-        with (
-            records_into(table_file) as table,
-            cli.progress_bar(title) as progress,
-            cluster(sharing.jobs and min(sharing.jobs, count), sharing.scheduler) as client,
-        ):
-            for piece, result in zip(pieces, shared(there, pieces, client), strict=True):
-                outcome = result or _lost(piece)
-                typer.echo(outcome.output, nl=False)
-                typer.echo(outcome.complained, nl=False, err=True)
-                notes += outcome.notes
-                table.add(outcome.record)
-                records.append(outcome.record)
-                progress(len(records) / count, f"{len(records)} of {count} files")
-                yield outcome
-    finally:
-        for piece in pieces[len(records) :]:  # after an interrupt: remove half-written results
-            swept(piece.to)
-    write_fleet_page(records, page, title)
-    cli.say(f"all results: {table_file}, {page}")
-
-
-def _lost(piece: Piece) -> Outcome:
-    swept(piece.to)
+    records, (table_file, page) = list[FileRecord](), sharing.files(out)
     reason = "the workers that had this file died, each time that it was tried"
     remedy = "free memory if it is short, or run the command on this file only, without workers"
-    return Outcome(*_failed(piece, DataError(reason, remedy, str(piece.file))))
+    with (
+        merged_notes(count > 1) as notes,
+        records_into(table_file) as table,
+        cli.progress_bar(title) as progress,
+        cluster(sharing.jobs and min(sharing.jobs, count), sharing.scheduler) as client,
+    ):
+        for piece, result in zip(pieces, shared(there, pieces, client), strict=True):
+            lost = DataError(reason, remedy, str(piece.file))
+            outcome = result or Outcome(*_failed(piece, lost))
+            typer.echo(outcome.output, nl=False)
+            typer.echo(outcome.complained, nl=False, err=True)
+            notes += outcome.notes
+            table.add(outcome.record)
+            records.append(outcome.record)
+            progress(len(records) / count, f"{len(records)} of {count} files")
+            yield outcome
+    write_fleet_page(records, page, title)
+    cli.say(f"all results: {table_file}, {page}")
 
 
 _CONNECT = 30.0  # seconds to wait for a scheduler and its first worker
@@ -178,30 +163,31 @@ def cluster(jobs: int | None, scheduler: str | None = None) -> Iterator[Any]:
     distributed = extra("distributed", "files by several processes", "", "cluster")
     # Its messages are for the administrator of a cluster; the errors below are for users.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with ExitStack() as opened:
-        address: Any = scheduler
-        if scheduler is None:
-            settings = {
-                # Other files wait at the scheduler, not at a worker, whose death would fail them.
-                "distributed.scheduler.worker-saturation": 1.0,
-                # A worker's nanny restarts it. Dask would end the nanny if the worker had died and
-                # was just restarting so long after an earlier death, 15 s by default.
-                "distributed.deploy.lost-worker-timeout": "1 day",
-            }
-            opened.enter_context(dask.config.set(settings))
-            here = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
-            workers = distributed.LocalCluster(
-                jobs, threads_per_worker=1, silence_logs=logging.CRITICAL, **here
-            )
-            address = opened.enter_context(workers)
+    of_new: dict[str, Any] = {
+        "n_workers": jobs,
+        "threads_per_worker": 1,
+        "host": "127.0.0.1",
+        "dashboard_address": "127.0.0.1:0",
+        "silence_logs": logging.CRITICAL,
+    }
+    settings = {
+        # Other files wait at the scheduler, not at a worker, whose death would fail them.
+        "distributed.scheduler.worker-saturation": 1.0,
+        # A worker's nanny restarts it. Dask would end the nanny if the worker had died and
+        # was just restarting so long after an earlier death, 15 s by default.
+        "distributed.deploy.lost-worker-timeout": "1 day",
+    }
+    how = {"timeout": _CONNECT, "set_as_default": False} | ({} if scheduler else of_new)
+    with dask.config.set(settings):
         try:
-            client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
-            opened.enter_context(client).wait_for_workers(1, timeout=_CONNECT)
+            client = distributed.Client(scheduler, **how)
+            client.wait_for_workers(1, timeout=_CONNECT)
         except (OSError, ValueError, TypeError) as error:
-            reason = f"--scheduler: no scheduler with a worker answers at {address}"
+            reason = f"--scheduler: no scheduler with a worker answers at {scheduler}"
             remedy = "start `dask scheduler`, which prints its address, and `dask worker ADDRESS"
             raise UsageError(reason, f"{remedy} --nthreads 1 --nworkers auto`") from error
-        yield client
+        with client:
+            yield client
 
 
 def shared(work: Callable[..., Any], pieces: Sequence[Any], client: Any) -> Iterator[Any]:

@@ -66,7 +66,7 @@ File = Path | None
 Files = Annotated[
     list[Path],
     typer.Argument(
-        metavar="FILE...",
+        metavar="FILE",
         parser=file_at,
         help="measurements: CSV, TYDEX, MATLAB, Parquet, Arrow, Excel, MDF, ROS bags;"
         " paths, addresses (s3://...), or patterns of them in quotes",

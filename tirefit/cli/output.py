@@ -125,27 +125,13 @@ def _is(path: Path) -> bool:
 
 
 @contextmanager
-def claimed(directory: Path) -> Iterator[None]:
-    """Context manager: create the directory; it is removed at the end if it is then empty."""
-    made = [path for path in (directory, *directory.parents) if not path.exists()]
-    directory.mkdir(parents=True, exist_ok=True)
-    remove_left(directory)
-    try:
-        yield
-    finally:
-        for path in made:
-            with suppress(OSError):  # not empty
-                path.rmdir()
-
-
-@contextmanager
 def staged(directory: Path, known: Collection[str], report: object) -> Iterator[Path]:
     """Context manager: a folder for a result, whose files move to ``directory`` at the end.
 
-    If the block fails or is interrupted, ``directory`` is not changed.
+    If the block fails or is interrupted, ``directory`` is not changed; it is created if needed.
 
     Args:
-        directory: an existing folder.
+        directory: the folder of the results.
         known: files of an earlier result; those that are not written again are removed,
             as they would be mistaken for files of this one.
         report: the result in words. Where it cannot be written, it is said at least.
@@ -153,8 +139,11 @@ def staged(directory: Path, known: Collection[str], report: object) -> Iterator[
     Raises:
         OSError: naming the file that was not written; a note tells what exists.
     """
+    created = [path for path in (directory, *directory.parents) if not path.exists()]
     folder = directory
     try:
+        directory.mkdir(parents=True, exist_ok=True)
+        remove_left(directory)
         folder = Path(tempfile.mkdtemp(prefix=WRITING, dir=directory))
         yield folder
         # The document is moved last, so that the other files belong to it.
@@ -171,11 +160,14 @@ def staged(directory: Path, known: Collection[str], report: object) -> Iterator[
             path = directory / path.relative_to(folder)
         named = OSError(error.errno, error.strerror or str(error), str(path))
         there = f"{directory} is as it was before"
-        named.add_note(there if directory.is_dir() else f"the folder {directory} is gone")
+        named.add_note(there if directory.is_dir() else f"there is no folder {directory}")
         raise named from None
     finally:
         if folder != directory:
             shutil.rmtree(folder, ignore_errors=True)
+        for path in created:
+            with suppress(OSError):  # not empty, or not there
+                path.rmdir()
 
 
 def write_result(
@@ -188,7 +180,7 @@ def write_result(
     text: str | None = None,
     **how: bool,
 ) -> list[str]:
-    """Write a result with its figures into an existing folder; print it, and the files.
+    """Write a result with its figures into a folder; print it, and the files.
 
     Args:
         known: every file that the command may write, in the order of the printed list.
@@ -223,17 +215,6 @@ def write_result(
 def say_written(out: Path, written: Iterable[str]) -> None:
     """Print the names of the files that were written into a folder."""
     say(f"wrote to {out}: {', '.join(written)}")
-
-
-def swept(directory: object) -> None:
-    """Remove half-written results of a killed process, and the directory if it is then empty;
-    nothing if results are named, without a folder for this file."""
-    if not isinstance(directory, Path):
-        return
-    for left in directory.glob(f"{WRITING}*"):
-        shutil.rmtree(left, ignore_errors=True)
-    with suppress(OSError):  # not empty, or not there
-        directory.rmdir()
 
 
 def digest(*asked: Any) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tirefit.params import check_names
 from tirefit.report import canvas
-from tirefit.report.numbers import format_number
+from tirefit.report.numbers import bracketed, format_number
 from tirefit.report.page import Rows, Section, report_text
 from tirefit.sim.brake import Log
 from tirefit.sim.brake_request import tire_curve
@@ -30,7 +30,7 @@ def _rows(result: Braking) -> Rows:
     many = result.table()
     scales = {key: 1e-6 if UNITS[key] == "Pa" else 1.0 for key in _SHORT}
     units = {key: "MPa" if UNITS[key] == "Pa" else UNITS[key] for key in _SHORT}
-    heads = (text + f" [{units[key]}]" * (units[key] != "-") for key, text in _SHORT.items())
+    heads = (text + bracketed(units[key]) for key, text in _SHORT.items())
     rows = [["controller", *heads]]
     for name, stop in result.stops.items():
         cells = []
@@ -162,13 +162,13 @@ class Path(NamedTuple):
     mean: tuple[float, float]  # mean of both, the operating point of O Figure 10
 
 
-def path_of(stop: Stop, wheel: int = 0) -> Path:
-    """The path of a wheel while the car was faster than 2 m/s, or than half its initial
+def path_of(stop: Stop) -> Path:
+    """The path of the first wheel while the car was faster than 2 m/s, or than half its initial
     speed if that was below 4 m/s."""
     log = stop.log
     fast = log.motion.v_x > _slowest_shown(stop)
-    kappa = np.asarray(log.contacts.slips.kappa)[fast, wheel]
-    force = np.asarray(log.contacts.fx / log.contacts.fz)[fast, wheel]
+    kappa = np.asarray(log.contacts.slips.kappa)[fast, 0]
+    force = np.asarray(log.contacts.fx / log.contacts.fz)[fast, 0]
     return Path(kappa, force, (float(kappa.mean()), float(force.mean())))
 
 
@@ -180,17 +180,22 @@ def paths_figure(result: Braking) -> canvas.Picture:
 
     def on_curve(axes: Any) -> None:
         for mu, (kappa, force) in tire_curve(result.request, limit).items():
-            axes.plot(kappa, force, color=canvas.DARK, linewidth=1.1, zorder=3)
+            axes.plot(kappa, force, color=canvas.DARK, linewidth=1.1, zorder=1.5)
             place = kappa[len(kappa) // 2], force[len(kappa) // 2] - 0.02  # below the line
             canvas.boxed(axes, *place, f"tire at mu = {mu:g}", 7.5, ha="center", va="top")
-        for color, (name, path) in zip(canvas.COLORS, paths.items(), strict=False):
-            canvas.dots(axes, path.kappa, path.force, 2, color, 0.35)
+        colored = [*zip(canvas.COLORS, paths.items(), strict=False)]
+        # All lie on the same curve: the smaller dots are over the larger ones, those of a narrow
+        # range of slip over those of a wide one.
+        wide = sorted(colored, key=lambda item: -np.ptp(item[1][1].kappa))
+        for smaller, (color, (_, path)) in enumerate(wide):
+            size = 2.5 + 4.0 * (len(wide) - 1 - smaller)
+            canvas.dots(axes, path.kappa, path.force, size, color, 0.6)
+        for color, (name, path) in colored:
             marker = {"markersize": 8, "markeredgecolor": "white", "clip_on": False, "zorder": 4}
-            place, label = (
-                (min(path.mean[0], limit), path.mean[1]),
-                f"{name}: mean κ {path.mean[0]:.2g}",
+            label = f"{name}: mean κ {path.mean[0]:.2g}"
+            axes.plot(
+                min(path.mean[0], limit), path.mean[1], "o", color=color, label=label, **marker
             )
-            axes.plot(*place, "o", color=color, label=label, **marker)
         axes.set_xlim(-0.02 * limit, limit)
         axes.set_ylim(bottom=0.0)
 

@@ -28,7 +28,6 @@ DARK, GREY = "#222222", "#8a8a8a"
 MOST_DRAWN = 20_000  # largest number of points of a panel; more overlap and are slow
 _FARTHEST = 20
 
-DPI = 130
 WIDE = 4.6
 """Width [in] of a picture of a page: on a screen of 375 pixels, 8.5 points are then 9.6
 pixels high."""
@@ -38,7 +37,7 @@ class Picture(Figure):
     """A figure that notebooks display with any matplotlib backend."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        settings: dict[str, Any] = {"dpi": DPI, "facecolor": "white"} | kwargs
+        settings: dict[str, Any] = {"dpi": 130, "facecolor": "white"} | kwargs
         super().__init__(*args, **settings)
         FigureCanvasAgg(self)
 
@@ -151,20 +150,6 @@ def together(
     for part, panel in zip(parts.ravel(), panels, strict=True):
         panel.draw(part)
     return picture
-
-
-def legend_below(figure: Any, handles: Sequence[Any], title: str = "", columns: int = 2) -> None:
-    """Draw the legend of a panel below its axes."""
-    figure.legend(
-        handles=handles,
-        loc="outside lower left",
-        ncols=columns,
-        fontsize=8,
-        frameon=False,
-        title=title or None,
-        title_fontsize=8,
-        alignment="left",
-    )
 
 
 def colors_of(count: int) -> Sequence[Any]:

@@ -11,7 +11,7 @@ from tirefit.report.canvas import Panel, Picture, axes_panel, colors_of, images_
 from tirefit.report.diagnosis.words import name_of, readable_unit
 from tirefit.report.fit.curves import FORCE_LABEL, slip_axis
 from tirefit.report.fit.tables import FORCE_UNIT
-from tirefit.report.numbers import format_estimate, format_number, plain_text
+from tirefit.report.numbers import bracketed, format_estimate, format_number, plain_text
 from tirefit.report.page import Rows, Section, fragment, page, report_text, verdict_of
 from tirefit.results import UsageError
 
@@ -22,15 +22,26 @@ _JUDGING = "diagnosis", "description"  # kinds of sources that name effects
 def answer(result: Comparison) -> list[str]:
     """What differs, and what does not: parameters, forces, effects."""
     if result.models:
-        best, *others = result.models
-        above = ", ".join(f"{x.aicc - best.aicc:.1f} above it: {x.model}" for x in others)
-        return [f"of these fits of the same rows, {best.model} has the lowest AICc ({above})"]
+        names, least = _fits(result), result.models[0].aicc
+        best, *others = (names[model.name] for model in result.models)
+        by = (model.aicc - least for model in result.models[1:])
+        above = ", ".join(f"{x:.1f} above it: {name}" for x, name in zip(by, others, strict=True))
+        return [f"of these fits of the same rows, {best} has the lowest AICc ({above})"]
     lines = [*result.meanings, *_on_numbers(result)]
     for gap in result.forces:
         lines += [_on_force(gap, name, x) for name, x in gap.curves.items() if x.slip is not None]
     lines += _on_effects(result)
     lines.sort(key=lambda text: " not differ" in text)  # what differs is told first
     return lines or ["the sources have nothing in common to compare"]
+
+
+def _fits(result: Comparison) -> dict[str, str]:
+    """Name of a ranked source -> its model, and the name where several have this model."""
+    models = [source.model for source in result.sources]
+    return {
+        source.name: source.model + f" ({source.name})" * (models.count(source.model) > 1)
+        for source in result.sources
+    }
 
 
 def _by(value: float, std: float, unit: str, errors: float) -> str:
@@ -128,9 +139,9 @@ def _numbers_table(given: Sequence[Apart], names: Sequence[str], what: str) -> R
             size = format_estimate(number.difference, number.std)
             size += f" ({number.farthest})" * (len(number.values) > 2)
             cells = [size, f"{number.errors:.1f}" + ": differs" * number.differs]
-        unit = f" [{number.unit}]" if number.unit not in ("", "-") else ""
         effect, colon, amplitude = number.name.removesuffix(": amplitude").partition(": ")
-        name = f"{name_of(effect) if what == 'effect' else effect}{colon}{amplitude}{unit}"
+        name = f"{name_of(effect) if what == 'effect' else effect}{colon}{amplitude}"
+        name += bracketed(number.unit)
         rows.append((name, *(_cell(number, name) for name in names), *cells))
     return rows
 
@@ -182,14 +193,15 @@ def _ranking(result: Comparison) -> Section:
     for model in result.models:
         off = f"{model.aicc:.1f}", f"{model.aicc - first.aicc:.1f}", f"{model.bic - least:.1f}"
         size = str(model.unknowns), format_number(model.rmse)
-        rows.append((model.model, *size, *off, f"{model.n_effective:.0f}", model.status))
-        numbers = next(x for x in result.sources if x.model == model.model).numbers.items()
+        name = _fits(result)[model.name]
+        rows.append((name, *size, *off, f"{model.n_effective:.0f}", model.status))
+        numbers = next(x for x in result.sources if x.name == model.name).numbers.items()
         values = (
-            f"{name} = {'not identified' if x.std is None else format_estimate(x.value, x.std)}"
+            f"{key} = {'not identified' if x.std is None else format_estimate(x.value, x.std)}"
             + f" {x.unit}" * (x.unit != "-")
-            for name, x in numbers
+            for key, x in numbers
         )
-        notes.append(f"{model.model}: {', '.join(values)}")
+        notes.append(f"{name}: {', '.join(values)}")
     notes.append("AICc and BIC count the rows as the effective number of the closest fit")
     return Section("", notes, rows, right=range(1, len(rows[0]) - 1))
 
@@ -218,9 +230,8 @@ def _force_panel(gap: ForceDifference) -> Panel:
                 axes.fill_between(x, *ends, color=color, alpha=0.25, lw=0)
             axes.plot(x, force, color=color, lw=1.6, label=plain_text(name))
 
-    x_label = axis.label if axis.unit == "-" else f"{axis.label} [{axis.unit}]"
     title = f"{gap.force} at F_z = {gap.loads[middle]:.4g} N, 95 % bands"
-    return axes_panel(draw, title, x_label, f"{label} [{unit}]")
+    return axes_panel(draw, title, axis.label + bracketed(axis.unit), f"{label} [{unit}]")
 
 
 def plot_comparison(result: Comparison) -> Picture:

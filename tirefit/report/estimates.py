@@ -40,7 +40,8 @@ def _notes(result: Estimates) -> list[str]:
 def estimates_text(result: Estimates) -> str:
     """Estimates at the end of the log, flags and changes; for the terminal."""
     head = f"ONLINE ESTIMATES of {result.data['name']}, {result.data['rows']} rows"
-    return f"{head}\n{report_text([Section('', _notes(result), _rows(result), right=(2,))])}"
+    section = Section("", _notes(result), _rows(result), right=(2,), names=2)
+    return f"{head}\n{report_text([section])}"
 
 
 def _draw(axes: Any, result: Estimates, parameter: str) -> None:

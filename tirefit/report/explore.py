@@ -12,9 +12,6 @@ from tirefit.report.page import template
 from tirefit.results import UsageError
 from tirefit.slip import CONVENTIONS
 
-PAGE = "explore.html"
-"""Name of the page in a folder."""
-
 
 def _facts(explored: Any) -> list[str]:
     """What a reader has to know of the numbers: signs, loads, errors, version."""
@@ -62,6 +59,6 @@ def explore_page(explored: Any) -> str:
 
 def save_page(explored: Any, folder: Path, name: str = "") -> list[Path]:
     """Write the page into a folder."""
-    path = folder / (f"{name}.html" if name else PAGE)
+    path = folder / f"{name or 'explore'}.html"
     write_texts({path: explore_page(explored)})
     return [path]

@@ -18,7 +18,7 @@ from tirefit.fitting.store import record_of_fit
 from tirefit.fitting.verdict.across_files import AcrossFiles, across_files
 from tirefit.report.canvas import images_of
 from tirefit.report.fit.values import Points, points_panel
-from tirefit.report.numbers import format_estimate, format_number
+from tirefit.report.numbers import bracketed, format_estimate, format_number
 from tirefit.report.page import Rows, Section, first_of, page, table_parts, verdict_of
 from tirefit.results import Outcome, UsageError
 
@@ -48,7 +48,7 @@ class Quantity(NamedTuple):
 
     @property
     def title(self) -> str:
-        return f"{self.name} [{self.unit}]" if self.unit not in ("", "-") else self.name
+        return self.name + bracketed(self.unit)
 
 
 class Files(NamedTuple):
@@ -211,17 +211,6 @@ def write_fleet_page(records: Sequence[FileRecord], path: Path, command: str) ->
     write_texts({path: files_page(files, title)})
 
 
-def fits_page(fits: Mapping[str, FitResult]) -> str:
-    """Several fits as one HTML document; arguments as :func:`write_fits_page`."""
-    if not fits:
-        raise UsageError("no fit for the page", "give fits by name: {'dry': fit, ...}")
-    records = [
-        replace(record_of_fit(result.to_dict(), name), file=name) for name, result in fits.items()
-    ]
-    models = ", ".join(dict.fromkeys(result.model for result in fits.values()))
-    return files_page(files_of(records), f"{models} fitted to {len(fits)} files")
-
-
 def write_fits_page(fits: Mapping[str, FitResult], path: str | os.PathLike[str]) -> None:
     """Write the page of several fits, completely or not at all.
 
@@ -238,4 +227,11 @@ def write_fits_page(fits: Mapping[str, FitResult], path: str | os.PathLike[str])
         >>> fits = {name: fit(samples / f"{name}.csv") for name in names}
         >>> write_fits_page(fits, folder / "fits.html")
     """
-    write_texts({path: fits_page(fits)})
+    if not fits:
+        raise UsageError("no fit for the page", "give fits by name: {'dry': fit, ...}")
+    records = [
+        replace(record_of_fit(result.to_dict(), name), file=name) for name, result in fits.items()
+    ]
+    models = ", ".join(dict.fromkeys(result.model for result in fits.values()))
+    title = f"{models} fitted to {len(fits)} files"
+    write_texts({path: files_page(files_of(records), title)})

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from tirefit.models import AbstractTire
 from tirefit.online.base import PARAMETERS, AbstractEstimator
 from tirefit.params import Spec, specs
-from tirefit.report.numbers import format_number
+from tirefit.report.numbers import bracketed, format_number
 from tirefit.report.page import table, wrapped
 
 _LETTERS = re.compile(r"d?m?(ns?|hs?)?")
@@ -75,7 +75,7 @@ def methods_table(methods: Mapping[str, type[AbstractEstimator]]) -> str:
     rows = [["setting", "unit", "bounds", "default", "meaning"]]
     for name, kind in methods.items():
         method, settings = kind.method, specs(kind())
-        estimates = (f"{p} [{PARAMETERS[p].unit}]" for p in method.parameters)
+        estimates = (p + bracketed(PARAMETERS[p].unit) for p in method.parameters)
         lines += ["", f"  {name}: {method.meaning}, {method.source}"]
         items = {
             "inputs": f"time, {', '.join(method.inputs)}",

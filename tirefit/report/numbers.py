@@ -14,6 +14,11 @@ def plain_text(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def bracketed(unit: str) -> str:
+    """A unit after the name of its quantity: `` [N]``; nothing without a dimension."""
+    return f" [{unit}]" if unit not in ("", "-") else ""
+
+
 def places_of(std: float) -> int:
     """Decimal places that show two significant digits of ``std`` (may be negative)."""
     places = 1 - math.floor(math.log10(std))

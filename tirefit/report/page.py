@@ -31,9 +31,9 @@ class Section(NamedTuple):
     """A part of a report, as text and on a page; without content it is left out.
 
     Its content: lines, each a sentence or a pair of a name and a text (an empty name continues
-    the line before); a table, with the columns that the text aligns to the right; pictures (for
-    templates, or names of panels); a text as it is printed. A note explains the title; a page
-    shows a folded section when it is opened.
+    the line before); a table, with the columns that the text aligns to the right, and how many of
+    the first name a row; pictures (for templates, or names of panels); a text as it is printed. A
+    note explains the title; a page shows a folded section when it is opened.
     """
 
     title: str
@@ -44,6 +44,7 @@ class Section(NamedTuple):
     text: str = ""
     folded: bool = False
     right: Sequence[int] = ()
+    names: int = 1
 
     @property
     def items(self) -> list[tuple[str, list[str]]]:
@@ -76,15 +77,16 @@ def table(rows: Rows, right: Sequence[int] = ()) -> list[str]:
     return lines
 
 
-def table_parts(rows: Rows, right: Sequence[int] = ()) -> list[str]:
-    """A table in as many parts as the width requires, each with the first column."""
-    lines, first = [], 1
+def table_parts(rows: Rows, right: Sequence[int] = (), names: int = 1) -> list[str]:
+    """A table in as many parts as the width requires, each with the first ``names`` columns."""
+    lines, first = [], names
     widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
     while first < len(widths):
         last = first + 1
-        while last < len(widths) and widths[0] + sum(widths[first : last + 1]) <= WIDTH:
+        columns = [*range(names), *range(first, last)]
+        while last < len(widths) and sum(widths[i] for i in [*columns, last]) <= WIDTH:
+            columns.append(last)
             last += 1
-        columns = [0, *range(first, last)]
         aligned = [i for i, column in enumerate(columns) if column in right]
         lines += ["", *table([[row[i] for i in columns] for row in rows], aligned)]
         first = last
@@ -122,7 +124,7 @@ def section_text(section: Section) -> Iterator[str]:
         heading = title.upper() + bracket + rest + f" ({section.note})" * bool(section.note)
         yield from wrapped(heading, "", " " * _HANGING)
     if has_table:
-        yield from table_parts(section.table, section.right)
+        yield from table_parts(section.table, section.right, section.names)
     for line in section.lines:
         if isinstance(line, str):
             yield from wrapped(f"  {line}", "", " " * _HANGING)

@@ -1,10 +1,12 @@
 """The commands of ``tirefit`` by name; the module of each is imported when it is used."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from tirefit import __version__
 
@@ -35,8 +37,53 @@ _MODULES = dict.fromkeys(("models", "methods", "inspect", "derive", "predict"), 
 
 _STYLE: dict[str, Any] = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
 
+_WRONG_USE: Any = typer.BadParameter.__base__  # of all errors in arguments and options
+
+
+@contextmanager
+def _with_remedy(command: str) -> Iterator[None]:
+    """Print an error of typer, such as an unknown option, like one of ours: with a remedy.
+
+    Args:
+        command: what is called, if the error does not know it.
+    """
+    try:
+        yield
+    except _WRONG_USE as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            raise
+        from tirefit.cli.options import errors_to_exit
+        from tirefit.results import UsageError, did_you_mean
+
+        called = error.ctx.command_path if error.ctx else command
+        unknown, param = getattr(error, "option_name", ""), getattr(error, "param", None)
+        message = error.message if unknown else error.format_message()
+        reason, _, near = " ".join(message.split()).rstrip(".?").partition(". Did you mean ")
+        remedy = did_you_mean(unknown, getattr(error, "possibilities", None) or ())
+        remedy += f"did you mean {near}? " if near else ""
+        remedy += f"{param.get_error_hint()}: {param.help}; " if param else ""
+        remedy += f"`{called} --help` lists what it takes"
+        with errors_to_exit():
+            raise UsageError(f"{called}: {reason[0].lower()}{reason[1:]}", remedy) from None
+
+
+class Commands(TyperGroup):
+    """The list of the commands."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
+        with _with_remedy("tirefit"):
+            return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: Any) -> Any:
+        with _with_remedy(f"tirefit {' '.join(ctx._protected_args)}"):
+            return super().invoke(ctx)
+
+
 app = typer.Typer(
     name="tirefit",
+    cls=Commands,
     epilog="Exit codes: 0 ok, 2 usage, 3 data, 4 not converged, 5 not identified"
     " (with --strict), 6 friction rests on the shape of the model, 130 interrupted.",
     no_args_is_help=True,
@@ -59,9 +106,6 @@ class LazyCommand(TyperCommand):
             command = typer.Typer(add_completion=False, **_STYLE)
             command.command(self.name)(function)
         return typer.main.get_command(command)
-
-    def get_short_help_str(self, limit: int = 0) -> str:
-        return self.help or ""  # whole, not cut at a line
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
@@ -93,7 +137,7 @@ def _refuse_second_value(command: Any, args: list[str]) -> None:
 
 
 for _name, _help in COMMANDS.items():
-    app.command(_name, cls=LazyCommand, help=_help)(lambda: None)
+    app.command(_name, cls=LazyCommand, help=_help, short_help=_help)(lambda: None)
 
 
 def _print_version(asked: bool) -> None:

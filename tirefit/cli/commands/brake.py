@@ -4,7 +4,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from tirefit.cli import options as cli
-from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.cli.output import check_results, write_result
 
 _FIGURES = {"stop.png": "stop", "slip.png": "slip"}
 FILES = ("summary.json", "series.csv", "stops.csv", *_FIGURES)
@@ -50,7 +50,7 @@ def brake(
     cli.start_jax()
     from tirefit.sim.manoeuvre import brake as braked
 
-    with claimed(out), cli.progress_bar("braking") as progress:
+    with cli.progress_bar("braking") as progress:
         result = braked(
             tire, controller, road=road, speed=speed, steer=steer, values=cli.by_name(parameter),
             vehicle=vehicle.value, signs=signs, tune=cli.by_name(tune), plant=cli.by_name(plant),

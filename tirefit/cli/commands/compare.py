@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import Folder, Html, start_jax
-from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.cli.output import check_results, write_result
 
 FIGURE, PAGE = "comparison.png", "comparison.html"
 FILES = ("comparison.json", FIGURE, PAGE)
@@ -16,7 +16,7 @@ def compare(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="A B [C...]",
+            metavar="FILE",
             help="two or more of fit.json, trajectory.json, NAME.json or vehicle_diagnosis.json"
             " of diagnose, FILE.tir",
         ),
@@ -35,7 +35,6 @@ def compare(
     start_jax()
     from tirefit.diagnosis.summary.compare import compare as compared
 
-    with claimed(out):
-        result = compared(files)
-        figures = {FIGURE: ""} if result.forces else {}
-        write_result(result, out, FILES, figures, PAGE if html else "")
+    result = compared(files)
+    figures = {FIGURE: ""} if result.forces else {}
+    write_result(result, out, FILES, figures, PAGE if html else "")

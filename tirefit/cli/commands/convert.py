@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tirefit.fitting.result import FitResult
 
 
-_SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
+_LOADS = "loads [N] (default: 0.5, 1 and 1.5 FNOMIN)"
 
 Force = StrEnum("Force", "fx fy")
 
@@ -32,18 +32,15 @@ def _numbers(text: str) -> list[float]:
     raise typer.BadParameter(f"{text!r}: give numbers between commas")
 
 
-def _option(metavar: str, help: str) -> Any:
-    return cli.option(metavar, help, parser=_numbers)
-
-
 def convert(
     file: Annotated[
-        cli.File, typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2")
+        cli.File, typer.Argument(metavar="FILE.tir", help="Magic Formula 5.2, 6.1 or 6.2")
     ] = None,
     *,
     out: cli.Folder,
     magic_formula: Annotated[
-        Any, _option("B,C,D,E", "coefficients of one curve, instead of a .tir file")
+        Any,
+        cli.option("B,C,D,E", "coefficients of one curve, instead of a .tir file", parser=_numbers),
     ] = None,
     model: Annotated[
         cli.Text,
@@ -54,7 +51,7 @@ def convert(
     slip_min: Annotated[
         cli.Number, cli.option("", "smallest slip (default: minus the largest)")
     ] = None,
-    loads: Annotated[Any, _option("N,N,...", "loads [N] (default: 0.5, 1 and 1.5 FNOMIN)")] = None,
+    loads: Annotated[Any, cli.option("N,N,...", _LOADS, parser=_numbers)] = None,
     signs: cli.SignsOption = None,
     seed: cli.SeedOrNone = None,
 ) -> None:
@@ -112,6 +109,8 @@ def _refit(
     from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
     from tirefit.fitting.tir import check_gives, own_tire, remarks, tire_of
     from tirefit.models import AbstractTire
+    from tirefit.report.fit.tables import run_rows
+    from tirefit.report.page import Section, report_text
 
     find_model(model)
     # A curve has no outliers.
@@ -129,7 +128,7 @@ def _refit(
         name = f"{file}: Magic Formula {tir.version}"
         name += f" in signs {signs}" if signs else ""
         v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
-        loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
+        loads = loads or [share * nominal for share in (0.5, 1.0, 1.5)]
     assumptions = (
         f"{name}: {force.value} at {len(slips)} slips, {CHANNEL_SLIP[force]} ="
         f" {slips[0]:g} to {slips[-1]:g}, F_z ="
@@ -149,10 +148,6 @@ def _refit(
     data = replace(rows, columns=columns | {channel: measured})
     cli.warn_of(remarks(tir, of_file, data, signs) if tir else (), file)
     result = fit_into(out, data, settings)
-    cli.say("MISFIT")
-    residual = result.solved.residual(channel)
-    fitted_at = result.problem.used(result.problem.rows.inputs.fz)
-    for load in np.unique(fitted_at):
-        rmse = float(np.sqrt(np.mean(residual[fitted_at == load] ** 2)))
-        cli.say(f"  F_z {load:g} N: RMSE {rmse:.4g} N, {rmse / load:.2%} of F_z")
+    misfit = Section("Misfit", (), run_rows(result), note="bias: curve - fitted", right=(1, 2, 3))
+    cli.say(report_text([misfit]))
     return result

@@ -1,8 +1,8 @@
 """``tirefit demo``: run the two main commands on measured samples of the package."""
 
-import filecmp
 import shlex
 import shutil
+from filecmp import cmp
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
@@ -21,8 +21,12 @@ def demo(
     """Fit and diagnose measured samples that ship with tirefit."""
     samples = out / "samples"
     with as_file(files("tirefit") / "samples") as shipped:
-        check_results([samples / sample.name for sample in shipped.iterdir()])
-        _check_unchanged(shipped, samples)
+        there = {samples / sample.name: sample for sample in shipped.iterdir()}
+        check_results(there)
+        changed = [p for p, s in there.items() if p.exists() and not cmp(s, p, shallow=False)]
+        reason = "it would be replaced, but differs from the sample that ships with tirefit"
+        remedy = "choose another folder with --out, or rename the file"
+        DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in changed])
         shutil.copytree(shipped, samples, dirs_exist_ok=True)
     say(
         "A car of scale 1:10 drove circles on one day and freely on another.\n"
@@ -44,17 +48,6 @@ def demo(
         "      the tire for another program\n"
         "  tirefit --help"
     )
-
-
-def _check_unchanged(shipped: Path, samples: Path) -> None:
-    """Raises DataError for files of the user that have the name of a sample."""
-    _, other, unread = filecmp.cmpfiles(
-        shipped, samples, [sample.name for sample in shipped.iterdir()], shallow=False
-    )
-    changed = [samples / name for name in [*other, *unread] if (samples / name).exists()]
-    reason = "it would be replaced, but differs from the sample that ships with tirefit"
-    remedy = "choose another folder with --out, or rename the file"
-    DataError.raise_for([InputProblem(reason, remedy, str(path)) for path in changed])
 
 
 def _run(context: typer.Context, *words: str | Path) -> None:

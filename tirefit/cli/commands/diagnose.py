@@ -11,15 +11,7 @@ from tirefit.cli import options as cli
 from tirefit.cli.commands.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.notes import merged_notes, warn
-from tirefit.cli.output import (
-    check_results,
-    claimed,
-    digest,
-    done_before,
-    is_page,
-    names_of,
-    write_result,
-)
+from tirefit.cli.output import check_results, digest, done_before, is_page, names_of, write_result
 from tirefit.data.readers.remote import expanded
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.display import Record
@@ -142,7 +134,7 @@ def diagnose(
     }
     of_tir = {"side": side, "signs": signs, "combination": combination}
     settings |= _simulator(base, cli.by_name(parameter), sim, how, of_tir)
-    with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
+    with merged_notes(len(files) + len(holdout or []) > 1):
         kept = [_read(path, how) for path in holdout or []]
         written = {"figures": figures, "resume": resume, "full": full}
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
@@ -251,9 +243,6 @@ def _one(
 
 # --- logs of a vehicle ---------------------------------------------------------------
 
-_CAR_FILES = ("vehicle_diagnosis.json", "vehicle_diagnosis.png", "vehicle_diagnosis.html")
-_COMPARED_FILES = ("comparison.json", "comparison.png", "comparison.html")
-
 
 def _diagnose_car(
     logs: list[Path],
@@ -272,21 +261,21 @@ def _diagnose_car(
         sim_logs: what the simulator predicted for each log; empty: diagnose the car itself.
         how: ``without``, ``holdout`` and ``seed``.
     """
-    names = _COMPARED_FILES if sim_logs else _CAR_FILES
+    name = "comparison" if sim_logs else "vehicle_diagnosis"
+    names = [f"{name}.{end}" for end in ("json", "png", "html")]
     check_results([out / name for name in names], [*logs, *sim_logs])
     # The first line of progress at once, as JAX takes seconds to load and to compile.
-    with claimed(out):
-        with cli.progress_bar("diagnose", soon=0.0) as progress:
-            progress(0.01, "loading")
-            cli.start_jax()
-            from tirefit.vehicle.diagnose import diagnose_vehicle
-            from tirefit.vehicle.simulated import compare_with_simulator
+    with cli.progress_bar("diagnose", soon=0.0) as progress:
+        progress(0.01, "loading")
+        cli.start_jax()
+        from tirefit.vehicle.diagnose import diagnose_vehicle
+        from tirefit.vehicle.simulated import compare_with_simulator
 
-            if sim_logs:
-                of_both = {"without": how["without"], "progress": progress}
-                result: Record = compare_with_simulator(logs, sim_logs, vehicle, *tires, **of_both)
-            else:
-                result = diagnose_vehicle(logs, vehicle, *tires, **how, progress=progress)
-        drawn, page = ({names[1]: ""}, names[2]) if figures else ({}, "")
-        text = result.summary() if sim_logs else result.summary(full=full)
-        write_result(result, out, names, drawn, page, text=text)
+        if sim_logs:
+            of_both = {"without": how["without"], "progress": progress}
+            result: Record = compare_with_simulator(logs, sim_logs, vehicle, *tires, **of_both)
+        else:
+            result = diagnose_vehicle(logs, vehicle, *tires, **how, progress=progress)
+    drawn, page = ({names[1]: ""}, names[2]) if figures else ({}, "")
+    text = result.summary() if sim_logs else result.summary(full=full)
+    write_result(result, out, names, drawn, page, text=text)

@@ -7,7 +7,7 @@ import typer
 
 from tirefit.cli import options as cli
 from tirefit.cli.notes import warn
-from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.cli.output import check_results, write_result
 
 _SET = cli.option("[METHOD.]NAME=VALUE", "setting of a method", "--set", parser=cli.number)
 FILES = ("estimates.csv", "summary.json", "estimates.png")
@@ -34,12 +34,11 @@ def estimate(
     cli.start_jax()
     from tirefit.online.estimate import estimate as estimate_log
 
-    with claimed(out):
-        # Logs have gaps: a row that cannot be used is flagged and no error.
-        table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
-        warn(table)
-        if unused := len(table) - table.n:
-            said = f"{unused} of {len(table)} rows cannot be used; their estimates are flagged: "
-            rows = "; ".join(table.first_masked()[:3])
-            cli.warn_of([said + rows], table.source.path)
-        write_result(estimate_log(table, names, values), out, FILES, {FILES[2]: ""})
+    # Logs have gaps: a row that cannot be used is flagged and no error.
+    table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
+    warn(table)
+    if unused := len(table) - table.n:
+        said = f"{unused} of {len(table)} rows cannot be used; their estimates are flagged: "
+        rows = "; ".join(table.first_masked()[:3])
+        cli.warn_of([said + rows], table.source.path)
+    write_result(estimate_log(table, names, values), out, FILES, {FILES[2]: ""})

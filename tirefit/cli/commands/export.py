@@ -26,7 +26,7 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 
 def export(
     source: Annotated[
-        cli.Text, Argument(metavar="[FIT.json|FILE.tir|MODEL]", help="the tire")
+        cli.Text, Argument(metavar="FIT.json|FILE.tir|MODEL", help="the tire")
     ] = None,
     *,
     to: Annotated[cli.Text, cli.option("TARGET", "target program (--list)")] = None,

@@ -12,7 +12,7 @@ from tirefit.cli import options as cli
 from tirefit.cli.commands.fit_one import Also, fit_files, fit_one
 from tirefit.cli.commands.magic_formula import MAGIC_FORMULA_NAMES, fit_whole, is_whole
 from tirefit.cli.fleet import Jobs, Outcome, Piece, Scheduler, Sharing, run_pieces, worst_of
-from tirefit.cli.output import check_results, claimed, is_page, names_of, write_result
+from tirefit.cli.output import check_results, is_page, names_of, write_result
 from tirefit.data.readers.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, UsageError, exit_code
@@ -202,12 +202,11 @@ def _fit_vehicle(
     models, out = _models_of(model), out or Path(f"{vehicle.stem}.fit")
     check_results([out / name for name in _OF_TRAJECTORY], logs)
     how = {k: v for k, v in how.items() if v is not None}
-    with claimed(out):
-        with cli.progress_bar("fit", soon=0.0) as progress:
-            progress(0.01, "loading")
-            cli.start_jax()
-            from tirefit.vehicle.trajectory import fit_trajectory
+    with cli.progress_bar("fit", soon=0.0) as progress:
+        progress(0.01, "loading")
+        cli.start_jax()
+        from tirefit.vehicle.trajectory import fit_trajectory
 
-            result = fit_trajectory(logs, vehicle, progress=progress, **(models | how))
-        write_result(result, out, _OF_TRAJECTORY, {_DRAWN: ""}, _PAGE if html else "")
+        result = fit_trajectory(logs, vehicle, progress=progress, **(models | how))
+    write_result(result, out, _OF_TRAJECTORY, {_DRAWN: ""}, _PAGE if html else "")
     return exit_code(result.outcomes)

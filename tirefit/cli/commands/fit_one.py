@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tirefit.cli.notes import holds_notes, warn
 from tirefit.cli.options import progress_bar, say
-from tirefit.cli.output import claimed, digest, done_before, say_written, write_result
+from tirefit.cli.output import digest, done_before, say_written, write_result
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -96,22 +96,21 @@ def fit_into(
     from tirefit.report.fit.figures import save_figures
 
     known = [path.name for path in fit_files(directory)]
-    with claimed(directory):
-        result = fit_data(data, config=settings)
-        if posterior:
-            # Without figures, which are drawn once: half a second each.
-            write_result(result, directory, known, {}, text="")
-            say(f"least squares: fit.json written to {directory}; sampling the posterior\n")
-            from tirefit.fitting.uncertainty.posterior import sample
+    result = fit_data(data, config=settings)
+    if posterior:
+        # Without figures, which are drawn once: half a second each.
+        write_result(result, directory, known, {}, text="")
+        say(f"least squares: fit.json written to {directory}; sampling the posterior\n")
+        from tirefit.fitting.uncertainty.posterior import sample
 
-            chosen = settings.posterior
-            names = ("sampler", "walkers", "effective_samples", "max_steps")
-            how = {name: getattr(chosen, name) for name in names}
-            with progress_bar("posterior") as progress:
-                result = sample(result, **how, progress=progress)
-        result = replace(result, asked=asked)
-        draw, page = partial(save_figures, result), PAGE if also.html else ""
-        written = write_result(result, directory, known, draw, page, text="")
+        chosen = settings.posterior
+        names = ("sampler", "walkers", "effective_samples", "max_steps")
+        how = {name: getattr(chosen, name) for name in names}
+        with progress_bar("posterior") as progress:
+            result = sample(result, **how, progress=progress)
+    result = replace(result, asked=asked)
+    draw, page = partial(save_figures, result), PAGE if also.html else ""
+    written = write_result(result, directory, known, draw, page, text="")
     # The assumptions of several files are printed once, merged, at the end.
     record = result.data | ({"assumptions": []} if holds_notes() else {})
     say(replace(result, data=record).summary(full=also.full))

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from tirefit.cli.commands.fit_one import PAGE, Also, fit_files
 from tirefit.cli.notes import warn
 from tirefit.cli.options import option, progress_bar, refuse, start_jax, warn_of
-from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.cli.output import check_results, write_result
 from tirefit.results import ExitCode, exit_code
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
@@ -62,13 +62,12 @@ def fit_whole(
     start_jax()
     from tirefit.fitting.mf.fit import fit_magic_formula
 
-    with claimed(out):
-        with progress_bar("fit") as progress:
-            result = fit_magic_formula(
-                tables, settings.model, config=settings, progress=progress, **options
-            )
-        # Figures and draws of an earlier fit would be mistaken for those of this one.
-        known = [path.name for path in made]
-        figures, page = partial(save_magic_formula, result), PAGE if also.html else ""
-        write_result(result, out, known, figures, page, full=also.full)
+    with progress_bar("fit") as progress:
+        result = fit_magic_formula(
+            tables, settings.model, config=settings, progress=progress, **options
+        )
+    # Figures and draws of an earlier fit would be mistaken for those of this one.
+    known = [path.name for path in made]
+    figures, page = partial(save_magic_formula, result), PAGE if also.html else ""
+    write_result(result, out, known, figures, page, full=also.full)
     return exit_code(result.outcomes, strict)

@@ -11,7 +11,7 @@ from tirefit import __version__
 from tirefit.cli import options as cli
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, run_pieces, worst_of
 from tirefit.cli.notes import warn
-from tirefit.cli.output import check_results, claimed, names_of, write_result
+from tirefit.cli.output import check_results, names_of, write_result
 from tirefit.data.readers.remote import expanded, file_at
 from tirefit.results import ExitCode
 
@@ -26,7 +26,7 @@ _KEEP = f"kind of segment to write (repeat for more): {', '.join(_KEPT)}; defaul
 @cli.takes_data_options
 def prepare(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig")
+        list[Path], typer.Argument(metavar="FILE", parser=file_at, help="recordings of a rig")
     ],
     *,
     out: cli.Folder,
@@ -71,10 +71,9 @@ def prepare(
     made = [out / f"{name}{end}" for name in names for end in ends]
     check_results([*made, *sharing.files(out)], files)
     pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-    with claimed(out):
-        work = partial(_one, out, how, config)
-        done = run_pieces("prepare", pieces, work, sharing, out)
-        raise typer.Exit(worst_of([outcome.code for outcome in done]))
+    work = partial(_one, out, how, config)
+    done = run_pieces("prepare", pieces, work, sharing, out)
+    raise typer.Exit(worst_of([outcome.code for outcome in done]))
 
 
 def _one(

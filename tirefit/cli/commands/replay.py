@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli import options as cli
-from tirefit.cli.output import check_results, claimed, write_result
+from tirefit.cli.output import check_results, write_result
 from tirefit.data.readers.remote import file_at
 from tirefit.files import write_texts
 from tirefit.results import InputProblem, UsageError
@@ -19,9 +19,7 @@ FILES = ("replay.json", *FIGURES, PAGE)
 
 
 def replay(
-    logs: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG...", parser=file_at, help="vehicle logs")
-    ] = None,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG", parser=file_at, help="vehicle logs")],
     *,
     vehicle: Annotated[Path, cli.option("VEHICLE.toml", "vehicle.toml of the car and its log")],
     front: Annotated[str, cli.option(_TIRE, "tire of the front axle")],
@@ -42,9 +40,6 @@ def replay(
     for up to five seconds, with the speed and the steering as measured. The same car on
     linear tires, and a car without slip, are predicted for comparison.
     """
-    if not logs:
-        reason, remedy = "a log is missing", "name one log or more"
-        raise UsageError(InputProblem(reason, remedy))
     if mcap and mcap.suffix.lower() != ".mcap":
         raise UsageError(InputProblem("the output is MCAP", "end it in .mcap", str(mcap)))
     check_results([*(out / name for name in FILES), *([mcap] if mcap else [])])
@@ -55,20 +50,19 @@ def replay(
 
     if mcap:
         writers()  # fails before the work if the library is missing
-    with claimed(out):
-        with cli.progress_bar("replay", soon=0.0) as progress:
-            result = predicted(
-                logs,
-                vehicle,
-                front,
-                rear,
-                horizons=horizon or HORIZONS,
-                effects=effects,
-                seed=seed,
-                progress=progress,
-            )
-        write_result(result, out, FILES, FIGURES, PAGE if html else "")
-        if mcap:
-            mcap.parent.mkdir(parents=True, exist_ok=True)
-            write_texts({mcap: result.to_mcap()})
-            cli.say(f"wrote {mcap}")
+    with cli.progress_bar("replay", soon=0.0) as progress:
+        result = predicted(
+            logs,
+            vehicle,
+            front,
+            rear,
+            horizons=horizon or HORIZONS,
+            effects=effects,
+            seed=seed,
+            progress=progress,
+        )
+    write_result(result, out, FILES, FIGURES, PAGE if html else "")
+    if mcap:
+        mcap.parent.mkdir(parents=True, exist_ok=True)
+        write_texts({mcap: result.to_mcap()})
+        cli.say(f"wrote {mcap}")

@@ -87,4 +87,7 @@ def _command(kind: str) -> Callable[..., Any]:
 
 
 for _kind in KINDS:
-    simulate.command(_kind)(cli.errors_to_exit()(_command(_kind)))
+    _help = KINDS[_kind].__doc__ or ""
+    # One sentence in the list of the kinds, which typer would cut.
+    _first = f"{_help.partition('. ')[0].rstrip('.')}."
+    simulate.command(_kind, short_help=_first)(cli.errors_to_exit()(_command(_kind)))

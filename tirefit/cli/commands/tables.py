@@ -129,12 +129,11 @@ def predict(
     """Compute the forces of a fit or a model for each row of a data file."""
     how, values = cli.read_options(options), cli.by_name(parameter)
     of_file: dict[str, Any] = {"side": side, "signs": signs, "combination": combination}
-    of_file["starred"] = starred_angles
     kind = tire_kind(source)
-    if kind != "tir" and any(of_file.values()):
-        tir_only = "--starred-angles, --side, --signs and --combination"
-        reason = f"{tir_only} apply to .tir files only"
-        raise UsageError(reason, f"leave them out with {source}")
+    if kind != "tir":
+        remedy = "leave it out: it applies to .tir files only"
+        cli.refuse((*of_file, "starred_angles"), f"with {source}", remedy)
+    of_file["starred"] = starred_angles
     from tirefit.data.tir.tir import read_tir
     from tirefit.data.write import output_problems
 

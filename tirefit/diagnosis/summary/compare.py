@@ -108,6 +108,7 @@ class Ranked(NamedTuple):
     bic: float
     n_effective: float
     status: str
+    name: str  # of its source
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -262,7 +263,8 @@ def _ranked(fits: Sequence[Source]) -> tuple[Ranked, ...]:
         s, likelihood = fit.content["fit"], fit.content["fit"]["minus_two_log_likelihood"]
         scores = information(likelihood, rows, best["n_effective"], s["unknowns"])
         free, status = len(fit.content["prediction"]["labels"]), fit.content["verdict"]["status"]
-        models.append(Ranked(fit.model, free, s["rmse"], *scores, s["n_effective"], status))
+        numbers = free, s["rmse"], *scores, s["n_effective"]
+        models.append(Ranked(fit.model, *numbers, status, fit.name))
     return tuple(sorted(models, key=lambda model: model.aicc))
 
 

@@ -19,10 +19,10 @@ from tirefit.report.fit.report import verdict_line
 from tirefit.report.fit.residuals import residual_panels
 from tirefit.report.fit.tables import fit_files, short_run
 from tirefit.report.fit.values import Points, points_panel
+from tirefit.report.numbers import bracketed
 from tirefit.results import UsageError
 
 _LIGHT, _DENSE = 0.14, 0.40
-_MOST_NAMED = 12  # most groups in the legend; with more, it has the first and the last
 
 
 def draw_fit(axes: Any, curve: FitCurve) -> list[Line2D | Patch]:
@@ -61,13 +61,10 @@ def draw_fit(axes: Any, curve: FitCurve) -> list[Line2D | Patch]:
 
 def _handles(curve: FitCurve, colors: Sequence[Any]) -> list[Line2D | Patch]:
     """The legend of groups, line and bands."""
-    named = [
+    handles: list[Line2D | Patch] = [
         Line2D([], [], ls="none", marker="o", ms=4, color=color, label=clipped(group.label, 40))
         for group, color in zip(curve.groups, colors, strict=True)
     ]
-    handles: list[Line2D | Patch] = list(named)
-    if len(named) > _MOST_NAMED:
-        handles = [named[0], named[-1]]
     handles.append(Line2D([], [], color=canvas.DARK, lw=1.4, label="fit"))
     fitted = any(np.any(c.high > c.low) for c in curve.curves)
     noisy = any(np.any(c.noise_high > c.noise_low) for c in curve.curves)
@@ -85,9 +82,7 @@ def curve_panel(curve: FitCurve, alternative: str) -> canvas.Panel:
             style |= {"title": curve.note, "title_fontsize": 8, "alignment": "left"}
         figure.legend(handles=handles, **style)
 
-    return canvas.Panel(
-        draw, alternative, (canvas.WIDE, 3.3 + 0.1 * min(len(curve.groups), _MOST_NAMED))
-    )
+    return canvas.Panel(draw, alternative, (canvas.WIDE, 3.3 + 0.1 * len(curve.groups)))
 
 
 def _curve_panels(result: FitResult) -> list[canvas.Panel]:
@@ -108,7 +103,7 @@ def run_points(result: FitResult) -> list[Points]:
         value = np.array([estimate.value for estimate in each], float)
         ends = np.array([estimate.ci95 for estimate in each], float)  # NaN for None
         known = np.array([estimate.identified for estimate in each])
-        label, at, near = f"{name} [{unit}]", np.arange(len(runs)), np.zeros(len(runs), bool)
+        label, at, near = name + bracketed(unit), np.arange(len(runs)), np.zeros(len(runs), bool)
         points.append(Points(label, names, at, value, ends[:, 0], ends[:, 1], known, near))
     return points
 

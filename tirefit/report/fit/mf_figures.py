@@ -20,8 +20,6 @@ from tirefit.results import UsageError
 MAGIC_FORMULA_FILES = tuple(f"{name}.png" for name in ("fit", *FORCE_LABEL, "residuals", "ellipse"))
 """Every file that :func:`save_magic_formula` may write."""
 
-_POINTS = 80  # points of a curve between the first and the last bin
-_IN_95 = 1.96
 _BY = {
     "fz": "load",
     "gamma": "camber",
@@ -58,7 +56,7 @@ def _nominal(bins: SlipBins, slip: np.ndarray) -> TireInputs:
 
 def _curve(x: np.ndarray, force: np.ndarray, std: Any = 0.0) -> Curve:
     """A curve (m,) with the 95 % band of a measurement."""
-    half = _IN_95 * std
+    half = 1.96 * std
     return Curve(x, force, force, force, force - half, force + half)
 
 
@@ -70,7 +68,7 @@ def _drawn(
     groups, curves = [], []
     for bins in members:
         label, scale = bins.setting.text(name), _AXIS[bins.setting.swept][1]
-        grid = np.linspace(bins.slip[0], bins.slip[-1], _POINTS)
+        grid = np.linspace(bins.slip[0], bins.slip[-1], 80)
         inputs = [_nominal(bins, grid), _nominal(bins, bins.slip), bins.inputs]
         along, (there, _), (here, _) = _fitted(fit, force, inputs)
         moved = (values + there - here for values in (bins.force, bins.low, bins.high))

@@ -6,7 +6,7 @@ from typing import Any
 
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.fit import tables
-from tirefit.report.numbers import format_number
+from tirefit.report.numbers import bracketed, format_number
 from tirefit.report.page import (
     Section,
     first_of,
@@ -22,7 +22,6 @@ from tirefit.report.page import (
 Named = list[tuple[str, str]]
 """Pairs of a name and a text."""
 
-_MANY = 8  # largest number of parameters whose profiles a page shows at once
 EXPLORE = "sliders of load, camber, speed and slip: run tirefit explore fit.json in this folder"
 """Line of a page; `tirefit explore` puts a link in its place."""
 _AS_NAMED = re.compile(
@@ -44,7 +43,7 @@ def assumption_lines(notes: Sequence[str], also: Sequence[str] = ()) -> tuple[Na
     """A line for all columns that were read, and lines for the other assumptions."""
     matched = [(note, _AS_NAMED.fullmatch(note)) for note in notes]
     columns = [
-        m[2] + f" [{m[4]}]" * bool(m[4]) + f" from {m[1]!r}" * (m[1].partition(" [")[0] != m[2])
+        m[2] + bracketed(m[4] or "") + f" from {m[1]!r}" * (m[1].partition(" [")[0] != m[2])
         for _, m in matched
         if m
     ]
@@ -69,7 +68,7 @@ def _data(result: FitResult, full: bool) -> Section:
         *others,
         *named_lines("masked", first_of(masked, 5)),
         # Outliers that the full report lists one by one.
-        *named_lines("outliers", tables.far_lines(result, 8) if full else []),
+        *named_lines("outliers", tables.far_lines(result) if full else []),
     ]
     return Section("Data and settings", lines)
 
@@ -99,7 +98,7 @@ def sections_of(result: FitResult, full: bool) -> list[Section]:
             information criteria.
     """
     source, at = result.source, f"at {tables.reference_text(result)}"
-    many = len(result.parameters) > _MANY
+    many = len(result.parameters) > 8
     # The short report has the intervals by each route if they disagree.
     routes = tables.route_rows(result) if full or result.verdict.disagreements else ()
     quality = [item for item in tables.quality_items(result) if full or item[0] != "information"]
@@ -122,8 +121,7 @@ def sections_of(result: FitResult, full: bool) -> list[Section]:
             Section("Posterior", posterior, tables.chain_rows(result), ("corner",), right=right),
             Section("Chains", (), (), ("trace",), folded=True),
         ]
-    pairs = tables.correlation_lines(result, 10)  # correlations that are listed
-    return [*parts, Section("Correlations above 0.9", pairs)]
+    return [*parts, Section("Correlations above 0.9", tables.correlation_lines(result))]
 
 
 def fit_report(result: FitResult, full: bool = False) -> str:

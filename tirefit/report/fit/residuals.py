@@ -23,8 +23,6 @@ _LABEL = {
 _SHOWN = {"gamma": 180 / np.pi, "pressure": 1e-3}
 _BINS = 12
 """Largest number of settings with a mean each; more are grouped into bins of equal size."""
-_FEWEST = 3  # fewest rows of a bin whose scatter gives an error of its mean
-_HALF_95 = 1.96  # half of a 95 % interval of a normal distribution, in standard errors
 
 
 class Means(NamedTuple):
@@ -55,7 +53,7 @@ def means_over(x: np.ndarray, residual: np.ndarray, inflation: float) -> Means:
         edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1]))
         codes = np.searchsorted(edges, x)
     means = means_by(codes, x, residual, inflation)
-    kept = np.bincount(codes) >= _FEWEST
+    kept = np.bincount(codes) >= 3
     return Means(*(part[kept] for part in means))
 
 
@@ -63,19 +61,17 @@ def means_by(codes: np.ndarray, x: np.ndarray, residual: np.ndarray, inflation: 
     """Means of each group of rows; ``codes`` (n,) number the groups from 0."""
     size = int(np.max(codes)) + 1
     count, mean, std = cells(codes, size, residual)
-    half = _HALF_95 * std * np.sqrt(inflation / np.maximum(count, 1))
+    half = 1.96 * std * np.sqrt(inflation / np.maximum(count, 1))
     return Means(cells(codes, size, x)[1], mean, half)
 
 
 class Scatter(NamedTuple):
-    """Standardised residuals against one input: points (n,), and means over bins (k,)."""
+    """Standardised residuals against one input: points (n,), and their means."""
 
     label: str
     x: np.ndarray
     residual: np.ndarray
-    center: np.ndarray
-    mean: np.ndarray
-    half: np.ndarray  # half-width of the 95 % interval of a bin's mean
+    means: Means
 
 
 def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
@@ -105,7 +101,7 @@ def scatters_of(result: FitResult, channel: str) -> list[Scatter]:
     residual = standardised(result, channel)
     inflation = max(result.statistics.n / max(result.statistics.n_effective, 1), 1.0)
     return [
-        Scatter(label, x, residual, *means_over(x, residual, inflation))
+        Scatter(label, x, residual, means_over(x, residual, inflation))
         for label, x in _inputs(result, CHANNEL_SLIP[channel]).values()
     ]
 
@@ -132,7 +128,7 @@ def _draw_scatter(figure: Any, panel: Scatter, force: str) -> None:
     axes.axhline(0, color=DARK, lw=0.7, zorder=1)
     dots(axes, panel.x[some], panel.residual[some], size, BLUE, 0.35)
     axes.errorbar(
-        panel.center, panel.mean, panel.half, fmt="o", color=ORANGE, markersize=4,
+        *panel.means, fmt="o", color=ORANGE, markersize=4,
         markeredgecolor=DARK, markeredgewidth=0.5, elinewidth=1.6, ecolor=ORANGE,
         zorder=3,
     )  # fmt: skip

@@ -234,19 +234,19 @@ def rows_text(result: FitResult) -> str:
     return text + (f", {len(data['runs'])} runs" if len(data["runs"]) > 1 else "")
 
 
-def far_lines(result: FitResult, most: int = 20) -> list[str]:
+def far_lines(result: FitResult) -> list[str]:
     """Outliers: file, row, reason, and whether they were excluded."""
     lines = [
         f"{'excluded' if row.set_aside else 'kept'}: {row.file}, row {row.row}, column"
         f" {row.column!r}: {row.reason}"
         for row in result.far_rows
     ]
-    return first_of(lines, most, ": far_rows in fit.json")
+    return first_of(lines, 8, ": far_rows in fit.json")
 
 
-def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
-    """The pairs correlated above 0.9, the strongest first."""
+def correlation_lines(result: FitResult) -> list[str]:
+    """The pairs correlated above 0.9, the ten strongest first."""
     matrix = np.tril(np.asarray(result.correlation, float), -1)
     names = [short_label(result, label) for label in result.labels]
     pairs = sorted(np.argwhere(np.abs(matrix) > 0.9), key=lambda pair: -abs(matrix[*pair]))
-    return first_of([f"{names[j]} and {names[i]}: {matrix[i, j]:+.3f}" for i, j in pairs], most)
+    return first_of([f"{names[j]} and {names[i]}: {matrix[i, j]:+.3f}" for i, j in pairs], 10)
