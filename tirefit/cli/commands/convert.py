@@ -109,8 +109,6 @@ def _refit(
     from tirefit.fitting.problem.likelihood import CHANNEL_SLIP
     from tirefit.fitting.tir import check_gives, own_tire, remarks, tire_of
     from tirefit.models import AbstractTire
-    from tirefit.report.fit.tables import run_rows
-    from tirefit.report.page import Section, report_text
 
     find_model(model)
     # A curve has no outliers.
@@ -148,6 +146,10 @@ def _refit(
     data = replace(rows, columns=columns | {channel: measured})
     cli.warn_of(remarks(tir, of_file, data, signs) if tir else (), file)
     result = fit_into(out, data, settings)
-    misfit = Section("Misfit", (), run_rows(result), note="bias: curve - fitted", right=(1, 2, 3))
-    cli.say(report_text([misfit]))
+    cli.say("MISFIT")
+    residual = result.solved.residual(channel)
+    fitted_at = result.problem.used(result.problem.rows.inputs.fz)
+    for load in np.unique(fitted_at):
+        rmse = float(np.sqrt(np.mean(residual[fitted_at == load] ** 2)))
+        cli.say(f"  F_z {load:g} N: RMSE {rmse:.4g} N, {rmse / load:.2%} of F_z")
     return result
