@@ -187,11 +187,12 @@ def test_a_steering_map_gives_the_front_slip_angle(tmp_path):
     settings = vehicle(tmp_path, text)
     log = derive(path, settings, "front")
     assert_true(log, columns["t"][0], settings, "front")
-    exact = pose_log(noise=0.0) | {"command": columns["command"]}
-    log = derive(write_log(path, exact), settings, "front")
-    true = truth(log.columns["time"] + columns["t"][0])
-    np.testing.assert_allclose(log.columns["alpha"], true.alpha_front, atol=2e-4)
-    np.testing.assert_allclose(log.columns["fy"], true.force_front, atol=6e-3)
+    for delay in (0.0, 0.15):  # of the wheels behind the logged command
+        exact = pose_log(noise=0.0) | {"command": steer(columns["t"] + delay) / -0.4}
+        log = derive(write_log(path, exact), vehicle(tmp_path, f"{text}delay = {delay}\n"), "front")
+        true = truth(log.columns["time"] + columns["t"][0])
+        np.testing.assert_allclose(log.columns["alpha"], true.alpha_front, atol=2e-4)
+        np.testing.assert_allclose(log.columns["fy"], true.force_front, atol=6e-3)
     narrow = text.replace("[-1, 0, 1]", "[-0.1, 0, 0.1]")
     log = derive(path, vehicle(tmp_path, narrow), "front")
     assert log.dropped_samples["steering command outside the map"] > 100

@@ -41,6 +41,14 @@ def test_notes_of_one_file_are_unchanged():
     assert merged([("a", ["1 of 2", "3 of 4"])]) == ["1 of 2", "3 of 4"]
 
 
+def test_joined_rows_keep_their_runs():
+    columns = {"kappa": np.linspace(0, 0.1, 9), "fx": np.linspace(0, 900, 9), "fz": np.ones(9)}
+    several = read_frame(columns | {"run": ["dry"] * 4 + ["wet"] * 5}, "a")
+    joined = join([several, read_frame(columns, "b")])
+    names = [joined.runs[k] for k in joined.run]
+    assert names == ["a:dry"] * 4 + ["a:wet"] * 5 + ["b"] * 9
+
+
 def test_joined_files_repeat_no_note():
     columns = {"kappa": np.linspace(0, 0.1, 9), "fx": np.linspace(0, 900, 9)}
     tables = [

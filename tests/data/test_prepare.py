@@ -371,6 +371,15 @@ def test_the_filter_has_the_stated_gain_and_no_delay(bandwidth, rate):
         np.testing.assert_allclose(ratio.imag, 0, atol=1e-6)
 
 
+@pytest.mark.parametrize("bandwidth", [2.0, 5.0])
+def test_a_step_has_an_effect_of_a_hundredth_up_to_the_reach(bandwidth):
+    chosen = zero_phase(bandwidth, 400.0)
+    time = (np.arange(2000) - 999.5) / 400
+    off = np.abs(chosen((time > 0).astype(float)) - (time > 0))
+    assert off[np.abs(time) > chosen.reach].max() < 0.01
+    assert off[np.abs(time) > 0.9 * chosen.reach].max() > 0.01
+
+
 def test_prepared_channels_have_the_same_gain_and_no_delay():
     """A tone on every channel is the same in all, in phase."""
     script, rng = cornering(7071, loads=2, cambers=1, pressures=1)

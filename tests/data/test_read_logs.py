@@ -43,16 +43,18 @@ def test_signals_are_resampled_to_the_time_of_the_known_ones():
     assert said(notes, "apart: 'noise', 'other', 'early'")
 
 
-def test_a_gap_is_not_interpolated():
-    clock = np.arange(0, 10, 0.1)
-    there = np.arange(0, 10, 0.25)
-    there = there[(there < 3) | (there > 6)]
-    signals = {"fx": Signal(clock, clock), "fz": Signal(there, 2 * there)}
+@pytest.mark.parametrize(("missing", "bridged"), [(4, True), (5, False), (30, False)])
+def test_a_gap_of_more_than_five_periods_is_not_interpolated(missing, bridged):
+    """``missing`` samples between 2 and 2 + missing + 1 periods of a channel at 10 Hz."""
+    own = np.delete(np.arange(60), 21 + np.arange(missing)) / 10
+    clock = np.arange(0.0, 7.0, 0.04)
+    signals = {"fx": Signal(clock, np.sin(clock)), "fz": Signal(own, own**2)}
     moved = on_one_clock(signals, lambda name: name == "fx", "log").columns["fz"]
-    gap = (clock > 2.76) & (clock < 6.24)
-    assert np.isnan(moved[gap]).all()
-    inside = ~gap & (clock <= there[-1])
-    np.testing.assert_allclose(moved[inside], 2 * clock[inside])
+    gap = (clock > 2.01) & (clock < 2.09 + missing / 10)
+    assert np.isfinite(moved[gap]).all() == bridged
+    there = ~gap & (clock <= own[-1])
+    np.testing.assert_allclose(moved[there], np.interp(clock[there], own, own**2))
+    assert np.isnan(moved[clock > own[-1] + 1e-9]).all()
 
 
 def test_a_log_without_numbers_is_refused():

@@ -34,7 +34,7 @@ from tirefit.data.vehicle.motion import SLOWER, Motion, slowed
 from tirefit.data.vehicle.track import Track
 from tirefit.data.vehicle.vehicle import Vehicle
 
-LATEST = 0.4  # longest delay [s] that is searched, as recorders of vehicles have
+_LATEST = 0.4  # longest delay [s] that is searched, as recorders of vehicles have
 
 ALIKE = 1.3
 """Largest gain (or inverse gain) of channels that agree. Body roll, lever arms and
@@ -150,11 +150,9 @@ class Agreement:
         """The gains that are known well enough to be compared with 1: five standard errors from
         0, of channels that move and follow each other. The level of a speed is compared too."""
         level = self.channel == "v_x"
-        # Far beyond the longest delay, two channels are not the same quantity.
         related = level or not (
             abs(self.correlation) < RELATED
             or max(self.size, self.own_size) < _SENSORS[self.channel][1]
-            or abs(self.delay) > 1.5 * LATEST + 2 * self.delay_std
             or self.strays
         )
         # Another sensor confirms a term with a correlation of more than noise can share.
@@ -282,7 +280,7 @@ class Fit(NamedTuple):
 
     theta: np.ndarray  # (k + 1,) factors
     std: np.ndarray  # their standard errors
-    seen: np.ndarray  # (k,) see :class:`Agreement`
+    seen: np.ndarray  # (k,) see :class:`Gain`
     effective: float  # number of independent samples
     error: np.ndarray  # (n,) residuals
 
@@ -311,7 +309,7 @@ def _estimate(
     for column in (values, *terms.T) if usable.any() else ():
         usable &= np.abs(column) <= 3.0 * np.percentile(np.abs(column[usable]), 99)
     # After this time the noise of a filtered sensor is independent.
-    step, latest = max(1, round(SLOWER / vehicle.filter.cutoff * rate)), round(LATEST * rate)
+    step, latest = max(1, round(SLOWER / vehicle.filter.cutoff * rate)), round(_LATEST * rate)
     rows = surrounded(motion.part, usable, known, max(2 * step, latest) + 1)
     rows = rows[:: max(1, step // EACH)]
     if len(rows) < FEWEST:
@@ -331,15 +329,11 @@ def _estimate(
         late = values[rows + shift]
         near = around(sides, rows, step)
         fit = instrumented(late, sides[rows], near, zero)
-        about = np.abs(fit.error - np.median(fit.error))
-        good = about <= 5.0 * 1.4826 * np.median(about)  # no outlier of five standard deviations
-        good |= good.sum() < FEWEST
         rest = round(float(fit.theta[k]) * rate)
-        if turn == _ROUNDS - 1 or (good.all() and abs(rest) < 1):
+        if turn == _ROUNDS - 1 or abs(rest) < 1:
             break
         # The terms were shifted by their rate, which is valid for a small delay only.
-        shift = int(np.clip(shift - rest, -latest, latest))
-        gains, rows = fit.theta[:k], rows[good]
+        shift, gains = int(np.clip(shift - rest, -latest, latest)), fit.theta[:k]
     moves = np.ptp(late) > 0 and np.ptp(late - fit.error) > 0
     correlation = float(np.corrcoef(late, late - fit.error)[0, 1]) if moves else 0.0
     theta, std, seen = fit.theta.tolist(), fit.std.tolist(), fit.seen.tolist()
