@@ -196,6 +196,12 @@ def _put(values: np.ndarray, size: int) -> Array:
     return jax.device_put(pad_rows(values, size))
 
 
+def inputs_of(data: TireData) -> TireInputs:
+    """Inputs (n_used,) of the used rows, zero for a column that the data lack or a gap in it."""
+    columns = (data.columns.get(name, np.zeros(len(data))) for name in TireInputs._fields)
+    return TireInputs(*(np.nan_to_num(column[data.used].astype(float)) for column in columns))
+
+
 def _first_guess(
     model: AbstractTire, data: TireData, forces: Sequence[str], layout: Layout
 ) -> dict[str, float]:
@@ -286,10 +292,8 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         if std is not None:
             check_slip_noise(data, slip, std)
             slip_std[slip] = _put(std, size)
-    zero = np.zeros(data.n)
-    inputs = (data.usable(name) if name in data else zero for name in TireInputs._fields)
     rows = Rows(
-        inputs=TireInputs(*(_put(np.nan_to_num(values), size) for values in inputs)),
+        inputs=TireInputs(*(_put(values, size) for values in inputs_of(data))),
         run=_put(data.run[data.used].astype(int), size),
         weight=jax.device_put((np.arange(size) < data.n).astype(float)),
         observed=observed,
