@@ -18,11 +18,10 @@ from tirefit.data.tir.tir import read_tir
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.result import MagicFormulaFit, TireLike, magic_formula_forces
-from tirefit.fitting.problem.build import find_model, inputs_of
+from tirefit.fitting.problem.build import check_time_series, find_model, inputs_of
 from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.problem.likelihood import row_forces
 from tirefit.fitting.problem.noise import noise_std
-from tirefit.fitting.problem.time_series import check_time_series
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, beyond, tire_of
