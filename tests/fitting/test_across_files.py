@@ -44,6 +44,22 @@ def test_drift_is_found_with_its_error(n, draws):
         assert np.mean([one.drifts for one in results]) > 0.9
 
 
+def test_error_of_a_drift_is_that_of_huber():
+    """His covariance with the factor 1 + p/n var(psi') / mean(psi')^2, for files without an error
+    of their own; and their scatter, by the median, counts the two numbers of the line."""
+    value, _, when = made(8, n=12, drift=0.05, wild=(4, 9))
+    found = across_files(value, np.zeros(12), when)
+    assert np.median(np.abs(found.pulls)) == pytest.approx(0.67449 * np.sqrt(10 / 12), rel=1e-3)
+    slope_of_psi = (np.abs(found.pulls) < 1.345).astype(float)
+    assert 0.6 < slope_of_psi.mean() < 1
+    psi = np.clip(found.pulls, -1.345, 1.345)
+    factor = 1 + 2 / 12 * slope_of_psi.var() / slope_of_psi.mean() ** 2
+    variance = factor**2 * np.sum(psi**2) / (12 - 2) / slope_of_psi.mean() ** 2
+    x = (when - when.mean()) / 11
+    std = found.scatter * np.sqrt(variance / np.sum(x**2))
+    assert found.change_std == pytest.approx(std, rel=1e-6)
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_few_files_have_a_median_but_no_drift(n):
     few = across_files(np.arange(n, dtype=float), np.full(n, 0.1), np.arange(n))

@@ -159,16 +159,16 @@ def test_a_walker_that_never_moved_has_infinite_autocorrelation_time(given, chun
 
 
 @pytest.mark.parametrize(
-    "settings", [{"walkers": 33}, {"walkers": 4}], ids=["odd walkers", "too few walkers"]
+    ("settings", "said"),
+    [
+        ({"walkers": 33}, "33 walkers: an even number, at least 6"),
+        ({"walkers": 4}, "4 walkers: an even number, at least 6"),
+        ({"sampler": "hmc"}, "emcee, importance"),
+    ],
 )
-def test_unsuitable_ensembles_are_refused(given, settings):
-    with pytest.raises(UsageError, match="walkers: an even number, at least 6"):
+def test_unsuitable_settings_are_refused(given, settings, said):
+    with pytest.raises(UsageError, match=said):
         sample(given, **settings)
-
-
-def test_an_unknown_sampler_is_refused(given):
-    with pytest.raises(UsageError, match="emcee, importance"):
-        sample(given, sampler="hmc")
 
 
 def test_arviz_reads_the_posterior(arviz, sampled, tmp_path):

@@ -6,7 +6,12 @@ from scipy.optimize import least_squares
 
 from tirefit.data.read import read_frame
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.verdict.identifiability import MODELS_ASKED, identifiability
+from tirefit.fitting.verdict.identifiability import (
+    MODELS_ASKED,
+    identifiability,
+    scatter_of,
+    stretches,
+)
 from tirefit.results import UsageError
 from tirefit.sim.simulate import simulate
 
@@ -88,6 +93,22 @@ def test_rows_with_the_same_noise_count_once():
         for a, b in zip(one.gates[0].parameters, other.gates[0].parameters, strict=True)
     ]
     np.testing.assert_allclose(ratio, np.sqrt(8), rtol=0.35)
+
+
+def test_noise_of_short_curves_is_that_of_the_rows():
+    """Of a parabola through 8 rows the residuals are too small by the root of 5/8."""
+    rng = np.random.default_rng(7)
+    speed, load, slip = (
+        x.ravel()
+        for x in np.meshgrid(
+            np.arange(5.0, 17.0), 1e3 * np.arange(1.0, 13.0), np.linspace(0.01, 0.08, 8)
+        )
+    )
+    force = load * (10 * slip - 40 * slip**2 + 0.02 * rng.standard_normal(slip.size))
+    data = read_frame({"sigma_x": slip, "fx": force, "fz": load, "v": speed})
+    found = scatter_of(data, "fx", stretches(data, "fx"))
+    # 5 degrees of freedom of each of 144 curves: 2.6 %.
+    assert found.share == pytest.approx(0.02, rel=0.08) and found.inflation == 1.0
 
 
 def test_standard_errors_of_many_rows_use_their_number():

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from rig import MF61
+from scipy.linalg import sqrtm
 from scipy.stats import t
 
 from tirefit.data.read import read_frame
@@ -148,6 +149,21 @@ def test_the_design_effect_measures_residuals_common_to_a_setting():
         found = design_effect(noise - fitted @ noise, slopes, setting)
         assert found == pytest.approx(1 + (rows - 1) * rho, rel=0.35)
         assert (found == 1) == (rho == 0)
+
+
+def test_the_design_effect_corrects_residuals_for_the_fit():
+    """CR2: residuals of a setting over the root of the share that the fit leaves of them."""
+    generator, setting = np.random.default_rng(3), np.repeat(np.arange(8), 5)
+    slopes = np.repeat(generator.standard_normal((8, 2)), 5, axis=0)
+    residual = np.repeat(3 * generator.standard_normal(8), 5) + generator.standard_normal(40)
+    whitened = np.linalg.solve(np.linalg.cholesky(slopes.T @ slopes + np.eye(2)), slopes.T).T
+    observed, expected = 0.0, 0.0
+    for part, own in zip(np.split(whitened, 8), np.split(residual, 8), strict=True):
+        leverage = part @ part.T
+        assert np.trace(leverage) < 0.9
+        observed += np.sum((part.T @ np.linalg.solve(sqrtm(np.eye(5) - leverage), own)) ** 2)
+        expected += np.trace(leverage)
+    assert design_effect(residual, slopes, setting) == pytest.approx(observed / expected)
 
 
 def test_bands_contain_rows_of_a_load_that_was_left_out():

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recipes import FULL_SLIDING, FZ, STD, TRUTH, brush_force, curve, magic_force, table
+from scipy.stats import chi2
 
 import tirefit
 from tirefit.data.read import read
@@ -86,6 +87,17 @@ def test_probability_of_a_nested_model_is_uniform():
         }
         low += probabilities(solved)["brush"] < 0.1
     assert low <= 9
+
+
+def test_probability_is_that_of_the_difference_of_chi_squares():
+    """Of given noise and independent rows; the other model has two parameters more."""
+    noise = {"noise": {"fx": STD, "effective_samples": "all"}}
+    data, config = curve(TRUTH | {"d": 0.05}, n=100), parse_config(noise)
+    fits = {n: solve_problem(build(data, n, config), config) for n in ("brush", "brush-dm")}
+    plain, wider = (np.sum((fit.residual("fx") / STD) ** 2) for fit in fits.values())
+    expected = pytest.approx(chi2.sf(plain - wider, 2), rel=1e-6)
+    assert probabilities(fits) == {"brush": expected, "brush-dm": 1.0}
+    assert 1e-6 < chi2.sf(plain - wider, 2) < 0.99
 
 
 def test_a_peak_is_compared_with_the_rows_of_its_run():

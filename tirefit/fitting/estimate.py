@@ -252,12 +252,8 @@ def with_fixed(estimates: dict[str, Estimate], problem: FitProblem) -> dict[str,
         if name in ties:
             factor, of = ties[name].factor, ties[name].other
             # One for each run, if the other one is per run.
-            for end, other in ((e, estimates[of + e]) for e in ends if of + e in estimates):
-                low, high = (None if x is None else factor * x for x in other.ci95)
-                ci95 = (low, high) if factor > 0 else (high, low)
-                std = None if other.std is None else abs(factor) * other.std
-                tied = Estimate(factor * other.value, std, spec.unit, ci95, other.identified)
-                everything[name + end] = tied
+            for end in (end for end in ends if of + end in estimates):
+                everything[name + end] = estimates[of + end].times(factor, spec.unit)
         elif name not in free and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
             everything[name] = Estimate(value, None, spec.unit, (None, None), fixed=True)

@@ -18,11 +18,10 @@ from tirefit.data.tir.tir import read_tir
 from tirefit.data.tir.tire_file import tire_kind
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.result import MagicFormulaFit, TireLike, magic_formula_forces
-from tirefit.fitting.problem.build import find_model
+from tirefit.fitting.problem.build import check_time_series, find_model, inputs_of
 from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.problem.likelihood import row_forces
 from tirefit.fitting.problem.noise import noise_std
-from tirefit.fitting.problem.time_series import check_time_series
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, beyond, tire_of
@@ -60,13 +59,6 @@ def predict_forces(
 
     slope = jax.jacfwd(force)(z)
     return force(z), {k: jnp.sum(g @ covariance * g, axis=1) for k, g in slope.items()}
-
-
-def _inputs(data: TireData) -> TireInputs:
-    """Inputs of the used rows: masked rows are not part of a time series."""
-    zeros = np.zeros(len(data))
-    columns = (data.columns.get(name, zeros) for name in TireInputs._fields)
-    return TireInputs(*(np.nan_to_num(c[data.used].astype(float)) for c in columns))
 
 
 def _check_needs(data: TireData, tire: AbstractTire, name: str) -> None:
@@ -115,12 +107,12 @@ def predict(
     if values:
         raise UsageError("values together with a fit, which has its own", "leave them out")
     fit = given if isinstance(given, StoredFit) else given.stored
-    tire, layout, noise = fit.tire, fit.layout, fit.noise
+    tire, layout, noise, inputs = fit.tire, fit.layout, fit.noise, inputs_of(data)
     _check_needs(data, tire, name)
     force: Mapping[str, Any]
     variance: Mapping[str, Any]
     if isinstance(tire, MFTire):
-        force, variance = magic_formula_forces(fit, tuple(noise), _inputs(data))
+        force, variance = magic_formula_forces(fit, tuple(noise), inputs)
     else:
         codes = data.run[data.used]
         if layout.is_sparse:
@@ -128,7 +120,7 @@ def predict(
                 reason = f"the fit has no parameters for the runs {', '.join(unknown)}"
                 raise DataError(reason, f"it knows {', '.join(layout.runs)}", data.file)
             codes = np.array([layout.runs.index(run) for run in data.runs])[codes]
-        force, variance = predict_forces(tire, layout, fit.z, fit.covariance, _inputs(data), codes)
+        force, variance = predict_forces(tire, layout, fit.z, fit.covariance, inputs, codes)
     out, names = {}, np.array(data.runs)[data.run[data.used]]
     fitted = [channel for channel in _channels(data, force) if channel in noise]
     if not fitted:
@@ -204,7 +196,7 @@ def _of_model(
     check_values(template, name, values)
     tire = with_values(template, values)
     _check_needs(data, tire, name)
-    given = forces(tire, _inputs(data), data.run[data.used])._asdict()
+    given = forces(tire, inputs_of(data), data.run[data.used])._asdict()
     channels = _channels(data, given)
     if not channels:
         has = " and ".join(modelled(tire))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -64,6 +64,13 @@ class Estimate:
         low, left, median, right, high = np.quantile(draws, shares).tolist()
         std = (right - left) / 2 if identified else None
         return cls(median, std, unit, (low, high), identified)
+
+    def times(self, factor: float, unit: str) -> "Estimate":
+        """The estimate of ``factor`` times the number."""
+        low, high = (None if end is None else factor * end for end in self.ci95)
+        ci95 = (low, high) if factor > 0 else (high, low)
+        std = None if self.std is None else abs(factor) * self.std
+        return replace(self, value=factor * self.value, std=std, unit=unit, ci95=ci95)
 
 
 @dataclass(frozen=True)

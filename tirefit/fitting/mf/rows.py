@@ -12,6 +12,7 @@ import numpy as np
 from tirefit.data.table import TireData, join
 from tirefit.data.tir.tir import PRESSURES
 from tirefit.fitting.mf.parts import MOMENTS, SLIPS_OF, is_pure
+from tirefit.fitting.problem.build import inputs_of
 from tirefit.fitting.problem.config import FitConfig
 from tirefit.fitting.problem.noise import NoiseLaw
 from tirefit.models import TireInputs
@@ -127,11 +128,10 @@ def rows_of_forces(data: TireData, forces: Sequence[str]) -> dict[str, ForceRows
         if count < _FEWEST:
             reason = f"{count} rows of {force}: a Magic Formula needs at least {_FEWEST}"
             raise DataError(reason, "measure more, or fit a brush model", data.file)
-        some, zero = replace(data, used=there), np.zeros(count)
-        inputs = (some.usable(k) if k in data else zero for k in TireInputs._fields)
+        some = replace(data, used=there)
         pure = is_pure(some, force)
         pure &= np.count_nonzero(pure) >= _FEWEST
-        columns = TireInputs(*map(np.nan_to_num, inputs)), some.usable(force), data.run[there]
+        columns = inputs_of(some), some.usable(force), data.run[there]
         rows[force] = ForceRows(force, *columns, pure, np.zeros(count, int))
     if not rows:
         raise DataError(

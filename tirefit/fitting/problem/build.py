@@ -17,7 +17,6 @@ from tirefit.fitting.problem.config import FitConfig, NoiseConfig, ParameterConf
 from tirefit.fitting.problem.layout import Layout, choose_layout
 from tirefit.fitting.problem.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
 from tirefit.fitting.problem.slip_noise import speed_of, std_with_speed
-from tirefit.fitting.problem.time_series import check_time_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
@@ -196,6 +195,12 @@ def _put(values: np.ndarray, size: int) -> Array:
     return jax.device_put(pad_rows(values, size))
 
 
+def inputs_of(data: TireData) -> TireInputs:
+    """Inputs (n_used,) of the used rows, zero for a column that the data lack or a gap in it."""
+    columns = (data.columns.get(name, np.zeros(len(data))) for name in TireInputs._fields)
+    return TireInputs(*(np.nan_to_num(column[data.used].astype(float)) for column in columns))
+
+
 def _first_guess(
     model: AbstractTire, data: TireData, forces: Sequence[str], layout: Layout
 ) -> dict[str, float]:
@@ -286,10 +291,8 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         if std is not None:
             check_slip_noise(data, slip, std)
             slip_std[slip] = _put(std, size)
-    zero = np.zeros(data.n)
-    inputs = (data.usable(name) if name in data else zero for name in TireInputs._fields)
     rows = Rows(
-        inputs=TireInputs(*(_put(np.nan_to_num(values), size) for values in inputs)),
+        inputs=TireInputs(*(_put(values, size) for values in inputs_of(data))),
         run=_put(data.run[data.used].astype(int), size),
         weight=jax.device_put((np.arange(size) < data.n).astype(float)),
         observed=observed,
@@ -331,6 +334,34 @@ def _check_inputs(
         check_time_series(data, name)
     if data.n == 0:
         raise DataError("no usable row", "see `tirefit inspect`", data.file)
+
+
+def check_time_series(data: TireData, name: str) -> None:
+    """Raises DataError unless the used rows of each run are contiguous, with rising time.
+
+    Args:
+        data: with a time column.
+        name: name of the transient model, for the message.
+    """
+    rows = np.flatnonzero(data.used)
+    run, time = data.run[rows], data["time"][rows]
+    same = run[1:] == run[:-1]
+    # Each run begins only once, after the end of the previous run.
+    again = ~same & ~np.isin(np.arange(1, len(run)), np.unique(run, return_index=True)[1])
+    problems = []
+    for wrong, reason in (
+        (again, "the rows of run {run!r} are not contiguous"),
+        (same & ~(np.diff(time) > 0), "time {time:g} s is not after {before:g} s"),
+    ):
+        if not wrong.any():
+            continue
+        at = int(np.argmax(wrong)) + 1
+        text = reason.format(run=data.runs[run[at]], time=time[at], before=time[at - 1])
+        more = f" ({wrong.sum()} such rows)" if wrong.sum() > 1 else ""
+        text += f"{more}; {name} follows the slip through time"
+        remedy = "sort the rows by run and time, and name the runs in a column run"
+        problems.append(problem_at(data, int(rows[at]), "time", text, remedy))
+    DataError.raise_for(problems)
 
 
 def _with_reference_load(

@@ -11,7 +11,7 @@ the limit of no slip noise, so Gauss-Newton steps carry over.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -37,16 +37,12 @@ CHANNEL_SLIP = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 """Force channel -> the slip that drives it in pure slip."""
 
 
-@dataclass(frozen=True)
-class Channel:
+class Channel(NamedTuple):
     """One fitted force: its name and whether its noise scale is estimated."""
 
     name: str
-    noise_estimated: bool = True
-    slip: str = ""  # the slip whose noise, if any, is integrated out
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "slip", self.slip or CHANNEL_SLIP[self.name])
+    noise_estimated: bool
+    slip: str  # whose noise, if any, is integrated out
 
 
 class Rows(NamedTuple):

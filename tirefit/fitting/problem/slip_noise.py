@@ -230,7 +230,7 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
     def beside(more: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """The distribution with more places; None if it gains less than the penalty."""
         wider = np.append(standing, places[more])
-        fitted = _with_more(slip, std, smooth, wider, weight, _STEPS_AFTER)
+        fitted = _with_more(slip, std, smooth, wider, weight)
         rise = _log_likelihood(*fitted[:2]) - likely
         return fitted if rise >= worth * len(more) else None
 
@@ -259,12 +259,7 @@ def slip_distribution(slip: np.ndarray, std: np.ndarray) -> SlipDistribution:
 
 
 def _with_more(
-    slip: np.ndarray,
-    std: np.ndarray,
-    smooth: np.ndarray,
-    standing: np.ndarray,
-    weight: np.ndarray,
-    iterations: int,
+    slip: np.ndarray, std: np.ndarray, smooth: np.ndarray, standing: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(columns, weights, places) of the smooth parts and the standing slips, the last of
     which are new; all places are refined."""
@@ -273,7 +268,7 @@ def _with_more(
     for _ in range(3):
         alone = _standing_likelihood(slip, std, standing)
         wider = np.concatenate([smooth, alone], axis=1)
-        share = _weights(wider, share, iterations // 3)
+        share = _weights(wider, share, _STEPS_AFTER // 3)
         mine = alone * share[smooth.shape[1] :]
         mine /= np.maximum(wider @ share, 1e-300)[:, None] * std[:, None] ** 2
         standing = slip @ mine / np.maximum(mine.sum(axis=0), 1e-300)

@@ -59,7 +59,7 @@ class BatchFit(Record):
 
 
 def fit_many(
-    data: Mapping[str, Float[Values, "b n"] | float], model: str | None = None, *, batch: int = 64
+    data: Mapping[str, Float[Values, "b n"] | float], model: str | None = None
 ) -> BatchFit:
     """Fit a model to B data sets of n points each, by least squares on the normal equations.
 
@@ -68,7 +68,6 @@ def fit_many(
             or a scalar: ``sigma_x`` [-] with ``fx`` [N], or ``alpha`` [rad] with ``fy``
             [N]; ``fz`` [N]; and ``v`` [m/s], 0 by default.
         model: a name of ``tirefit.MODELS``; ``brush`` if None.
-        batch: data sets solved side by side.
 
     Returns:
         Estimates, with standard deviations from the covariance at the noise of the
@@ -105,11 +104,11 @@ def fit_many(
         jnp.broadcast_to(jnp.asarray(x, float), slip.shape)
         for x in (data["fz"], data.get("v", 0.0))
     )
-    values, std, converged = _solve_all(template, layout, slip, force, fz, v, axis, batch)
+    values, std, converged = _solve_all(template, layout, slip, force, fz, v, axis)
     return BatchFit(layout.labels, np.asarray(values), np.asarray(std), np.asarray(converged))
 
 
-@partial(jax.jit, static_argnames=("layout", "axis", "batch"))
+@partial(jax.jit, static_argnames=("layout", "axis"))
 def _solve_all(
     template: AbstractTire,
     layout: Layout,
@@ -118,7 +117,6 @@ def _solve_all(
     fz: Array,
     v: Array,
     axis: str,
-    batch: int,
 ) -> tuple[Array, Array, Array]:
     def solve_one(data: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
         slip, force, fz, v = data
@@ -145,4 +143,4 @@ def _solve_all(
         cov = slope @ jnp.linalg.inv(end.normal) @ slope.T * noise
         return layout.vector(end.z), jnp.sqrt(jnp.diagonal(cov)), end.converged
 
-    return jax.lax.map(solve_one, (slip, force, fz, v), batch_size=batch)
+    return jax.lax.map(solve_one, (slip, force, fz, v), batch_size=64)

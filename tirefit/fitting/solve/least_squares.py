@@ -350,7 +350,7 @@ def least_squares(
     if isinstance(chosen, str):
         z, converged, steps = _jaxopt(values, start)
     else:
-        end = optx.least_squares(values, chosen, start, max_steps=max_steps, throw=False)
+        end: Any = optx.least_squares(values, chosen, start, max_steps=max_steps, throw=False)
         converged = end.result == optx.RESULTS.successful
         z, steps = end.value, end.stats["num_steps"]
     cost = jnp.sum(values(z) ** 2)

@@ -10,7 +10,6 @@ run; otherwise at those of the file, so that runs can be compared.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
 import jax
@@ -224,12 +223,6 @@ def _ends(*values: float) -> tuple[float | None, float | None]:
     return low, high
 
 
-def _says_something(ci95: tuple[float | None, float | None]) -> bool:
-    """Whether an interval is closed, and less than a factor of three wide."""
-    low, high = ci95
-    return low is not None and high is not None and 0 < low and high <= 3 * low
-
-
 def _involved(
     evaluate: Evaluator, z: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> dict[str, tuple[float, np.ndarray]]:
@@ -292,13 +285,8 @@ def derived_from_profile(
                 estimate = _estimate(solved, evaluate, name, unit, known, ends)
             derived[name + ending] = estimate
             if name == "F_max":
-                fz = reference_point(problem, code)["fz"]
-                numbers = estimate.std, *estimate.ci95
-                std, first, last = (None if x is None else x / fz for x in numbers)
-                share = replace(
-                    estimate, value=estimate.value / fz, std=std, unit="-", ci95=(first, last)
-                )
-                derived["F_max_over_fz" + ending] = share
+                share = 1 / reference_point(problem, code)["fz"]
+                derived["F_max_over_fz" + ending] = estimate.times(share, "-")
     order = list(quantities(channel))
     by_quantity = sorted(derived, key=lambda label: order.index(quantity_of(label)))
     return {label: derived[label] for label in by_quantity}
@@ -323,8 +311,9 @@ def _estimate(
         half = np.sqrt(solved.level) * std
         ci95, identified = _ends(value - half, value + half), True
     else:
-        ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
-        identified = _says_something(ci95)
+        low, high = ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
+        # Closed, and less than a factor of three wide.
+        identified = low is not None and high is not None and 0 < low and high <= 3 * low
     low, high = ci95
     if low is not None and high is not None and any(estimate.std is None for estimate in known):
         # The covariance does not determine it: use the width of the profile.
