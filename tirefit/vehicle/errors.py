@@ -43,7 +43,8 @@ class Errors(NamedTuple):
 
 class Measured(NamedTuple):
     """Windows of a log: times and speed (w, k), wheel angle (w, l + k), which begins l samples
-    before; the measured series, NaN beyond the end of each; and samples of the effects."""
+    before; the measured series, NaN beyond the end of each, as the times; and samples of the
+    effects."""
 
     time: Any
     v_x: Any
@@ -91,7 +92,7 @@ FEWEST = 16
 
 class Fans(NamedTuple):
     """Measured and predicted series of each window of a log, at times (w, k) [s] after
-    ``epoch``, NaN beyond its end."""
+    ``epoch``; time and measured series are NaN beyond its end."""
 
     time: np.ndarray
     measured: Series

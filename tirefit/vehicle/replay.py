@@ -278,7 +278,8 @@ def replay(
             each = _series(log, vehicle).items()
             series = {name: np.where(there, x[at], np.nan) for name, x in each}
             steering = road_wheel(log, vehicle)[steered]
-            windows.append(Measured(log.time[at], log.v_x[at], steering, series, samples))
+            time = np.where(there, log.time[at], np.nan)
+            windows.append(Measured(time, log.v_x[at], steering, series, samples))
         return windows
 
     long_enough = f"as long as the shortest horizon, {horizons[0]:g} s"
@@ -319,10 +320,8 @@ def _fans(log_windows: Mapping[str, CutLog], prediction: Series) -> dict[str, Fa
     for name, log in log_windows.items():
         windows = log.windows[0]
         rows = slice(first, first + len(windows.v_x))
-        first, there = rows.stop, np.isfinite(windows.series["a_y"])
-        of_log = {k: np.where(there, x[rows], np.nan) for k, x in prediction.items()}
-        time = np.where(there, windows.time, np.nan)
-        fans[name] = Fans(time, windows.series, of_log, log.track.epoch)
+        first, of_log = rows.stop, {k: x[rows] for k, x in prediction.items()}
+        fans[name] = Fans(windows.time, windows.series, of_log, log.track.epoch)
     return fans
 
 
@@ -330,7 +329,7 @@ def _others(
     car: Car, windows: Measured, vehicle: Vehicle, steps: Sequence[int], named: Applied | None
 ) -> dict[str, Errors]:
     """Errors of the car on linear tires, of one without slip, and of the car with effects."""
-    speed = float(np.median(windows.v_x[np.isfinite(windows.series["a_y"])]))
+    speed = float(np.median(windows.v_x[np.isfinite(windows.time)]))
     axles = zip((car.front, car.rear), axle_loads(car), strict=True)
     slopes = [slope_at_rest(tire, TireInputs(fz=load, v=speed), "y") / load for tire, load in axles]
     linear = car_of(vehicle, *map(LinearTire, slopes))
@@ -425,21 +424,23 @@ def _predicted(
     else:
         channels = 3 if vehicle.columns.motion == POSE else 2
         model, z = named.model._replace(channels=channels), named.z
-    found: tuple[Series, Measured] = _integrated(model, car, windows, z, 1 / rate, parts)
-    return jax.tree.map(np.asarray, found)
+    found = _integrated(model, car, windows, z, 1 / rate, parts)
+    prediction, series = jax.tree.map(np.asarray, found)
+    return prediction, windows if named is None else windows._replace(series=series)
 
 
 @partial(jax.jit, static_argnames="model")
 def _integrated(
     model: Model | None, car: Car, windows: Measured, z: Any, step: Any, parts: Any
-) -> tuple[Series, Measured]:
-    def of_window(window: Measured) -> tuple[Series, Measured]:
+) -> tuple[Series, Series]:
+    def of_window(window: Measured) -> tuple[Series, Series]:
         changes = NO_CHANGES
         if model is not None:
             window, changes = with_effects(model, z, window, step)
         start = State(*(window.series[name][0] for name in State._fields))
         steering = window.steering[-len(window.v_x) :]
         driven = predicted(car, start, window.v_x, steering, step, parts, changes)
-        return driven.states._asdict() | {"a_y": driven.lateral}, window
+        log = {} if model is None else window.series  # as given, it need not be copied
+        return driven.states._asdict() | {"a_y": driven.lateral}, log
 
     return jax.vmap(of_window)(windows)
