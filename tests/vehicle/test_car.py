@@ -58,7 +58,7 @@ def test_a_predicted_second_agrees_with_scipy():
     time = STEP * np.arange(COUNT)
     v_x, steering = 3.0 + 0.5 * time, 0.5 * np.sin(4 * time)
     start = (-0.9, 1.0, 0.4, 1.0, 2.0)
-    found, _ = jax.jit(predicted, static_argnums=5)(
+    found = jax.jit(predicted, static_argnums=5)(
         car(), State(*start), jnp.asarray(v_x), jnp.asarray(steering), STEP, 4
     )
     true = solve_ivp(
@@ -74,7 +74,7 @@ def test_a_predicted_second_agrees_with_scipy():
     # At first the rear slides.
     full = 1.5 * TIRES["rear"][1] * MASS * GRAVITY * L_F / (L_F + L_R) / TIRES["rear"][0]
     assert abs(start[0] - L_R * start[1]) / v_x[0] > full
-    np.testing.assert_allclose(np.stack(found), true.y, atol=2e-5)
+    np.testing.assert_allclose(np.stack(found.states), true.y, atol=2e-5)
 
 
 def test_steady_cornering_of_linear_tires_is_the_understeer_gradient():
@@ -82,7 +82,7 @@ def test_steady_cornering_of_linear_tires_is_the_understeer_gradient():
     linear = Car(LinearTire(front), LinearTire(rear), MASS, INERTIA, L_F, L_R, GRAVITY)
     speed, angle = 3.0, 1e-4
     given = jnp.full(500, speed), jnp.full(500, angle)
-    end = predicted(linear, State(0, 0, 0, 0, 0), *given, 0.01, 4)[0]
+    end = predicted(linear, State(0, 0, 0, 0, 0), *given, 0.01, 4).states
     gradient = (1 / front - 1 / rear) / GRAVITY
     steady = speed / (L_F + L_R + gradient * speed**2)
     assert float(end.yaw_rate[-1]) / angle == pytest.approx(steady, rel=1e-6)

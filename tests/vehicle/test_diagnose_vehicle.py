@@ -24,7 +24,7 @@ from tirefit.models import Brush
 from tirefit.results import DataError, UsageError
 from tirefit.vehicle import subject
 from tirefit.vehicle.car import State, cubic, delayed, lagged, with_play
-from tirefit.vehicle.diagnose import Applied, applied
+from tirefit.vehicle.diagnose import Applied, applied, with_effects
 from tirefit.vehicle.effects import (
     CAR_EFFECTS,
     SIMULATOR_EFFECTS,
@@ -325,12 +325,13 @@ def test_a_log_is_corrected_for_its_errors(late, tmp_path, errors_of_the_log, po
     moved = place + ahead * np.exp(1j * heading) * poses
     logged |= {"heading": heading - 0.02 * poses, "x": moved.real, "y": moved.imag}
     logged |= {"a_y": true["a_y"]}
-    rows = Samples(*[np.zeros((1, 2))] * 6, *np.array([[1e4], [ahead * 10]]), np.full((1, 2), 0.1))
-    series = {name: values[None] for name, values in logged.items()}
-    windows = Measured(np.zeros((1, 2)), v_x[None], np.zeros((1, 5)), series, rows)
-    found, _ = Applied(*errors_of_the_log, 1.0).changed(windows, vehicle)
+    rows = Samples(*[np.zeros(2)] * 6, 1e4, 10 * ahead, np.full(2, 0.1))
+    window = Measured(np.zeros(2), v_x, np.zeros(5), logged, rows)
+    model, z = errors_of_the_log
+    model = model._replace(channels=3 if poses else 2)
+    found, _ = with_effects(model, z, window, 0.01)
     for name, right in true.items():
-        np.testing.assert_allclose(found.series[name][0], right, rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(found.series[name], right, rtol=1e-9, err_msg=name)
 
 
 def test_effects_applied_to_a_log_depend_on_its_own_motion(late, errors_of_the_log):

@@ -16,8 +16,8 @@ from tirefit.diagnosis.summary.compare import Apart, Number
 from tirefit.models import Brush
 from tirefit.results import DataError
 from tirefit.vehicle import subject
-from tirefit.vehicle.effects import CAR_EFFECTS, SIMULATOR_EFFECTS
-from tirefit.vehicle.simulated import _first_of_twins, _forms, _meanings, _no_slip, _spins
+from tirefit.vehicle.effects import CAR_EFFECTS, SIMULATOR_EFFECTS, Samples, Setting
+from tirefit.vehicle.simulated import _STATED, _first_of_twins, _forms, _meanings, _no_slip, _spins
 
 FEW = (
     "steering_delay", "yaw_inertia", "centre_of_gravity", "lateral_load_transfer",
@@ -107,6 +107,22 @@ def test_an_axle_of_a_simulator_at_another_place_is_found(axle, quantity, car, t
     (differing,) = (x for x in (*found.numbers, *found.effects) if x.differs)
     assert differing.name == f"{axle}: {quantity}"
     assert abs(differing.difference + size) < 3 * differing.std
+
+
+@pytest.mark.parametrize("effect", _STATED)
+def test_a_stated_quantity_changes_as_the_car_of_the_effect_does(effect, car):
+    vehicle, size = load_vehicle(car[1]), 0.07
+    (record,) = (one for one in SIMULATOR_EFFECTS if one.id == effect)
+    rows = Samples(*[0.0] * 6, 1.0, vehicle.wheelbase, 1.0)
+    by = record.change(Setting(), size, record.variants[0], rows)
+    changed = {
+        "l_f": vehicle.l_f + by.car.l_f,
+        "l_r": vehicle.l_r + by.car.l_r,
+        "yaw_inertia": vehicle.yaw_inertia * by.car.inertia,
+        "steering.delay": by.steering.delay,
+    }
+    quantity, _, of = _STATED[effect]
+    assert of(vehicle, size) == pytest.approx(float(changed[quantity]))
 
 
 @pytest.mark.long

@@ -4,12 +4,13 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
 from scipy.integrate import solve_ivp
 from scipy.special import stdtrit
-from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, slopes
+from test_car import GRAVITY, INERTIA, L_F, L_R, MASS, TIRES, car, slopes
 from test_replay import TOML
 from typer.testing import CliRunner
 
@@ -18,12 +19,15 @@ from fits.formulas import brush
 from tirefit import fit_trajectory, replay
 from tirefit.cli.commands import app
 from tirefit.data.read import read_frame
+from tirefit.data.vehicle.motion import read_motion, road_wheel
 from tirefit.data.vehicle.vehicle import load_vehicle
 from tirefit.models import Brush
 from tirefit.results import DataError, Outcome, UsageError
 from tirefit.targets.tire import tire_of
 from tirefit.vehicle import trajectory
-from tirefit.vehicle.windows import cut_in_windows, derived_rows, lateness
+from tirefit.vehicle.shooting import Data
+from tirefit.vehicle.trajectory import _Problem
+from tirefit.vehicle.windows import CHANNELS, cut_in_windows, derived_rows, lateness
 
 DELAY, OFFSET = 0.06, 0.012  # s, rad
 TRUE = {
@@ -100,14 +104,23 @@ def stating(drive, delay):
     return vehicle.model_copy(update={"steering": steering})
 
 
-def test_the_steering_of_windows_is_as_logged_and_begins_before_the_stated_delay(drive):
-    (cut,) = cut_in_windows([drive / "drive.csv"], stating(drive, DELAY), 0.5).values()
+@pytest.mark.parametrize("gap", [False, True])
+def test_the_steering_of_windows_is_as_logged_and_begins_before_the_stated_delay(
+    drive, tmp_path, gap
+):
+    """No window has that of before a gap."""
+    head, *rows = (drive / "drive.csv").read_text().splitlines()
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join([head, *rows[: 900 if gap else 1000], *rows[1000:]]) + "\n")
+    (cut,) = cut_in_windows([path], stating(drive, DELAY), 0.5).values()
     data, rows = cut.windows
     angle = np.asarray(data.steering)
     lead = angle.shape[1] - rows.shape[1]
     time = cut.motion.time[rows[:, :1] + np.arange(-lead, rows.shape[1])]
     np.testing.assert_allclose(angle, steer(time), atol=1e-8)
-    assert time[0, lead] - time[0, 0] > DELAY + 0.28  # the longest delay that is searched
+    assert np.all(time[:, lead] - time[:, 0] > DELAY + 0.28)  # the longest delay that is searched
+    assert np.all(np.ptp(time, axis=1) < angle.shape[1] / 100)
+    assert np.any((time > 9.05) & (time < 9.95)) != gap
 
 
 def test_the_error_of_a_start_state_is_stated(drive):
@@ -147,17 +160,83 @@ def test_a_late_steering_is_not_a_reversed_one(tmp_path):
         derived_rows(turned, vehicle, "front", 0.0)
 
 
-def test_no_window_has_the_steering_of_before_a_gap(drive, tmp_path):
-    head, *rows = (drive / "drive.csv").read_text().splitlines()
-    path = tmp_path / "gap.csv"
-    path.write_text("\n".join([head, *rows[:900], *rows[1000:]]) + "\n")
-    (cut,) = cut_in_windows([path], stating(drive, DELAY), 0.5).values()
-    data, own = cut.windows
-    lead = data.steering.shape[1] - own.shape[1]
-    time = cut.motion.time[own[:, :1] + np.arange(-lead, own.shape[1])]
-    np.testing.assert_allclose(np.asarray(data.steering), steer(time), atol=1e-8)
-    assert np.all(np.ptp(time, axis=1) < (own.shape[1] + lead) / 100)
-    assert np.any(time[:, 0] > 10.0) and np.any(time[:, 0] < 9.0)
+def test_a_window_is_predicted_with_the_unknowns_of_steering_and_log(drive):
+    """Against SciPy: delay, ratio and offset of the steering; a larger sideslip is logged as a
+    smaller heading."""
+    values = {"steering_delay": 0.05, "steering_ratio": 1.1, "steering_offset": 0.01}
+    values |= {"sideslip_zero": 0.02}
+    vehicle, time, lead = load_vehicle(drive / "vehicle.toml"), np.arange(-20, 51) / 100, 20
+    start, speed = np.array([-0.2, 0.5, 0.3, 1.0, 2.0]), np.full(51, 3.0)
+    window = Data(speed, steer(time), np.zeros((51, 3)), start, np.ones(5))
+    problem = SimpleNamespace(
+        vehicle=vehicle,
+        steering=vehicle.steering,
+        names=CHANNELS[3],
+        unknown=lambda z, name, default=0.0: values.get(name, default),
+        car=lambda z: car(),
+    )
+    window = Data(*map(jnp.asarray, window))
+    found = _Problem.missed(problem, None, jnp.asarray(start), window, 4)
+    given = [lambda t: 3.0, lambda t: 1.1 * steer(t - 0.05) + 0.01]
+    begin = start + np.array([-0.02 * 3.0, 0, 0.02, 0, 0])
+    true = solve_ivp(slopes, (0, 0.5), begin, t_eval=time[lead:], rtol=1e-9, atol=1e-9, args=given)
+    np.testing.assert_allclose(found.T, true.y[2:] - [[0.02], [0], [0]], atol=5e-6)
+
+
+@pytest.mark.parametrize("poses", [True, False])
+def test_the_written_vehicle_undoes_what_was_found(tmp_path, poses):
+    """Driving straight ahead, its sensor turned: the car of the written file has no sideslip, and
+    its wheels have the angle that was found."""
+    zero, time = 0.03, np.arange(0, 4, 0.01)
+    columns = {"t": time, "steer": steer(time), "x": 3.0 * time, "y": 0 * time}
+    columns |= {"yaw": 0 * time - zero, "vx": 0 * time + 3 * np.cos(zero), "r": 0 * time}
+    columns |= {"vy": 0 * time + 3 * np.sin(zero)}
+    log, file = tmp_path / "straight.csv", tmp_path / "vehicle.toml"
+    np.savetxt(log, np.stack([*columns.values()], axis=1), "%.12g", ",",
+               header=",".join(columns), comments="")  # fmt: skip
+    rates = 'v_x = "vx"\nv_y = "vy"\nyaw_rate = "r"'
+    file.write_text(TOML if poses else TOML.replace('x = "x"\ny = "y"\nyaw = "yaw"', rates))
+    vehicle, names = load_vehicle(file), CHANNELS[3 if poses else 2]
+    values = {"steering_ratio": 1.2, "steering_offset": 0.01, "steering_delay": 0.06}
+    values |= {"sideslip_zero": zero, "yaw_inertia": 0.2}
+    found = {name: SimpleNamespace(value=value) for name, value in values.items()}
+    problem = SimpleNamespace(
+        vehicle=vehicle, steering=vehicle.steering, unknowns=tuple(found), names=names
+    )
+    written = _Problem.fitted_vehicle(problem, found)
+    _, motion, _ = read_motion(str(log), written)
+    good = motion.settled
+    np.testing.assert_allclose(motion.v_y[good], 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        road_wheel(motion, written)[good], 1.2 * steer(motion.time[good] - 0.06) + 0.01, atol=1e-3
+    )
+    assert written.yaw_inertia == 0.2
+
+
+def test_the_band_of_the_figure_is_that_of_the_force_on_both_sides_of_the_curve(found):
+    """Its standard error by differences of S(12)."""
+    alpha = np.array([-0.15, -0.02, 0.05, 0.2])
+    for axle in TIRES:
+        layout, z, covariance = found.axles[axle].fit
+        load, step = found.rows[axle]["fz"][0], 1e-5 * np.eye(2)
+
+        def force(z, layout=layout, load=load):
+            cpa2, mu = (float(layout.natural(z)[name]) for name in ("cpa2", "mu"))
+            return np.sign(alpha) * brush(np.tan(np.abs(alpha)), load, 3.0, cpa2, mu)
+
+        by = np.array([(force(z + h) - force(z - h)) / 2e-5 for h in step])
+        value, half = found.force(axle, alpha)
+        std = half / stdtrit(found.blocks - 1, 0.975)
+        np.testing.assert_allclose(value, force(z), rtol=1e-9)
+        np.testing.assert_allclose(std, np.sqrt(np.sum(by * (covariance @ by), axis=0)), rtol=1e-5)
+    axes = found.plot().axes[0]
+    (band,) = (one for one in axes.collections if one.get_label() == "95 %")
+    (curve,) = (one for one in axes.lines if one.get_label() == "brush")
+    x, y = band.get_paths()[0].vertices.T
+    for end in (0, -1):
+        at, force = (values[end] for values in curve.get_data())
+        sides = np.unique(y[np.isclose(x, at)]) - force
+        assert sides[0] < 0 < sides[-1] and sides[0] == pytest.approx(-sides[-1], rel=1e-6)
 
 
 @pytest.mark.long
@@ -289,27 +368,6 @@ def test_the_saved_fit_is_accepted_by_the_other_commands(found, tmp_path):
     force = np.sign(alpha) * [brush(np.tan(abs(a)), load, 3.0, cpa2, mu) for a in alpha]
     np.testing.assert_allclose(predicted["fy"], force, rtol=1e-9, atol=1e-9)
     assert tire_of(tmp_path / "front.json").spread["mu"] > 0
-
-
-@pytest.mark.long
-def test_a_turned_sensor_of_the_speeds_is_found_and_written(tmp_path):
-    time = np.arange(0, 12, 0.01)
-    given = [lambda t: 3.0, steer]
-    true = solve_ivp(
-        slopes, (0, 12), np.zeros(5), t_eval=time, rtol=1e-8, max_step=0.01, args=given
-    )
-    noise = 0.005 * np.random.default_rng(4).standard_normal((2, len(time)))
-    v_y, turn = true.y[:2] + noise
-    seen, log = (3.0 + 1j * v_y) * np.exp(-0.03j), tmp_path / "drive.csv"  # turned to the left
-    rows = np.stack([time, seen.real, seen.imag, turn, steer(time)], axis=1)
-    np.savetxt(log, rows, "%.9g", ",", header="t,vx,vy,r,steer", comments="")
-    rates = 'v_x = "vx"\nv_y = "vy"\nyaw_rate = "r"'
-    vehicle = tmp_path / "vehicle.toml"
-    vehicle.write_text(TOML.replace('x = "x"\ny = "y"\nyaw = "yaw"', rates))
-    found = fit_trajectory([log], vehicle, unknowns=("sideslip_zero",))
-    zero = found.parameters["sideslip_zero"]
-    assert abs(found.vehicle.sideslip_offset - 0.03) < 3 * zero.std < 0.01
-    assert found.vehicle.sideslip_offset == pytest.approx(-zero.value)
 
 
 @pytest.mark.long

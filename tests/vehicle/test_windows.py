@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from tirefit.vehicle.shooting import Data, End, Squares, linearised, minimised, sandwich
+from tirefit.vehicle.shooting import (
+    Data,
+    End,
+    Squares,
+    linearised,
+    minimised,
+    profile_ends,
+    sandwich,
+)
 
 TIME = np.linspace(0.0, 1.0, 21)
 NOISE, PULL = np.array([0.02, 0.05]), np.array([0.0, 4.0, 0.0])
@@ -67,6 +75,28 @@ def test_start_states_alone_are_found():
     away = starts + 1e-3
     _, again, *_ = minimised(squares, squares.begun(z, away), tolerance=1e-5)
     np.testing.assert_allclose(again, starts, atol=3e-5)
+
+
+def test_a_profile_of_linear_windows_ends_at_the_standard_errors_of_the_sandwich():
+    """A line through windows whose residuals have a common part."""
+    generator = np.random.default_rng(2)
+    common = generator.normal(0.0, 1.0, (WINDOWS, 1, 1))
+    values = common + generator.normal(0.0, 0.5, (WINDOWS, len(TIME), 1))
+    by_z = np.stack([np.ones_like(values), np.tile(TIME[:, None], (WINDOWS, 1, 1))], axis=3)
+    by_start = np.tile(np.cos(9 * TIME)[:, None, None], (WINDOWS, 1, 1, 1))
+
+    def run(z, starts):
+        made = by_z @ jnp.asarray(z) + (by_start @ starts[:, None, :, None])[..., 0]
+        return made - values, by_z, by_start
+
+    squares = Squares(run, np.array([0.5]), np.zeros(2))
+    end = minimised(squares, squares.begun(jnp.zeros(2), jnp.zeros((WINDOWS, 1))))
+    covariance, _, widened = sandwich(squares, end)
+    std, reach = np.sqrt(np.diag(covariance)), 2.5
+    assert widened[0] > 10.0 and 0.1 < widened[1] < 4.0  # the slope has no common part
+    for k in (0, 1):
+        ends = profile_ends(squares, end, k, std[k], reach, widened[k])
+        np.testing.assert_allclose(ends - end.z[k], reach * std[k] * np.array([-1, 1]), rtol=0.02)
 
 
 @pytest.mark.parametrize("pull", [0.0, 3.0])

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from tirefit.diagnosis.summary.result import UNITS
-from tirefit.models import TireInputs, forces
 from tirefit.report.canvas import (
     BLUE,
     DARK,
@@ -227,11 +226,11 @@ def trajectory_figure(fit: TrajectoryFit) -> Picture:
         dots(axes, rows["alpha"][some], rows["fy"][some], 1.4, GREY, label="derived from the log")
         reach = np.percentile(np.abs(rows["alpha"]), 99.5)
         alpha = np.linspace(-reach, reach, 121)
-        at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
-        drawn = [np.asarray(forces(sample, at).fy) for sample in tire.drawn(generator, 60)]
-        low, high = np.percentile(drawn, (2.5, 97.5), axis=0)
-        axes.fill_between(alpha, low, high, color=BLUE, alpha=0.3, lw=0, label="95 %")
-        axes.plot(alpha, forces(tire.tire, at).fy, color=BLUE, lw=1.4, label=tire.name)
+        force, half = fit.force(axle, alpha)
+        axes.fill_between(
+            alpha, force - half, force + half, color=BLUE, alpha=0.3, lw=0, label="95 %"
+        )
+        axes.plot(alpha, force, color=BLUE, lw=1.4, label=tire.name)
 
     for axle in fit.axles:
         title = f"{axle.capitalize()} axle, by trajectory"

@@ -14,6 +14,7 @@ same equations for the forces.
 """
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -31,8 +32,7 @@ _STABLE, _MOST_PARTS = 0.5, 50
 from one sample to the next."""
 
 AXLES = ("front", "rear")
-AT_ONCE = 1e-9  # time constant [s] that means no lag
-_TOUCH = 1e-9  # play [rad] that means no play, with distinct sides of the gap
+_NONE = 1e-9  # time constant [s] of no lag, and play [rad] of no play
 
 
 class LinearTire(AbstractTire):
@@ -90,6 +90,15 @@ class State(NamedTuple):
     heading: Any
     x: Any
     y: Any
+
+
+class Driven(NamedTuple):
+    """A predicted motion at samples (n,): the states, both slip angles (n, 2) [rad] and the
+    acceleration to the left [m/s2]."""
+
+    states: State
+    angles: Any
+    lateral: Any
 
 
 class Axle(NamedTuple):
@@ -205,9 +214,8 @@ def predicted(
     step: float | Values,
     parts: int,
     changes: Changes = NO_CHANGES,
-) -> tuple[State, jax.Array]:
-    """The states at every sample, from a start state: (n,) each; and the lag (n, 2) of the slip
-    angles [rad].
+) -> Driven:
+    """The motion at every sample, from a start state.
 
     Args:
         start: the state at the first sample, scalars.
@@ -217,8 +225,8 @@ def predicted(
         changes: numbers or (n,), each held until the next sample.
     """
     width, count = step / parts, len(v_x) - 1
-    each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)[:-1]  # noqa: E731
-    held: Changes = jax.tree.map(each, changes)
+    each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), count + 1)  # noqa: E731
+    changes = jax.tree.map(each, changes)
 
     @jax.jit  # traced once for the four slopes of a step
     def slope(
@@ -267,9 +275,13 @@ def predicted(
         return carried, carried
 
     first = State(*(jnp.asarray(s, float) for s in start)), jnp.zeros(2)
-    given = _with_bends(v_x), _with_bends(steering), held
-    _, later = jax.lax.scan(onward, first, given)
-    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, later)
+    held: Changes = jax.tree.map(lambda x: x[:-1], changes)
+    _, later = jax.lax.scan(onward, first, (_with_bends(v_x), _with_bends(steering), held))
+    whole = lambda first, rest: jnp.concatenate([first[None], rest])  # noqa: E731
+    states, late = jax.tree.map(whole, first, later)
+    motion = v_x, steering, states.v_y, states.yaw_rate, changes
+    lateral, _ = jax.vmap(partial(accelerations, car))(*motion, late)
+    return Driven(states, jnp.stack(slip_angles(car, *motion), axis=1), lateral)
 
 
 def cubic(
@@ -300,7 +312,7 @@ def delayed(values: jax.Array, samples: Values | float) -> jax.Array:
 def _later(late: jax.Array, rate: jax.Array, time: jax.Array, step: float | Values) -> jax.Array:
     """Distance, a step later, of a first-order lag with a time constant [s] from its
     input; exact for an input with constant rate, and smooth at a time constant of zero."""
-    kept = jnp.exp(-step / jnp.maximum(time, AT_ONCE))
+    kept = jnp.exp(-step / jnp.maximum(time, _NONE))
     return late * kept - time * rate * (1 - kept)
 
 
@@ -319,7 +331,7 @@ def lagged(values: jax.Array, time: jax.Array, step: float | jax.Array) -> jax.A
 
 def with_play(values: jax.Array, half: float) -> jax.Array:
     """Values (n,) with play: constant until the input differs by more than ``half``."""
-    half = half + _TOUCH
+    half = half + _NONE  # distinct sides of the gap
 
     def onward(held: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
         held = jnp.clip(held, value - half, value + half)

@@ -15,14 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from pydantic import PositiveFloat, model_validator
 
 from tirefit.data.merged import merged
 from tirefit.data.vehicle.motion import Motion
-from tirefit.data.vehicle.vehicle import POSE, Vehicle
+from tirefit.data.vehicle.vehicle import Vehicle
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of, effects_by_id
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, Ladder
 from tirefit.diagnosis.engine.search import Effort, Search, searched
@@ -362,26 +360,19 @@ class Applied:
         speed = samples.speed / self.speed
         return samples._replace(speed=speed, time=0 * samples.time, across=across, turn=turn)
 
-    def changed(self, windows: Measured, vehicle: Vehicle) -> tuple[Measured, Changes]:
-        """Windows of a log with the effects of the steering and without the errors of the log;
-        and the changes of the car (w, k) in them."""
-        fields = State._fields[: 5 if vehicle.columns.motion == POSE else 2]
 
-        def of_window(window: Measured) -> tuple[Measured, Changes]:
-            samples = window.samples
-            assert samples is not None  # every window of a replay with effects has them
-            setting, series = self.model.setting(self.z, samples), dict(window.series)
-            step = 1 / vehicle.filter.sample_rate
-            angle = steered(setting.steering, window.steering, samples.across, step)
-            series["yaw_rate"] -= setting.reading.yaw_rate
-            driven = as_driven([series[name] for name in fields], setting.reading, window.v_x)
-            series |= {name: getattr(driven, name) for name in fields}
-            each = lambda x: jnp.broadcast_to(jnp.asarray(x, float), window.v_x.shape)  # noqa: E731
-            changes = jax.tree.map(each, setting.car)
-            return window._replace(steering=angle, series=series), changes
-
-        numbers = jax.tree.map(jnp.asarray, windows)
-        return jax.tree.map(np.asarray, jax.vmap(of_window)(numbers))
+def with_effects(model: Model, z: Any, window: Measured, step: float) -> tuple[Measured, Changes]:
+    """A window of a log with the effects of the steering and without the errors of the log, and
+    the changes of the car; ``model.channels`` are those of the log."""
+    samples = window.samples
+    assert samples is not None  # every window of a replay with effects has them
+    setting, series = model.setting(z, samples), dict(window.series)
+    angle = steered(setting.steering, window.steering, samples.across, step)
+    series["yaw_rate"] -= setting.reading.yaw_rate
+    fields = State._fields[: 5 if model.channels == 3 else 2]
+    driven = as_driven([series[name] for name in fields], setting.reading, window.v_x)
+    series |= {name: getattr(driven, name) for name in fields}
+    return window._replace(steering=angle, series=series), setting.car
 
 
 def applied(source: Diagnosis | str | os.PathLike[str]) -> Applied:

@@ -43,7 +43,8 @@ class Errors(NamedTuple):
 
 class Measured(NamedTuple):
     """Windows of a log: times and speed (w, k), wheel angle (w, l + k), which begins l samples
-    before; the measured series, NaN beyond the end of each; and samples of the effects."""
+    before; the measured series, NaN beyond the end of each, as the times; and samples of the
+    effects."""
 
     time: Any
     v_x: Any
@@ -84,14 +85,14 @@ def integrated(
     return heading, x, start[2] + integral(v_x * sin + v_y * cos)
 
 
-_BLOCKS = 8  # number of parts of the starts; their spread gives the error of a ratio
+PARTS = 8  # number of parts of the time, each left out in turn for an error
 FEWEST = 16
 """Smallest number of starts for a ratio, and for a horizon at which models are compared."""
 
 
 class Fans(NamedTuple):
     """Measured and predicted series of each window of a log, at times (w, k) [s] after
-    ``epoch``, NaN beyond its end."""
+    ``epoch``; time and measured series are NaN beyond its end."""
 
     time: np.ndarray
     measured: Series
@@ -110,7 +111,7 @@ def turning(fans: Iterable[Fans], horizon: float) -> tuple[float, float] | None:
     there = np.isfinite(true) & np.isfinite(predicted)
     if there.sum() < FEWEST or not np.any(predicted[there]):
         return None
-    parts = np.array_split(np.flatnonzero(there), _BLOCKS)
+    parts = np.array_split(np.flatnonzero(there), PARTS)
     products = np.array([(true[p] @ predicted[p], predicted[p] @ predicted[p]) for p in parts])
     whole, left = products.sum(axis=0), products.sum(axis=0) - products
     return float(whole[0] / whole[1]), float(jackknife_error(left[:, 0] / left[:, 1]))

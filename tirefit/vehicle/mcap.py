@@ -3,7 +3,6 @@
 import io
 import json
 import re
-from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from tirefit import __version__
 from tirefit.results import InputProblem, UsageError
 
 if TYPE_CHECKING:
-    from tirefit.vehicle.errors import Fans
     from tirefit.vehicle.replay import Replay
 
 NAMES = {
@@ -62,28 +60,24 @@ def recorded(replay: "Replay") -> bytes:
     schema = out.register_schema("tirefit.motion", well_known.SchemaEncoding.JSONSchema, text)
     for log, fans in replay.fans.items():
         base = fans.epoch - min(fans.epoch + float(np.nanmin(fans.time)), 0.0)
-        for topic, time, rows in _channels(fans, replay.horizons):
+        step = fans.time[0, 1] - fans.time[0, 0]
+        channels = {"measured": (fans.measured, slice(None))} | {
+            f"predicted_{1000 * h:.0f}_ms_ahead": (fans.predicted, [round(h / step)])
+            for h in replay.horizons
+        }
+        for topic, (series, columns) in channels.items():
+            times = fans.time[:, columns]
+            # Windows overlap: each sample once.
+            stamps, once = np.unique(np.round((times + base) * _NANO), return_index=True)
+            values = np.stack([series[name][:, columns].ravel()[once] for name in NAMES], axis=1)
+            known = np.isfinite(stamps)
+            if not known.any():
+                continue
             name = f"/{re.sub('[^A-Za-z0-9_]', '_', log)}/{topic}"
             channel = out.register_channel(name, well_known.MessageEncoding.JSON, schema)
-            for at, *values in zip(np.round((time + base) * _NANO), *rows, strict=True):
-                pairs = zip(NAMES.values(), map(float, values), strict=True)
+            for at, row in zip(stamps[known].astype(int).tolist(), values[known], strict=True):
+                pairs = zip(NAMES.values(), row.tolist(), strict=True)
                 message = {key: value for key, value in pairs if np.isfinite(value)}
-                out.add_message(channel, int(at), json.dumps(message).encode(), int(at))
+                out.add_message(channel, at, json.dumps(message).encode(), at)
     out.finish()
     return file.getvalue()
-
-
-def _channels(
-    fans: "Fans", horizons: Sequence[float]
-) -> Iterator[tuple[str, np.ndarray, list[np.ndarray]]]:
-    """Name, times (n,) [s] and values of :data:`NAMES` (n,) of each channel of a log."""
-    there = np.isfinite(fans.time)
-    time, once = np.unique(np.round(fans.time[there] * _NANO), return_index=True)
-    yield "measured", time / _NANO, [fans.measured[name][there][once] for name in NAMES]
-    step = fans.time[0, 1] - fans.time[0, 0]
-    for horizon in horizons:
-        k = round(horizon / step)
-        rows = there[:, k] if k < there.shape[1] else []
-        if np.any(rows):
-            values = [fans.predicted[name][rows, k] for name in NAMES]
-            yield f"predicted_{1000 * horizon:.0f}_ms_ahead", fans.time[rows, k], values

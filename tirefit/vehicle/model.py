@@ -16,16 +16,7 @@ import jax.numpy as jnp
 from tirefit.compiled import BRIEF
 from tirefit.diagnosis.effects.record import Atom
 from tirefit.params import Values
-from tirefit.vehicle.car import (
-    Car,
-    State,
-    accelerations,
-    delayed,
-    lagged,
-    predicted,
-    slip_angles,
-    with_play,
-)
+from tirefit.vehicle.car import Car, State, delayed, lagged, predicted, with_play
 from tirefit.vehicle.effects import Reading, Samples, Setting, Steering, scaled_axles
 from tirefit.vehicle.shooting import Data
 
@@ -151,15 +142,11 @@ def moved(
                 for k, axle in enumerate(setting.car[:2])
             )
             changes = setting.car._replace(front=front, rear=rear)
-            changes = jax.tree.map(lambda x: jnp.broadcast_to(x, v_x.shape), changes)
             first = State(*start, *jnp.zeros(5 - len(start)))
-            states, late = predicted(car, first, v_x, angle, step, parts, changes)
-            motion = v_x, angle, states.v_y, states.yaw_rate, changes
-            slips = jnp.stack(slip_angles(car, *motion), axis=1)
-            lateral, _ = jax.vmap(partial(accelerations, car))(*motion, late)
-            seen = logged(model.channels, states, setting.reading, v_x)
+            driven = predicted(car, first, v_x, angle, step, parts, changes)
+            seen = logged(model.channels, driven.states, setting.reading, v_x)
             missed = jnp.reshape(seen.T, window.logged.shape) - window.logged
-            return missed, (missed, states, slips, lateral)
+            return missed, (missed, *driven)
 
         (by, by_start), values = jax.jacfwd(at, (0, 1), has_aux=True)(
             jnp.zeros(ways.shape[1]), start

@@ -37,16 +37,14 @@ from tirefit.results import InputProblem, Outcome, UsageError
 from tirefit.vehicle.car import (
     NO_CHANGES,
     Car,
-    Changes,
     LinearTire,
     State,
-    accelerations,
     axle_loads,
     car_of,
     predicted,
     steps_a_sample,
 )
-from tirefit.vehicle.diagnose import Applied, Steps, applied
+from tirefit.vehicle.diagnose import Applied, Steps, applied, with_effects
 from tirefit.vehicle.errors import (
     FEWEST,
     QUANTITIES,
@@ -60,6 +58,7 @@ from tirefit.vehicle.errors import (
     turning,
 )
 from tirefit.vehicle.mcap import recorded
+from tirefit.vehicle.model import Model
 from tirefit.vehicle.windows import (
     LEAD,
     CutLog,
@@ -279,7 +278,8 @@ def replay(
             each = _series(log, vehicle).items()
             series = {name: np.where(there, x[at], np.nan) for name, x in each}
             steering = road_wheel(log, vehicle)[steered]
-            windows.append(Measured(log.time[at], log.v_x[at], steering, series, samples))
+            time = np.where(there, log.time[at], np.nan)
+            windows.append(Measured(time, log.v_x[at], steering, series, samples))
         return windows
 
     long_enough = f"as long as the shortest horizon, {horizons[0]:g} s"
@@ -290,13 +290,13 @@ def replay(
     )
     car = car_of(vehicle, tires[0].tire, tires[1].tire)
     tell("predictions")
-    prediction = _predicted(car, joined, vehicle)
+    prediction, _ = _predicted(car, joined, vehicle)
     steps = [round(h * vehicle.filter.sample_rate) for h in horizons]
     tire = errors_of(prediction, joined, steps)
     tell("predictions of other cars")
     models = {"tire": tire, **_others(car, joined, vehicle, steps, named)}
     tell("predictions with noise")
-    noised = [errors_of(_predicted(car, noise, vehicle), noise, steps).of for noise in noisy]
+    noised = [errors_of(_predicted(car, noise, vehicle)[0], noise, steps).of for noise in noisy]
     models["floor"] = Errors(
         {k: np.concatenate([of[k] - missed for of in noised]) for k, missed in tire.of.items()}
     )
@@ -320,10 +320,8 @@ def _fans(log_windows: Mapping[str, CutLog], prediction: Series) -> dict[str, Fa
     for name, log in log_windows.items():
         windows = log.windows[0]
         rows = slice(first, first + len(windows.v_x))
-        first, there = rows.stop, np.isfinite(windows.series["a_y"])
-        of_log = {k: np.where(there, x[rows], np.nan) for k, x in prediction.items()}
-        time = np.where(there, windows.time, np.nan)
-        fans[name] = Fans(time, windows.series, of_log, log.track.epoch)
+        first, of_log = rows.stop, {k: x[rows] for k, x in prediction.items()}
+        fans[name] = Fans(windows.time, windows.series, of_log, log.track.epoch)
     return fans
 
 
@@ -331,18 +329,16 @@ def _others(
     car: Car, windows: Measured, vehicle: Vehicle, steps: Sequence[int], named: Applied | None
 ) -> dict[str, Errors]:
     """Errors of the car on linear tires, of one without slip, and of the car with effects."""
-    speed = float(np.median(windows.v_x[np.isfinite(windows.series["a_y"])]))
+    speed = float(np.median(windows.v_x[np.isfinite(windows.time)]))
     axles = zip((car.front, car.rear), axle_loads(car), strict=True)
     slopes = [slope_at_rest(tire, TireInputs(fz=load, v=speed), "y") / load for tire, load in axles]
     linear = car_of(vehicle, *map(LinearTire, slopes))
     models = {
-        "linear tire": errors_of(_predicted(linear, windows, vehicle), windows, steps),
+        "linear tire": errors_of(_predicted(linear, windows, vehicle)[0], windows, steps),
         "no slip": errors_without_slip(vehicle, windows, steps),
     }
     if named is not None:
-        changed, changes = named.changed(windows, vehicle)
-        with_effects = _predicted(car, changed, vehicle, changes)
-        models["with the effects"] = errors_of(with_effects, changed, steps)
+        models["with the effects"] = errors_of(*_predicted(car, windows, vehicle, named), steps)
     return models
 
 
@@ -378,13 +374,12 @@ def _notes(vehicle: Vehicle, tires: tuple[GivenTire, ...]) -> list[str]:
     return notes
 
 
-_Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Rows of windows (w, k), which of them the log has, and the rows of the steering (w, l + k)."""
-
-
-def _rows_of(motion: Motion, vehicle: Vehicle, horizons: Sequence[float]) -> _Rows | None:
-    """The windows of a log, from a start every :data:`EVERY` seconds where the log is settled
-    and the car fast enough, to the longest horizon; None of none."""
+def _rows_of(
+    motion: Motion, vehicle: Vehicle, horizons: Sequence[float]
+) -> tuple[np.ndarray, ...] | None:
+    """Rows of the windows of a log (w, k), from a start every :data:`EVERY` seconds where the log
+    is settled and the car fast enough, to the longest horizon; which of them the log has; and the
+    rows of the steering (w, l + k). None without a window."""
     rate = vehicle.filter.sample_rate
     most, least = round(horizons[-1] * rate) + 1, round(horizons[0] * rate) + 1
     good = motion.settled & (motion.v_x > vehicle.v_min)
@@ -416,27 +411,36 @@ def _series(motion: Motion, vehicle: Vehicle) -> dict[str, np.ndarray]:
 
 
 def _predicted(
-    car: Car, windows: Measured, vehicle: Vehicle, changes: Changes = NO_CHANGES
-) -> dict[str, np.ndarray]:
-    """The predicted series of every window."""
+    car: Car, windows: Measured, vehicle: Vehicle, named: Applied | None = None
+) -> tuple[Series, Measured]:
+    """The predicted series of every window; with effects, beside the log without its errors."""
     rate, slowest = vehicle.filter.sample_rate, float(windows.v_x.min())
     parts = steps_a_sample(car, slowest, rate)
     # Numbers as arrays, so that other tires and cars use the same program.
     car = jax.tree.map(lambda x: jnp.asarray(x, float), car)
-    changes = jax.tree.map(lambda x: np.broadcast_to(x, windows.v_x.shape), changes)
-    given = car, windows._replace(samples=None), changes, 1 / rate, parts
-    return jax.tree.map(np.asarray, _integrated(*given))
+    model, z = None, np.zeros(0)
+    if named is None:
+        windows = windows._replace(samples=None)
+    else:
+        channels = 3 if vehicle.columns.motion == POSE else 2
+        model, z = named.model._replace(channels=channels), named.z
+    found = _integrated(model, car, windows, z, 1 / rate, parts)
+    prediction, series = jax.tree.map(np.asarray, found)
+    return prediction, windows if named is None else windows._replace(series=series)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="model")
 def _integrated(
-    car: Car, windows: Measured, changes: Changes, step: Any, parts: Any
-) -> dict[str, jax.Array]:
-    def of_window(window: Measured, changes: Changes) -> dict[str, jax.Array]:
+    model: Model | None, car: Car, windows: Measured, z: Any, step: Any, parts: Any
+) -> tuple[Series, Series]:
+    def of_window(window: Measured) -> tuple[Series, Series]:
+        changes = NO_CHANGES
+        if model is not None:
+            window, changes = with_effects(model, z, window, step)
         start = State(*(window.series[name][0] for name in State._fields))
         steering = window.steering[-len(window.v_x) :]
-        states, late = predicted(car, start, window.v_x, steering, step, parts, changes)
-        motion = window.v_x, steering, states.v_y, states.yaw_rate, changes, late
-        return states._asdict() | {"a_y": jax.vmap(partial(accelerations, car))(*motion)[0]}
+        driven = predicted(car, start, window.v_x, steering, step, parts, changes)
+        log = {} if model is None else window.series  # as given, it need not be copied
+        return driven.states._asdict() | {"a_y": driven.lateral}, log
 
-    return jax.vmap(of_window)(windows, changes)
+    return jax.vmap(of_window)(windows)

@@ -226,17 +226,21 @@ _RESTS, _ROUGHLY = 3, 0.01
 """The search of a point ends where so many steps take less than this share of the level off."""
 
 
-def profile_ends(squares: Squares, end: End, element: int, std: float, level: float) -> np.ndarray:
+def profile_ends(
+    squares: Squares, end: End, element: int, std: float, reach: float, widened: float
+) -> np.ndarray:
     """Ends (2,) of the interval of an element of z: where the squares, least over all else,
-    exceed those at their minimum, ``end``, by ``level``; infinite if they never do.
+    exceed those at their minimum, ``end``, by those of ``reach`` standard errors; infinite if
+    they never do.
 
     The squares are not quadratic in the friction of a tire whose peak is not reached: the more
     friction, the less they change with it.
 
     Args:
         std: standard error of the element, by which the search begins.
+        widened: its square over that for independent residuals, see :func:`sandwich`.
     """
-    best, least, ends = float(end.z[element]), squares.at(end), []
+    best, least, ends, level = float(end.z[element]), squares.at(end), [], reach**2 * widened
     held, rest = np.arange(len(end.z)) == element, (_RESTS, _ROUGHLY * level)
     for sign in (-1, 1):
         side, at = Side(best, sign, min(std, AT_BOUND), level), end

@@ -50,8 +50,6 @@ from tirefit.vehicle.windows import (
 _SPUN, _MORE = math.radians(40.0), 2.0
 """Largest sideslip of a simulated car, and its ratio to that of the car, above which it spins."""
 
-_ALIKE = 9.21  # chi-square of three factors about their mean that one of 100 equal ones exceeds
-
 _WITHOUT_SLIP = 0.01
 """Rms of the yaw rate that slip explains, over the whole, below which a simulator has none."""
 
@@ -59,10 +57,7 @@ _RELATED, _NEAR = 0.95, 0.15
 """Least correlation of a lateral speed with that of the log, and largest distance [log] of its
 factor from that of a unit, that show the wrong unit or sign."""
 
-
-_Stated = tuple[str, str, Callable[[Vehicle, float], float]]
-
-_STATED: dict[str, _Stated] = {
+_STATED: dict[str, tuple[str, str, Callable[[Vehicle, float], float]]] = {
     "centre_of_gravity": ("l_f", "m", lambda car, x: car.l_f - x * car.wheelbase),
     "front_axle": ("l_f", "m", lambda car, x: car.l_f + x * car.wheelbase),
     "rear_axle": ("l_r", "m", lambda car, x: car.l_r + x * car.wheelbase),
@@ -209,7 +204,8 @@ def _meanings(numbers: Mapping[str, Apart]) -> Iterator[str]:
     logs = np.log([ours.value / theirs.value for ours, theirs in pairs])
     weight = [1 / sum(((x.std or 0) / x.value) ** 2 for x in pair) for pair in pairs]
     mean = np.average(logs, weights=weight)
-    if weight @ (logs - mean) ** 2 < _ALIKE:
+    # The chi-square of three factors about their mean that one of 100 equal ones exceeds.
+    if weight @ (logs - mean) ** 2 < -2 * math.log(0.01):
         yield (
             "yaw inertia and the stiffness of both axles differ by the same factor: so they do if"
             f" the mass of the simulator is {math.exp(mean):.3g} times that of the car"

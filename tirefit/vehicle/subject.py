@@ -23,6 +23,7 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import Values
 from tirefit.vehicle.car import Car, axle_loads, steps_a_sample
 from tirefit.vehicle.effects import Samples
+from tirefit.vehicle.errors import PARTS
 from tirefit.vehicle.model import TIRES, Model, Moved, moved
 from tirefit.vehicle.shooting import Data, Squares, minimised
 from tirefit.vehicle.windows import JoinedWindows
@@ -39,9 +40,7 @@ _COLUMNS = TIRES + MOST_EFFECTS
 _LEAST_WINDOWS = 48  # smallest number of windows for which programs are compiled
 
 LEAST_LOGS = 4
-"""Smallest number of logs of which each is left out in turn."""
-
-_BLOCKS = 8  # number of parts of the time that are left out in turn if there are fewer logs
+"""Smallest number of logs of which each is left out in turn; of fewer, :data:`errors.PARTS`."""
 
 _USUAL = 0.03  # usual change of a force over the load of its axle
 
@@ -118,9 +117,9 @@ class Windows:
 
     def coefficients(
         self,
-        z: np.ndarray | tuple[Any, ...] = (),
+        z: Values | tuple[Any, ...] = (),
         atoms: Sequence[int] = (),
-        amplitude: np.ndarray | tuple[Any, ...] = (),
+        amplitude: Values | tuple[Any, ...] = (),
     ) -> np.ndarray:
         """All coefficients (4 + K,) of the factors on the tires and of some atoms."""
         whole = np.zeros(self.model.size)
@@ -143,17 +142,13 @@ class Windows:
         """Number of start states of a window."""
         return self.cut.data.start.shape[1]
 
-    def projected(self, now: Moved, columns: np.ndarray) -> np.ndarray:
+    def projected(self, by_start: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Columns (w, k, c, q) whitened and orthogonal to the start states: (m, q)."""
         weight = 1 / (self.noise * np.sqrt(self.inflation))[:, None]
-        flat = [(x * weight).reshape(len(x), -1, x.shape[3]) for x in (columns, now.by_start)]
+        flat = [(x * weight).reshape(len(x), -1, x.shape[3]) for x in (columns, by_start)]
         unit, _ = np.linalg.qr(flat[1])
         left = flat[0] - unit @ (np.swapaxes(unit, 1, 2) @ flat[0])
         return left.reshape(-1, columns.shape[3])
-
-    def _residual(self, now: Moved) -> np.ndarray:
-        """(m,) logged - predicted, whitened and orthogonal to the start states."""
-        return -self.projected(now, now.missed[..., None])[:, 0]
 
     # --- what the engine asks of its subject ---------------------------------------------
 
@@ -193,7 +188,8 @@ class Windows:
     def residual_of(self, z: np.ndarray) -> np.ndarray:
         """(m,) whitened residual at all coefficients without a refit, from the measured start
         states: what these explain is projected out, so that no window ends worse than it was."""
-        return self._residual(self.linear(z, self.cut.data.start))
+        now = self.linear(z, self.cut.data.start)
+        return self.projected(now.by_start, -now.missed[..., None])[:, 0]
 
     def over_noise(self, residual: np.ndarray) -> np.ndarray:
         """Errors (n, c) of each sample over the noise, of a whitened residual (m,)."""
@@ -204,7 +200,7 @@ class Windows:
         part, count, what = self.cut.log, len(self.cut.log), "logs"
         number = int(part.max()) + 1
         if number < LEAST_LOGS:
-            number, what = min(_BLOCKS, count), "blocks of time"
+            number, what = min(PARTS, count), "blocks of time"
             part = np.arange(count) * number // count
         each = int(np.prod(self._shape[1:]))
         # Every part has the slips and speeds of the others.
@@ -219,36 +215,31 @@ class Windows:
         return fits
 
     def _refit(self, start: Start, atoms: tuple[int, ...]) -> Fit:
-        size, fill = TIRES + len(atoms), MOST_EFFECTS - len(atoms)
         places = [*range(TIRES), *(TIRES + k for k in atoms)]
 
-        def run(fitted_z: Values, starts: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            z = np.zeros(self.model.size)
-            z[places] = np.asarray(fitted_z)[:size]
-            now = self.linear(z, starts, places)
-            by = np.pad(now.by, ((0, 0), (0, 0), (0, 0), (0, fill)))
-            return now.missed, by, now.by_start
+        def run(z: Values, starts: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            now = self.linear(self.coefficients(z[:TIRES], atoms, z[TIRES:]), starts, places)
+            return now.missed, now.by, now.by_start
 
         index, priors = list(atoms), self.priors
-        sides = [
-            np.concatenate([[of_tires] * TIRES, of_atoms[index], [0.0] * fill])
+        bounds = [
+            np.concatenate([[of_tires] * TIRES, of_atoms[index]])
             for of_tires, of_atoms in ((-_MOST_OFF, priors.low), (_MOST_OFF, priors.high))
         ]
-        begun = jnp.asarray([*start.z, *start.amplitude, *[0.0] * fill])
         noise = jnp.asarray(self.noise * np.sqrt(self.inflation))
-        squares = Squares(run, noise, jnp.ones(len(begun)))
-        first = squares.begun(begun, jnp.asarray(start.state))
-        end = minimised(squares, first, sides, _TOLERANCE, _STEPS)
-        z, states = np.asarray(end.z)[:size], end.starts
-        now = self.linear(self.coefficients(z[:TIRES], atoms, z[TIRES:]), states, places)
-        start = Start(z[:TIRES], z[TIRES:], np.asarray(states))
-        linear = self._residual(now), self.projected(now, now.by)
-        return fitted(self, atoms, start, linear, precision=1.0)
+        squares = Squares(run, noise, jnp.ones(len(places)))
+        first = squares.begun(jnp.asarray([*start.z, *start.amplitude]), jnp.asarray(start.state))
+        end = minimised(squares, first, bounds, _TOLERANCE, _STEPS)
+        z, (missed, by, by_start) = np.asarray(end.z), map(np.asarray, end.now)
+        columns = np.concatenate([-missed[..., None], by], axis=3)
+        linear = self.projected(by_start, columns)
+        found = Start(z[:TIRES], z[TIRES:], np.asarray(end.starts))
+        return fitted(self, atoms, found, (linear[:, 0], linear[:, 1:]), precision=1.0)
 
     def tangents(self, fit: Fit) -> np.ndarray:
         """Whitened slopes (m, K) by the amplitudes of all atoms at a fit."""
         now = self.at(fit, range(TIRES, self.model.size))
-        return self.projected(now, now.by)
+        return self.projected(now.by_start, now.by)
 
     @cached_property
     def covariates(self) -> dict[str, np.ndarray]:
@@ -279,7 +270,7 @@ class Windows:
             return self.linear(self.coefficients(start.z), start.state, forces=forces).by
 
         def add(quantity: str, covariate: str, by: np.ndarray, places: np.ndarray) -> None:
-            columns.append(self.projected(now, by))
+            columns.append(self.projected(now.by_start, by))
             settings = covariate == "window"
             cells.append(Cell(quantity, covariate, places, settings, settings))
 

@@ -18,7 +18,6 @@ from typing import Any, ClassVar, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import stdtrit
 
 from tirefit import __version__
 from tirefit.data.table import TireData
@@ -28,9 +27,11 @@ from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.result import TireLike
+from tirefit.fitting.predict import predict_forces
 from tirefit.fitting.problem.layout import Layout
 from tirefit.fitting.result import SCHEMA as FIT_SCHEMA
 from tirefit.fitting.result import TRAJECTORY, Estimate, layout_record
+from tirefit.fitting.solve.inference import half_width_95
 from tirefit.fitting.source import GivenTire, axle_tire
 from tirefit.fitting.uncertainty.identified import limited
 from tirefit.fitting.verdict.family import NEAR_PEAK
@@ -39,6 +40,7 @@ from tirefit.params import Values, constrain, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, Outcome, UsageError, did_you_mean
 from tirefit.vehicle.car import AXLES, Car, car_of, delayed, predicted, steps_a_sample
+from tirefit.vehicle.diagnose import Steps
 from tirefit.vehicle.effects import Reading
 from tirefit.vehicle.model import as_driven, logged
 from tirefit.vehicle.replay import replay
@@ -126,6 +128,17 @@ class TrajectoryFit(Record):
         """Axle -> share of the peak of its tire that the slip angles of its rows reach."""
         return {axle: _reached(tire.tire, self.rows[axle]) for axle, tire in self.axles.items()}
 
+    def force(self, axle: str, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lateral force [N] of an axle at slip angles (n,) [rad], and half of its 95 % interval,
+        linear in the parameters: drawn from their covariance, friction and stiffness leave the
+        valley of the squares to the side of smaller forces."""
+        tire = self.axles[axle]
+        assert tire.fit is not None  # it was fitted
+        at = TireInputs(*(np.broadcast_to(x, alpha.shape) for x in _inputs(alpha, self.rows[axle])))
+        force, variance = predict_forces(tire.tire, *tire.fit, at, np.zeros(len(alpha), int))
+        std = np.sqrt(np.asarray(variance["fy"]))
+        return np.asarray(force["fy"]), half_width_95(True, self.blocks - 1) * std
+
     @property
     def limits(self) -> dict[Outcome, str]:
         """Whether the search converged, the parameters that are not determined, and the
@@ -186,9 +199,13 @@ def _reached(tire: AbstractTire, rows: TireData) -> float:
     """Share of the peak of a tire that the slip angles of its rows reach."""
     largest = np.percentile(np.abs(rows["alpha"]), 99.5)  # few of the derived ones are errors
     alpha = np.append(largest, np.linspace(0.0, 1.0, 200) * np.pi / 2)
-    at = TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
-    force = np.abs(np.asarray(forces(tire, at).fy))
+    force = np.abs(np.asarray(forces(tire, _inputs(alpha, rows)).fy))
     return float(force[0] / force.max())
+
+
+def _inputs(alpha: np.ndarray, rows: TireData) -> TireInputs:
+    """Slip angles (n,) at the load and the mean speed of the rows of an axle."""
+    return TireInputs(alpha=alpha, fz=rows["fz"][0], v=rows["v"].mean())
 
 
 def fit_trajectory(
@@ -240,16 +257,16 @@ def fit_trajectory(
             reason = f"the {axle} tire {tire.name} has no free parameters"
             problems.append(InputProblem(reason, "name a model, such as brush"))
     UsageError.raise_for(problems)
-    tell = progress or (lambda share, note: None)
-    tell(0.02, "reading logs")
+    tell = Steps(progress, 12)  # usual number, four of them intervals
+    tell("reading logs")
     log_windows = cut_in_windows(logs, vehicle, window)
     parts = [log.windows[0] for log in log_windows.values()]
     data = Data(*(jnp.concatenate(field) for field in zip(*parts, strict=True)))
-    tell(0.05, "starting with the tires of derive")
+    tell("starting with the tires of derive")
     tires, rows, late = started_tires([*given.values()], log_windows, vehicle)
     problem = _Problem(vehicle, tires, tuple(unknowns), data, late)
     fit = problem.solved(dict(zip(AXLES, rows, strict=True)), tell)
-    tell(0.9, "replaying the logs")
+    tell("replaying the logs")
     try:
         conclusions = replay(logs, fit.vehicle, *fit.axles.values()).conclusions
     except DataError as error:  # the estimated car contradicts its logs
@@ -310,17 +327,17 @@ class _Problem:
         steering = steering + self.unknown(z, "steering_offset")
         reading = Reading(sideslip=self.unknown(z, "sideslip_zero"))
         first = as_driven(start, reading, window.v_x[0])
-        states, _ = predicted(self.car(z), first, window.v_x, steering, step, parts)
-        return logged(len(self.names), states, reading, window.v_x).T - window.logged
+        driven = predicted(self.car(z), first, window.v_x, steering, step, parts)
+        return logged(len(self.names), driven.states, reading, window.v_x).T - window.logged
 
-    def solved(self, rows: Mapping[str, TireData], tell: Callable[..., None]) -> TrajectoryFit:
-        tell(0.1, "compiling")
+    def solved(self, rows: Mapping[str, TireData], tell: Steps) -> TrajectoryFit:
+        tell("compiling")
         start, windows = self.data.start, len(self.data.v_x)
         ones = jnp.ones(len(self.names))
         squares = Squares(self.run, ones, self.pulls(), start, self.data.std)
         end = squares.begun(jnp.asarray(self.z), jnp.asarray(start))
         for k in range(_ROUNDS):
-            tell(0.15 + 0.1 * k, f"search {k + 1} of {_ROUNDS}, {windows} windows")
+            tell(f"search {k + 1} of {_ROUNDS}, {windows} windows")
             squares = squares._replace(noise=jnp.sqrt(jnp.mean(end.now[0] ** 2, axis=(0, 1))))
             end = minimised_inside(squares, end)
         at, missed = np.asarray(end.z), end.now[0]
@@ -328,7 +345,7 @@ class _Problem:
         noise = jnp.sqrt(jnp.sum(missed**2, axis=(0, 1)) / max(count, 1))
         squares = squares._replace(noise=noise)
         covariance, blocks, widened = sandwich(squares, end)
-        std, reach = np.sqrt(np.diag(covariance)), stdtrit(max(blocks - 1, 1), 0.975)
+        std, reach = np.sqrt(np.diag(covariance)), half_width_95(True, blocks - 1)
         ends = at + reach * np.outer((-1, 1), std)
         # Unknowns further from their usual value than three standard errors of their prior.
         strained = (np.abs(at * np.sqrt(self.pulls())) > 3.0)[self.first[-1] :]
@@ -336,9 +353,8 @@ class _Problem:
         for k, axle in enumerate(AXLES if end.converged else ()):
             if _reached(self.tire(at, k), rows[axle]) < NEAR_PEAK:
                 for e in range(*self.first[k : k + 2]):
-                    level = reach**2 * widened[e]
-                    tell(0.4 + 0.5 * e / self.first[-1], f"interval of parameter {e + 1}")
-                    ends[:, e] = profile_ends(squares, end, e, std[e], level)
+                    tell(f"interval of parameter {e + 1}")
+                    ends[:, e] = profile_ends(squares, end, e, std[e], reach, widened[e])
         parameters = self.estimates(at, std, ends)
         axles = {
             axle: self.axle(k, at, covariance, parameters, rows[axle])
@@ -369,11 +385,12 @@ class _Problem:
             for axle, layout in zip(AXLES, self.layouts, strict=True)
             for label, free in layout.elements
         ]
+        natural = {
+            "yaw_inertia": lambda log: self.vehicle.yaw_inertia * np.exp(log),
+            "steering_ratio": np.exp,
+        }
         for name in self.unknowns:
-            scale = self.vehicle.yaw_inertia if name == "yaw_inertia" else 1.0
-            factor = lambda log, scale=scale: scale * np.exp(log)  # noqa: E731
-            natural = factor if UNKNOWNS[name].is_factor else float
-            elements.append((name, UNKNOWNS[name].unit, natural, None))
+            elements.append((name, UNKNOWNS[name].unit, natural.get(name, float), None))
         # Identified if below half of the standard error of a prior.
         below = 2 * std * np.sqrt(self.pulls()) < 1
         parameters = {}
@@ -389,22 +406,15 @@ class _Problem:
     def fitted_vehicle(self, parameters: Mapping[str, Estimate]) -> Vehicle:
         """The vehicle with the estimated values."""
         vehicle, steering = self.vehicle, self.steering
-
-        def value(name: str, default: float = 0.0) -> float:
-            return parameters[name].value if name in parameters else default
-
-        ratio, offset = value("steering_ratio", 1.0), value("steering_offset")
-        steering = steering.model_copy(
-            update={
-                "angle": [ratio * angle + offset for angle in steering.angle],
-                "delay": value("steering_delay", steering.delay),
-            }
-        )
-        zero, pose = value("sideslip_zero"), len(self.names) == 3
+        of = {name: parameters[name].value for name in self.unknowns}
+        ratio, offset = of.get("steering_ratio", 1.0), of.get("steering_offset", 0.0)
+        angle = [ratio * angle + offset for angle in steering.angle]
+        delay = of.get("steering_delay", steering.delay)
+        zero, pose = of.get("sideslip_zero", 0.0), len(self.names) == 3
         name, turned = ("yaw_offset", zero) if pose else ("sideslip_offset", -zero)
         changed = {
-            "yaw_inertia": value("yaw_inertia", vehicle.yaw_inertia),
-            "steering": steering,
+            "yaw_inertia": of.get("yaw_inertia", vehicle.yaw_inertia),
+            "steering": steering.model_copy(update={"angle": angle, "delay": delay}),
             name: getattr(vehicle, name) + turned,
         }
         return vehicle.model_copy(update=changed)

@@ -1,6 +1,5 @@
-"""Windows of logs, in each of which a car is predicted from its own start state: their cut,
-the quantities at their samples on which effects depend, and least squares over all windows
-with the start states eliminated."""
+"""Windows of logs, in each of which a car is predicted from its own start state: their cut, and
+the quantities at their samples on which effects depend."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -169,7 +168,6 @@ def windows_of(
     )
     steering = road_wheel(replace(motion, command=command), vehicle)
     good = motion.settled & (motion.v_x > vehicle.v_min)
-    good &= np.isfinite(np.column_stack([motion.v_x, logged, steering])).all(axis=1)
     starts = [
         k
         for first, last in stretches(good, motion.part)
@@ -202,13 +200,8 @@ def logged_channels(
     raw = {
         channel.quantity: np.interp(motion.time, track.time, values)
         for channel, values in zip(track.channels, track.signals.T, strict=True)
-        if np.isfinite(values).all()
     }
-    ahead, left = vehicle.cg_from_tracked
-    command = raw.get("steering")
-    if command is None:  # a log with blanks: the filtered one, which has the stated delay
-        late = motion.time + stated_delay(vehicle)
-        command = np.interp(late, motion.time, motion.command, right=np.nan)
+    command, (ahead, left) = raw["steering"], vehicle.cg_from_tracked
     if vehicle.columns.motion == POSE:
         yaw = raw["yaw"]
         cos, sin = np.cos(yaw), np.sin(yaw)
