@@ -1,5 +1,6 @@
 """The numbers shown by the figures of a stop, and that they can be drawn."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -46,6 +47,13 @@ def test_the_text_gives_numbers_and_reasons(result):
     assert "slip: stopped: slower than 0.1 m/s" in text and "recovery [s]" in text
     assert max(map(len, text.splitlines())) <= 88
     assert "BRAKING brush-m" in result._repr_html_()
+    for name, stop in result.stops.items():
+        row = re.search(rf"^  {name} +([\d.].*)", text, re.M)[1].split()
+        shown = [float("nan" if cell == "-" else cell) for cell in row[:4]]
+        s = stop.summary
+        expected = [s.stopping_distance, s.mean_friction_used, s.locked_time]
+        expected.append(s.pressure_rms_fluctuation / 1e6)  # MPa
+        np.testing.assert_allclose(shown, expected, rtol=1e-3)
 
 
 def test_slip_control_uses_more_friction_than_abs(result):
@@ -98,7 +106,11 @@ def test_dots_of_a_narrow_range_lie_over_those_of_a_wide_one(result):
     """Whatever the order of the controllers: they would be hidden below."""
     for names in (list(result.stops), list(result.stops)[::-1]):
         stops = {name: result.stops[name] for name in names}
-        (axes,) = paths_figure(replace(result, stops=stops)).axes
+        picture = paths_figure(replace(result, stops=stops))
+        (axes,) = picture.axes
+        used = re.findall(r"(\d+) % of", " ".join(picture.texts[1].get_text().split()))
+        expected = [100 * stop.summary.mean_friction_used for stop in stops.values()]
+        np.testing.assert_allclose(np.array(used, float), expected, atol=0.51)
         widths = [np.ptp(x.get_xdata()) for x in axes.lines if x.get_rasterized()]
         assert len(widths) == 3 and widths == sorted(widths, reverse=True)
         legend = [text.get_text() for text in axes.get_legend().get_texts()]

@@ -64,7 +64,10 @@ def test_drift_and_the_outlying_file_are_found(dated):
     assert (fleet.dates is not None) == dated
     mu, stiffness, rmse = fleet.quantities
     assert mu.across.drifts and abs(mu.across.change + 0.1) < 4 * mu.across.change_std
-    assert np.flatnonzero(points_of(fleet, mu).outlying).tolist() == [WILD]
+    points = points_of(fleet, mu)
+    assert np.flatnonzero(points.outlying).tolist() == [WILD]
+    line = points.line[0][mu.known]
+    assert line[-1] - line[0] == pytest.approx(mu.across.change)
     assert np.isfinite(stiffness.value).sum() == 199 and stiffness.known.sum() == 179
     assert not rmse.across.drifts
 
@@ -76,6 +79,8 @@ def test_the_page_is_small_complete_and_escaped(tmp_path):
     links = re.findall(r"""\b(?:src|href)=['"]?([^'" >]*)""", page)
     assert len(links) == 3 and all(k.startswith("data:image/png;base64,") for k in links)
     assert "<script" not in page and "<b>no column" not in page
+    cells = " ".join(re.sub(r"<[^>]*>", " ", page).split())
+    assert "cpa2 N 539 61 50000 " in cells  # one in ten, and the failed file
     assert "599 ok" in page and "1 failed" in page
     assert "no column &amp; fz" in page and "drifts" in page
     assert "iso-w" in page and "seed: 3" in page and "version: 1.2" in page

@@ -88,6 +88,10 @@ def test_the_ellipse_shows_both_forces_of_similar_rows(fit, table):
     rows = (np.abs(table["fz"] / 6000 - 1) < 0.1) & (table["alpha"] == ANGLES[2])
     ratio = table["fy"][rows] / table["fz"][rows]
     assert np.max(panel.groups[2].force) == pytest.approx(ratio.max(), rel=0.03)
+    for points, curve in zip(panel.groups, panel.curves, strict=True):
+        ends = [[f(of) for f in (np.min, np.max)] for of in (points.slip, points.force)]
+        reached = [[f(of) for f in (np.min, np.max)] for of in (curve.slip, curve.force)]
+        np.testing.assert_allclose(reached, ends, atol=0.05)
 
 
 def test_figures_and_page_are_written_completely(fit, tmp_path):

@@ -25,7 +25,7 @@ def test_the_view_reports_kept_rows_and_draws_varying_channels(prepared):
     panels, strips, title = panels_of(prepared), strips_of(prepared), title_of(prepared)
     sweeps = sum(part.kind == "sweep" for part in prepared.segments)
     assert title.startswith(f"rig: {sweeps} sweeps and")
-    assert "in 3 bins" in title
+    assert f"in 3 bins, {prepared.kept.mean():.0%} of the rows kept" in title
     # Camber and pressure were set to one value each.
     names = [panel.name for panel in panels]
     assert names == ["alpha", "fz", "v", "temperature", "fy"]

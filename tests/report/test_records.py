@@ -21,6 +21,7 @@ from tirefit.fitting.source import given_tire
 from tirefit.models import Brush
 from tirefit.online.result import Estimates
 from tirefit.report.canvas import Picture
+from tirefit.report.numbers import format_estimate
 from tirefit.results import Outcome, exit_code
 from tirefit.sim.brake_result import Braking
 from tirefit.targets.export import Exported
@@ -265,14 +266,16 @@ def test_the_figure_of_many_fits_has_their_values_and_standard_deviations():
         np.testing.assert_allclose(ends, np.stack([value - std, value + std], axis=1))
 
 
-def test_every_row_of_a_table_in_parts_has_its_method_and_parameter():
+def test_every_row_of_estimates_in_parts_has_its_method_and_parameter():
     result = tirefit.estimate(tirefit.simulate(teeth=2).columns)
     ((name, method),) = result.methods.items()
     long = f"{name}, whose name fills half a line"
     text = replace(result, methods={long: method}).summary()
     assert text.count("flagged rows") == 1 and "\n\n" in text
     for parameter in method.parameters:
+        last = format_estimate(method[parameter][-1], method.std_of(parameter)[-1])
         assert len(re.findall(rf"^  {long} +{parameter} ", text, re.M)) == 2
+        assert re.search(rf"^  {long} +{parameter} +{re.escape(last)} ", text, re.M)
 
 
 def test_estimates_below_zero_lie_within_their_axis():
@@ -283,3 +286,8 @@ def test_estimates_below_zero_lie_within_their_axis():
     shown = method[method.parameters[0]][method.flag == 0]
     lowest, highest = panel.get_ylim()
     assert lowest < np.percentile(shown, 5) < np.percentile(shown, 95) < highest, name
+    # The band is one standard deviation.
+    band = panel.collections[0].get_paths()[0].vertices
+    ends = np.unique(band[band[:, 0] == result.time[-1], 1])
+    std = method.std_of(method.parameters[0])[-1]
+    np.testing.assert_allclose(ends, method[method.parameters[0]][-1] + std * np.array([-1, 1]))

@@ -411,6 +411,10 @@ def test_compare_orders_models_of_the_same_rows(plain):
     assert f"{plain.statistics.aicc:.1f}" in str(table)
     difference = simple.statistics.aicc - plain.statistics.aicc
     assert f" {difference:.1f} " in str(table)
+    least = min(one.bic for one in table.models)
+    for one in table.models:
+        off = re.escape(f"{one.bic - least:.1f}")
+        assert re.search(rf"^  {one.model} .* {off} +\d+ ", str(table), re.M)
     assert "<table" in table._repr_html_()
     with pytest.raises(UsageError, match="nothing to compare"):
         compare([])

@@ -18,6 +18,7 @@ from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.fit.figures import figure_of, run_points
 from tirefit.report.fit.report import fit_fragment, fit_report
+from tirefit.report.fit.tables import chain_rows, run_rows
 from tirefit.report.many_files import summary_table
 from tirefit.results import Outcome, UsageError
 
@@ -74,6 +75,19 @@ def by_run():
     return replace(
         result, chains=draws, posterior=summary, intervals=result.intervals | {"posterior": ends}
     )
+
+
+def test_misfit_and_bias_of_every_run_are_right(by_run):
+    table, rows = by_run.table, run_rows(by_run)[1:]
+    for code, (_, count, rmse, bias) in enumerate(rows):
+        values = {name: by_run.parameters[f"{name}[{RUNS[code]}]"].value for name in ("cpa2", "mu")}
+        here = table.run == code
+        inputs = TireInputs(sigma_x=table["sigma_x"][here], fz=4000.0, v=20.0)
+        off = table["fx"][here] - forces(with_values(MODELS["brush"], values), inputs).fx
+        assert int(count) == len(off) == ROWS
+        np.testing.assert_allclose(float(rmse), np.sqrt(np.mean(off**2)), rtol=0.005)
+        np.testing.assert_allclose(float(bias), off.mean(), rtol=0.06)
+    assert chain_rows(by_run)[4] == ["cpa2[run04]", "900", "1.0040", "9.5"]
 
 
 @pytest.mark.long
