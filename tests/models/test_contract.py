@@ -446,9 +446,3 @@ def test_second_derivatives_at_rest_are_finite(name, dtype):
 def test_the_registry_accepts_all_spellings():
     brushes = {spelled(*laws) for laws in itertools.product(PRESSURES, FRICTIONS)}
     assert brushes < set(MODELS)
-    assert set(MODELS) - brushes >= {
-        "brush-m-peak", "brush-stribeck", "brush-stribeck-s", "brush-ln", "magic-formula",
-        "brush-anisotropic", "brush-load", "brush-relaxation", "liu-peng", "lugre",
-        "lugre-lumped", "magic-formula-combined", "carcass-thread", "carcass-beam",
-        "carcass-parabola",
-    }  # fmt: skip

@@ -11,11 +11,6 @@ TRUTH = {"cpa2": 6e4, "mu": 0.9, "half_length": 0.08, "fz0": 4000.0}
 SLIPS = np.array([-0.1, -0.02, 0.0, 0.01, 0.05, 0.4])
 
 
-def test_load_variants_exist_for_all_allowed_letters():
-    letters = {name.removeprefix("brush-load") for name in NAMES}
-    assert letters == {"", "-d", "-m", "-n", "-h"}
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_at_the_reference_load_it_is_the_plain_brush(name):
     tire = with_values(MODELS[name], TRUTH)

@@ -142,8 +142,8 @@ def test_a_range_far_from_the_measured_one_is_refused_by_both_ranges(name, tmp_p
     path = tmp_path / "car.yaml"
     with pytest.raises(UsageError) as caught:
         tirefit.export(fit, target, path, **how)
-    text = str(caught.value).replace(" -,", ",").removesuffix(" -")
-    assert said.replace(" -,", ",").removesuffix(" -") in text, text
+    text = str(caught.value)
+    assert said in text, text
     assert "far from where it was measured" in text and "--force" in text
     assert not path.exists()
     forced = tirefit.export(fit, target, path, force=True, **how)

@@ -93,24 +93,18 @@ def traced(
     """
     graph, count = Graph(), len(inputs)
     given = [_array(graph.term("input", k)) for k in range(count)]
-    if not by:
-        closed = jax.make_jaxpr(function)(*[1.0] * count)
-        values = _evaluate(graph, closed.jaxpr, closed.consts, given)
-        by_name = dict(zip(outputs, values, strict=True))
-    else:
-        # Trace the derivative once, with the direction as further inputs.
-        def both(at: Sequence[Any], along: Sequence[Any]) -> Any:
-            return jax.jvp(function, tuple(at), tuple(along))
 
-        ones = [1.0] * count
-        closed, by_name = jax.make_jaxpr(both)(ones, ones), {}
-        for k in by:
-            along = [_array(float(j == k)) for j in range(count)]
-            values = _evaluate(graph, closed.jaxpr, closed.consts, given + along)
-            by_name |= dict(zip(outputs, values[: len(outputs)], strict=True))
-            names = (f"{name}_{inputs[k]}" for name in outputs)
-            by_name |= dict(zip(names, values[len(outputs) :], strict=True))
-        by_name = {n: by_name[n] for n in (*outputs, *(n for n in by_name if n not in outputs))}
+    # Trace the derivative once, with the direction as further inputs.
+    def both(at: Sequence[Any], along: Sequence[Any]) -> Any:
+        return jax.jvp(function, tuple(at), tuple(along)) if by else function(*at)
+
+    ones = [1.0] * count
+    closed, by_name = jax.make_jaxpr(both)(ones, ones), dict[str, Any]()
+    for k in by or [0]:
+        along = [_array(float(j == k)) for j in range(count)]
+        values = _evaluate(graph, closed.jaxpr, closed.consts, given + along)
+        names = [*outputs, *(f"{name}_{inputs[k]}" for name in outputs if by)]
+        by_name |= dict(zip(names, values, strict=True))
     results = {name: value.item() for name, value in by_name.items()}
     program = _pruned(Program(tuple(inputs), results, graph.operations))
     if len(program.operations) > MOST_OPERATIONS:

@@ -13,15 +13,8 @@ from tirefit.data.tir.tir import TirFile
 from tirefit.data.tir.tir_keys import LIMITS
 from tirefit.fitting.source import GivenTire, given_tire
 from tirefit.fitting.tir import TIR_SIGNS, remarks
-from tirefit.models import (
-    AbstractTire,
-    CombinedMagicFormula,
-    LuGre,
-    LuGreLumped,
-    MagicFormula,
-    TireInputs,
-    modelled,
-)
+from tirefit.models import AbstractTire, CombinedMagicFormula, MagicFormula, TireInputs, modelled
+from tirefit.models.lugre import AbstractLuGre
 from tirefit.models.mf import MFTire
 from tirefit.models.relaxation import Relaxed
 from tirefit.params import check_names, parameter_values, specs, with_values
@@ -306,7 +299,7 @@ def _exportable(tire: Tire) -> Tire:
             " lag the slips by it before the call"
         )
         model = model.tire
-    if isinstance(model, LuGre | LuGreLumped):
+    if isinstance(model, AbstractLuGre):
         notes.append(
             "steady state: the bristles of LuGre follow the slip at once, so the forces do not lag"
             " behind it as those of the dynamic LuGre tire do"
