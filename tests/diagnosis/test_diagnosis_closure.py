@@ -41,12 +41,13 @@ def test_gaps_are_those_of_the_base_and_of_the_answer_on_the_rows_that_are_used(
     level = SimpleNamespace(std=np.ones(3), inflation=2.0, outlier=np.array([False, False, True]))
     rows = SimpleNamespace(channels=("fx", "mz"), observed=observed, n=3, run=np.zeros(3, int))
     forces = {0.0: {"fx": np.zeros(3), "mz": np.zeros(3)}, 7.0: observed}
-    base = SimpleNamespace(
-        rows=rows, noise={"fx": level, "mz": level}, as_given=0.0,
-        amplitudes=lambda *_: None, forces=lambda z, _: forces[z],
+    noise = {"fx": level, "mz": level}
+    base = SimpleNamespace(rows=rows, noise=noise, forces=lambda z: forces[z])
+    case = SimpleNamespace(
+        base=base, before=(0.0,), numbers_of=lambda fit: (7.0,),
+        chosen=SimpleNamespace(pull=np.zeros(1)),
     )  # fmt: skip
-    chosen = SimpleNamespace(z=7.0, atoms=(), amplitude=(), pull=np.zeros(1))
-    gaps = gaps_of(SimpleNamespace(base=base, chosen=chosen), np.random.default_rng(0))
+    gaps = gaps_of(case, np.random.default_rng(0))
     noise = 1 - 2 / 3
     assert gaps["fx"].rms == pytest.approx(np.sqrt((25 + 1) / 2 - noise))
     assert gaps["mz"].rms == pytest.approx(np.sqrt(4 - noise)) and gaps["mz"].closed > 0.5

@@ -112,12 +112,22 @@ def test_the_ladder_goes_from_no_effect_to_the_noise(diagnosed, name):
 
 
 @pytest.mark.parametrize("name", ["unknown", "slip_offset", "none"])
-def test_the_document_has_the_probability_of_something_unlisted(diagnosed, name):
-    verdict = json.loads(diagnosed(name)[0].to_json())["verdict"]
-    unlisted = verdict["left"]["unlisted"]
+def test_each_claim_has_one_probability(diagnosed, name):
+    content = json.loads(diagnosed(name)[0].to_json())
+    verdict, candidates = content["verdict"], content["candidates"]
+    of = {tuple(x["effects"]): x["probability"] for x in candidates}
+    unlisted, probability = verdict["left"]["unlisted"], verdict["probability"]
     assert (unlisted > 0.5) == (name == "unknown")
     if name == "unknown":
         assert verdict["left"]["looks_like"]
+    if verdict["status"] == "unknown":
+        assert unlisted == probability == of["unknown",]
+    else:
+        assert unlisted <= 1 - probability
+    if verdict["each"] and not verdict["acts_like"]:
+        assert of[tuple(verdict["effects"])] == probability
+    beside = tuple(verdict["effects"]) if verdict["status"] == "incomplete" else None
+    assert unlisted + sum(p for x, p in of.items() if x not in (("unknown",), beside)) <= 1 + 1e-9
 
 
 @pytest.mark.long
@@ -300,7 +310,7 @@ def test_bad_data_are_refused():
 
 def test_an_unknown_effect_is_refused_with_a_suggestion():
     frame, _ = record(None)
-    with pytest.raises(UsageError, match="(?s)no effect 'slip_ofset'.*mean 'slip_offset'"):
+    with pytest.raises(UsageError, match="(?s)'slip_ofset' is not known.*mean 'slip_offset'"):
         diagnose(read_frame(frame), without=["slip_ofset"])
 
 

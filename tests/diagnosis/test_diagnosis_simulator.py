@@ -139,7 +139,7 @@ def test_parameters_and_sizes_are_those_of_the_mixture_of_the_sets():
             layout=SimpleNamespace(vector=lambda z: 2 * np.asarray(z), labels=("one", "other"))
         ),
     )
-    each = {"a": Each(0.8, None, None, twin)}
+    each = {"a": Each(0.8, 0.1, 0.05, twin)}
     verdict = Verdict(
         status=Status.NAMED, effects=key, key=key, probability=0.8, each=each, unlisted=0.1
     )
@@ -173,7 +173,7 @@ def test_an_effect_that_acts_like_a_cause_keeps_the_size_with_which_it_helps():
         acts_like=("b",),
         key=("a", "b"),
         probability=0.5,
-        each={"a": Each(0.9, None, None, ()), "b": Each(0.5, None, None, ())},
+        each={"a": Each(0.9, 0.1, 0.05, ()), "b": Each(0.5, 0.1, 0.05, ())},
         unlisted=0.1,
     )
     fits, sizes = {}, {("a", "b"): [1.0, 3.0], ("a",): [2.0], ("b",): [4.0], (): []}

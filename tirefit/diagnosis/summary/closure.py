@@ -80,24 +80,19 @@ def closure_of(
     )
 
 
-def _fitted_rows(case: Case, channel: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Whether each row (n,) is used for a channel; the variance of the noise of those that are,
-    less the part that fitted numbers take up, and their runs; rows per independent row."""
-    noise = case.base.noise[channel]
-    used, fitted = ~noise.outlier, len(case.chosen.pull) * noise.inflation / case.base.rows.n
-    variance = max(1 - fitted, 0.0) * noise.std[used] ** 2
-    return used, variance, case.base.rows.run[used], noise.inflation
-
-
 def gaps_of(case: Case, generator: np.random.Generator) -> dict[str, Shrinkage]:
     """Closure of the gap of every channel on the fitted rows."""
-    base, fit, gaps = case.base, case.chosen, {}
-    fits = (base.as_given, base.amplitudes()), (fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-    forces = [base.forces(*numbers) for numbers in fits]
-    for channel in base.rows.channels:
-        used, variance, run, inflation = _fitted_rows(case, channel)
-        before, after = ((base.rows.observed[channel] - of[channel])[used] for of in forces)
-        gaps[channel] = closure_of(before, after, variance, run, inflation, generator)
+    base, rows, gaps = case.base, case.base.rows, {}
+    forces = [base.forces(*numbers) for numbers in (case.before, case.numbers_of(case.chosen))]
+    for channel in rows.channels:
+        noise, used = base.noise[channel], ~base.noise[channel].outlier
+        before, after = ((rows.observed[channel] - of[channel])[used] for of in forces)
+        # Fitted numbers take up a part of the noise.
+        fitted = len(case.chosen.pull) * noise.inflation / rows.n
+        variance = max(1 - fitted, 0.0) * noise.std[used] ** 2
+        gaps[channel] = closure_of(
+            before, after, variance, rows.run[used], noise.inflation, generator
+        )
     return gaps
 
 
@@ -172,9 +167,7 @@ def held_out(
     main, runs = rows.channels[0], 0
     scale = np.median(base.noise[main].std / rows.inputs.fz)
     steps, parts = fits_of(case, ladder), []
-    sets = [(base.as_given, base.amplitudes())]
-    fits = case.chosen, *steps.values()
-    sets += [(fit.z, base.amplitudes(fit.atoms, fit.amplitude)) for fit in fits]
+    sets = [case.before, *map(case.numbers_of, (case.chosen, *steps.values()))]
     for data in holdout:
         left_out, shown = prepare(data, rig, rows.channels), rows.shown
         if shown is not None and rows.scatter:  # only a part of the scatter is noise
@@ -239,13 +232,12 @@ def budget_of(ladder: Ladder) -> tuple[Part, ...]:
     added = [[e for e in b.effects if e not in a.effects] for a, b in pairwise(steps[:-1])]
     names = [*(" + ".join(new) or PARAMETERS for new in added), "unexplained", "noise"]
     energies = [*(-np.diff(left)).tolist(), float(left[-1])]
-    each = zip(names, energies, [*errors, errors[-1]], strict=True)
-    return tuple(_part(name, energy, whole, NORMAL * error) for name, energy, error in each)
-
-
-def _part(name: str, energy: float, whole: float, reach: float) -> Part:
-    ends = max(energy - reach, 0.0) / whole, min((energy + reach) / whole, 1.0)
-    return Part(name, float(np.sqrt(energy)), energy / whole, ends)
+    parts = []
+    for name, energy, error in zip(names, energies, [*errors, errors[-1]], strict=True):
+        reach = NORMAL * error
+        ends = max(energy - reach, 0.0) / whole, min((energy + reach) / whole, 1.0)
+        parts.append(Part(name, float(np.sqrt(energy)), energy / whole, ends))
+    return tuple(parts)
 
 
 def parameter_changes(case: Case) -> Mapping[str, Change]:
