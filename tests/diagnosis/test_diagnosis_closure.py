@@ -7,7 +7,7 @@ import pytest
 
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.engine.left_out import NOISE, SMOOTH, Ladder, Step
-from tirefit.diagnosis.summary.closure import closure_of, gaps_of, of_the_ladder
+from tirefit.diagnosis.summary.closure import closure_of, gaps_of, of_the_ladder, on_files
 from tirefit.diagnosis.summary.document import _gap
 from tirefit.diagnosis.summary.result import Shrinkage
 
@@ -91,6 +91,23 @@ def test_the_gap_on_parts_left_out_is_that_beyond_the_noise():
         assert (found.rms, found.closed) == (pytest.approx(4.0), 0.4)
         assert found.remaining_rms == pytest.approx(0.6 * 4.0)
         np.testing.assert_allclose(found.closed_ci, interval, atol=1e-4)
+
+
+def test_steps_close_the_gap_of_held_out_files_beyond_the_noise():
+    """Mean squares of 25, 13 and 40 beside 9 of noise: gaps of 4, 2 and more than 4."""
+    sets = (), ("one",), ("one", "two"), SMOOTH
+    ladder = Ladder("parts", tuple(Step(x, 5.0, 0.0, 0.0, 0.0, 0.0) for x in sets))
+    left = dict(
+        zip(sets, (np.array([3.0, -np.sqrt(41)]), np.full(2, 13**0.5), np.full(2, 40**0.5)))
+    )
+    gap = Shrinkage(rms=4.0, resolvable=True, closed=0.5, closed_ci=(0.4, 0.6), remaining_rms=2.0)
+    held, found = on_files(ladder, gap, left, np.full(2, 9.0), "other.csv")
+    assert (held.on, held.rms, found.on) == ("other.csv", 4.0, "parts")
+    first, one, two, smooth = found.steps
+    assert (first.rms_held_out, first.closed_held_out) == (pytest.approx(5.0), 0.0)
+    assert (one.rms_held_out, one.closed_held_out) == (pytest.approx(13**0.5), pytest.approx(0.5))
+    assert two.closed_held_out == pytest.approx(1 - np.sqrt(31 / 16))
+    assert smooth.rms_held_out is None
 
 
 @pytest.mark.parametrize("rows_each", [5.0, 9.0])

@@ -28,7 +28,9 @@ HELD = {
 }  # fmt: skip
 LATERAL = {"camber_thrust", "conicity"}
 OF_SHAPE = {"pressure_asymmetry", "carcass_flexibility", "kinetic_friction", "load_friction"}
-"""Enough for another slip or base: effects of shape use the pressure law of the base."""
+OF_SHAPE |= {"friction_speed_linear"}
+"""Enough for another slip or base: effects of shape use the pressure law of the base, those of the
+sliding speed the braking slip."""
 
 
 def table(mode, rows=240):
@@ -114,6 +116,10 @@ def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model, expecte
             assert found.tire is found.bare
             continue
         held.add(effect.id)
+        if effect.id == "friction_pressure":  # an unknown pressure is the mean of the rows
+            mean = np.full(len(rows.slip), np.mean(rows.column("pressure")))
+            both = (inputs._replace(pressure=p) for p in (0 * mean, mean))
+            np.testing.assert_array_equal(*(force_of(found.tire, name, x) for x in both))
         wanted = base.forces(base.z, base.amplitudes((k,), (size / scale,)))[name]
         ours = force_of(found.tire, name, inputs)
         assert np.max(np.abs(ours - wanted) / rows.inputs.fz) < 1e-9, effect.id

@@ -1,12 +1,12 @@
 """Build the document of a diagnosis and its rows."""
 
-import importlib.metadata
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from tirefit import __version__
 from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
@@ -176,7 +176,7 @@ def of_any_subject(
         "candidates": _candidates(case, verdict),
         "untestable": case.untestable,
         "resolution": float(np.median(scale) * np.sqrt(energy)),
-        "version": importlib.metadata.version("tirefit"),
+        "version": __version__,
     }
 
 
