@@ -65,7 +65,7 @@ def closure_of(
 
     # The gain varies with the remaining energy as it does between bootstrap samples.
     drawn = closed(means[np.argsort(means[:, 1]), 0], left)
-    middle, (low, high) = float(np.median(drawn)), np.quantile(drawn, INTERVAL)
+    middle, (low, high) = float(np.median(drawn)), np.quantile(drawn, INTERVAL).tolist()
     if fewer := [np.median(closed(*less)) for less in without_each(terms, run)]:
         low, high = of_so_few_runs(middle, low, high, np.array(fewer))
     energy = gained + left
@@ -75,7 +75,7 @@ def closure_of(
         rms=rms,
         resolvable=resolvable,
         closed=middle if resolvable else None,
-        closed_ci=(float(low), float(high)) if resolvable else (None, None),
+        closed_ci=(low, high) if resolvable else (None, None),
         remaining_rms=(1 - middle) * rms,
     )
 
@@ -120,17 +120,12 @@ def without_each(terms: np.ndarray, run: np.ndarray) -> np.ndarray:
 
 
 def of_so_few_runs(
-    value: np.ndarray | float,
-    low: np.ndarray | float,
-    high: np.ndarray | float,
-    one_less: np.ndarray,
-) -> tuple[np.ndarray | float, np.ndarray | float]:
+    value: float, low: float, high: float, one_less: np.ndarray
+) -> tuple[float, float]:
     """A 90 % interval (low, high) of a value widened to the jackknife's over the runs,
-    by Student's t; ``one_less`` (R, ...) are the values with each run left out."""
-    count = len(one_less)
-    reach = float(stdtrit(count - 1, INTERVAL[1])) * jackknife_error(one_less)
-    low = np.maximum(np.minimum(low, value - reach), WORST)
-    return low, np.minimum(np.maximum(high, value + reach), 1.0)
+    by Student's t; ``one_less`` (R,) are the values with each run left out."""
+    reach = float(stdtrit(len(one_less) - 1, INTERVAL[1]) * jackknife_error(one_less))
+    return max(min(low, value - reach), WORST), min(max(high, value + reach), 1.0)
 
 
 def of_the_ladder(ladder: Ladder) -> HeldOut | None:

@@ -216,7 +216,7 @@ def _verdict(
 
 def _candidates(case: Concluded, verdict: VerdictSummary) -> tuple[Candidate, ...]:
     """The most probable sets of effects, that of the verdict first, and the unknown."""
-    total, base = _chances(case, verdict), case.base
+    total, base = _chances(case, verdict.left.unlisted), case.base
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
     listed = []
     for key in ranked[:10]:
@@ -243,14 +243,20 @@ def _candidates(case: Concluded, verdict: VerdictSummary) -> tuple[Candidate, ..
     return tuple(listed)
 
 
-def _chances(case: Concluded, verdict: VerdictSummary) -> dict[tuple[str, ...], float]:
-    """Probability of every refitted set: of a named one that of the verdict; others by evidence."""
-    named = {verdict.key: verdict.probability} if verdict.names_an_effect else {}
+def _chances(case: Concluded, unlisted: float) -> dict[tuple[str, ...], float]:
+    """Probability of every refitted set by the evidence; of a named one that of the verdict.
+
+    Args:
+        unlisted: stated probability of an unlisted effect.
+    """
+    verdict = case.verdict
+    claims = verdict.status not in (Status.NONE, Status.UNKNOWN)
+    named = {verdict.key: verdict.probability} if claims else {}
     others = {k: p for k, p in case.weighed.listed.items() if k and k not in named}
-    rest = 1 - verdict.left.unlisted
+    rest = 1 - max(verdict.unlisted, unlisted)
     if verdict.status != Status.INCOMPLETE:  # else the named set is beside an unlisted effect
         rest -= sum(named.values())
-    if case.verdict.status == Status.NONE:
+    if verdict.status == Status.NONE:
         rest *= 1 - case.weighed.nothing_shown
     scale = min(rest / max(sum(others.values()), ROUNDING), 1.0)
     return {k: scale * p for k, p in others.items()} | named
