@@ -523,7 +523,7 @@ WRONG = {
     "sim and file": (["--sim", "--model", "a.tir"], "--sim together with --model a.tir"),
     "no such parameter": (["--set", "nu=1"], "no parameter 'nu'"),
     "model": (["--model", "brsh"], "did you mean"),
-    "effect": (["--without", "slip_ofset"], "known effects"),
+    "effect": (["--without", "slip_ofset"], "is not known"),
     "rig": (["--rig", "none.toml"], "none.toml"),
     "rig value": (["--rig", "rig.toml"], "wheel_inertia = -1: must be greater"),
     "rig key": (["--rig", "rig.toml"], "unknown key 'fx'"),

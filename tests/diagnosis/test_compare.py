@@ -81,6 +81,9 @@ def test_forces_over_the_common_range_have_the_band_of_the_fit(days):
     assert second.force[0, -1] == pytest.approx(4000 * days[1].parameters["mu"].value)
     assert second.std[0, -1] == pytest.approx(4000 * days[1].parameters["mu"].std, rel=0.25)
     assert abs(second.difference + 400) < 30 and second.differs
+    away = second.force - first.force
+    share = np.linalg.norm(away) / np.sqrt(away.size) / first.force.max()
+    assert second.rms_share == pytest.approx(share)
 
 
 def test_a_fit_beside_a_tir_is_compared_over_the_forces(saved):

@@ -7,7 +7,7 @@ import pytest
 
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.engine.left_out import NOISE, SMOOTH, Ladder, Step
-from tirefit.diagnosis.summary.closure import closure_of, gaps_of, of_the_ladder
+from tirefit.diagnosis.summary.closure import closure_of, gaps_of, of_the_ladder, on_files
 from tirefit.diagnosis.summary.document import _gap
 from tirefit.diagnosis.summary.result import Shrinkage
 
@@ -41,12 +41,13 @@ def test_gaps_are_those_of_the_base_and_of_the_answer_on_the_rows_that_are_used(
     level = SimpleNamespace(std=np.ones(3), inflation=2.0, outlier=np.array([False, False, True]))
     rows = SimpleNamespace(channels=("fx", "mz"), observed=observed, n=3, run=np.zeros(3, int))
     forces = {0.0: {"fx": np.zeros(3), "mz": np.zeros(3)}, 7.0: observed}
-    base = SimpleNamespace(
-        rows=rows, noise={"fx": level, "mz": level}, as_given=0.0,
-        amplitudes=lambda *_: None, forces=lambda z, _: forces[z],
+    noise = {"fx": level, "mz": level}
+    base = SimpleNamespace(rows=rows, noise=noise, forces=lambda z: forces[z])
+    case = SimpleNamespace(
+        base=base, before=(0.0,), numbers_of=lambda fit: (7.0,),
+        chosen=SimpleNamespace(pull=np.zeros(1)),
     )  # fmt: skip
-    chosen = SimpleNamespace(z=7.0, atoms=(), amplitude=(), pull=np.zeros(1))
-    gaps = gaps_of(SimpleNamespace(base=base, chosen=chosen), np.random.default_rng(0))
+    gaps = gaps_of(case, np.random.default_rng(0))
     noise = 1 - 2 / 3
     assert gaps["fx"].rms == pytest.approx(np.sqrt((25 + 1) / 2 - noise))
     assert gaps["mz"].rms == pytest.approx(np.sqrt(4 - noise)) and gaps["mz"].closed > 0.5
@@ -74,10 +75,6 @@ def test_closure_is_right_for_known_energies():
     assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
     assert found.closed == pytest.approx(0.8, abs=0.02)
     assert found.closed_ci[0] < 0.8 < found.closed_ci[1]
-    tiny = closure_of(noise, noise, variance, run, 1.0, generator)
-    assert tiny.closed is None and not tiny.resolvable
-    worse = closure_of(gap + noise, 3 * gap + noise, variance, run, 1.0, generator)
-    assert worse.closed == -1
 
 
 def test_the_gap_on_parts_left_out_is_that_beyond_the_noise():
@@ -90,6 +87,22 @@ def test_the_gap_on_parts_left_out_is_that_beyond_the_noise():
         assert (found.rms, found.closed) == (pytest.approx(4.0), 0.4)
         assert found.remaining_rms == pytest.approx(0.6 * 4.0)
         np.testing.assert_allclose(found.closed_ci, interval, atol=1e-4)
+
+
+def test_steps_close_the_gap_of_held_out_files_beyond_the_noise():
+    """Mean squares of 25, 13 and 40 beside 9 of noise: gaps of 4, 2 and more than 4."""
+    sets = (), ("one",), ("one", "two"), SMOOTH
+    ladder = Ladder("parts", tuple(Step(x, 5.0, 0.0, 0.0, 0.0, 0.0) for x in sets))
+    left = {(): np.array([3.0, -np.sqrt(41)])}
+    left |= {sets[1]: np.full(2, 13**0.5), sets[2]: np.full(2, 40**0.5)}
+    gap = Shrinkage(rms=4.0, resolvable=True, closed=0.5, closed_ci=(0.4, 0.6), remaining_rms=2.0)
+    held, found = on_files(ladder, gap, left, np.full(2, 9.0), "other.csv")
+    assert (held.on, held.rms, found.on) == ("other.csv", 4.0, "parts")
+    first, one, two, smooth = found.steps
+    assert (first.rms_held_out, first.closed_held_out) == (pytest.approx(5.0), 0.0)
+    assert (one.rms_held_out, one.closed_held_out) == (pytest.approx(13**0.5), pytest.approx(0.5))
+    assert two.closed_held_out == pytest.approx(1 - np.sqrt(31 / 16))
+    assert smooth.rms_held_out is None
 
 
 @pytest.mark.parametrize("rows_each", [5.0, 9.0])

@@ -16,7 +16,7 @@ from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
 from tirefit.models import Brush
 from tirefit.params import specs
 from tirefit.report.diagnosis.words import range_text
-from tirefit.results import DataError
+from tirefit.results import DataError, UsageError
 
 FEW = [e for e in EFFECTS if e.id in ("slip_offset", "force_offset", "load_friction")]
 """Enough where the rest of the library cannot change what a test claims."""
@@ -104,12 +104,18 @@ def test_the_ladder_goes_from_no_effect_to_the_noise(diagnosed, name):
 
 
 @pytest.mark.parametrize("name", ["unknown", "slip_offset", "none"])
-def test_the_document_has_the_probability_of_something_unlisted(diagnosed, name):
-    verdict = json.loads(diagnosed(name)[0].to_json())["verdict"]
-    unlisted = verdict["left"]["unlisted"]
+def test_each_claim_has_one_probability(diagnosed, name):
+    content = json.loads(diagnosed(name)[0].to_json())
+    verdict, candidates = content["verdict"], content["candidates"]
+    of = {tuple(x["effects"]): x["probability"] for x in candidates}
+    unlisted, probability = verdict["left"]["unlisted"], verdict["probability"]
     assert (unlisted > 0.5) == (name == "unknown")
     if name == "unknown":
         assert verdict["left"]["looks_like"]
+    if verdict["status"] == "unknown":
+        assert unlisted == probability == of["unknown",]
+    else:
+        assert unlisted <= 1 - probability
 
 
 @pytest.mark.long
@@ -284,6 +290,12 @@ def test_bad_data_are_refused():
     few = {k: v[:15] for k, v in frame.items()}
     with pytest.raises(DataError, match="20 or more"):
         diagnose(read_frame(few), rig=RIG)
+
+
+def test_an_unknown_effect_is_refused_with_a_suggestion():
+    frame, _ = record(None)
+    with pytest.raises(UsageError, match="(?s)'slip_ofset' is not known.*mean 'slip_offset'"):
+        diagnose(read_frame(frame), without=["slip_ofset"])
 
 
 def test_zero_slip_has_no_side():

@@ -149,10 +149,7 @@ WRONG = {
     "no effects": ({"effects": ()}, "effects: none to search"),
     "model empty": ({"model": ""}, "unknown model ''"),
     "seed below zero": ({"seed": -1}, "seed = -1"),
-    "misspelt": (
-        {"without": "friction_stp"},
-        "no effect 'friction_stp'\n    remedy: did you mean 'friction_step'",
-    ),
+    "misspelt": ({"without": "friction_stp"}, "--without: 'friction_stp' is not known"),
     "force": ({"forces": "fz"}, "gives no fz"),
     "no such file": ({"holdout": "no.csv"}, "no.csv: the file does not exist"),
 }

@@ -4,6 +4,7 @@ import ast
 import re
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from scipy.stats import false_discovery_control
 import tirefit
 from tirefit.data.read import read_frame
 from tirefit.data.table import Source
-from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Prior, atoms_of
 from tirefit.diagnosis.effects.state import _breakaway, force_of_state, null_state
 from tirefit.diagnosis.engine.discrepancy import Cell, Component
 from tirefit.diagnosis.engine.fit import Start
@@ -335,6 +336,9 @@ def test_one_wave_among_many_is_found():
 def test_separability_is_right_for_known_directions():
     first, second = 4 * np.eye(4)[:2]
     assert separability(first, second) == pytest.approx(0.99766, abs=1e-4)
+    # The weaker of two effects decides.
+    assert separability(first, 9 * second) == separability(9 * first, second)
+    assert separability(first, 9 * second) == pytest.approx(0.99766, abs=1e-4)
     for size in (1, -1):  # an amplitude has either sign
         assert separability(first, size * first) == pytest.approx(0.5)
     # By amplitudes of four prior scales, beside a parameter that neither resembles.
@@ -419,7 +423,10 @@ def test_regions_contain_all_the_energy(base):
     found = regions(base, residual[:n], gap)
     loads = [r for r in found if r.covariate == "fz"]
     assert sum(r.share for r in loads) == pytest.approx(1.0)
-    assert max(loads, key=lambda r: r.share).low == 6000
+    of_6000 = 1e4 * np.sum(base.rows.inputs.fz == 6000)
+    largest = max(loads, key=lambda r: r.share)
+    assert largest.low == 6000
+    assert largest.share == pytest.approx(of_6000 / (of_6000 + np.sum(gap == 1.0)))
     assert all(r.p_value > 0.01 for r in found)  # there is no gap in these data
     for name in {r.covariate for r in found}:
         shares = sum(r.share for r in found if r.covariate == name)
@@ -583,6 +590,15 @@ def test_data_and_rig_narrow_the_prior_of_an_amplitude():
     assert longest < AGES[-1] * interval
     assert (late.low, late.high) == pytest.approx((-4 * interval, longest))
     assert _prior("channel_delay", data, RIG, variant=2).low == 0.0
+    # A stated error narrows a prior, and never widens it.
+    for stated, scale in ((late.scale / 3, late.scale / 3), (9 * late.scale, late.scale)):
+        known = _prior("channel_delay", data, replace(RIG, vehicle={"clock": stated}))
+        assert known.scale == pytest.approx(scale)
+    # The offset from the slip of the wheel speed is a scale, and twice that is possible.
+    seen = SimpleNamespace(slip_check=SimpleNamespace(shifted=True, offset=-0.02))
+    offset = next(effect for effect in EFFECTS if effect.id == "slip_offset")
+    wider = offset.prior(Prior(0.01, 0.0, -0.01, 0.1), seen, RIG)
+    assert wider == Prior(0.02, 0.0, -0.04, 0.1)
 
 
 def test_cells_of_the_discrepancy_hold_the_forces_of_changed_parameters(base):

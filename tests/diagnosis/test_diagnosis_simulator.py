@@ -20,7 +20,7 @@ from tirefit.diagnosis.rows.fits import as_measured
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.simulator import given_simulator, simulator_at
 from tirefit.diagnosis.summary.case import Case
-from tirefit.diagnosis.summary.closure import block_means, budget_of, parameter_changes
+from tirefit.diagnosis.summary.closure import block_means, budget_of, changed, parameter_changes
 from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
@@ -139,7 +139,7 @@ def test_parameters_and_sizes_are_those_of_the_mixture_of_the_sets():
             layout=SimpleNamespace(vector=lambda z: 2 * np.asarray(z), labels=("one", "other"))
         ),
     )
-    each = {"a": Each(0.8, None, None, twin)}
+    each = {"a": Each(0.8, 0.1, 0.05, twin)}
     verdict = Verdict(
         status=Status.NAMED, effects=key, key=key, probability=0.8, each=each, unlisted=0.1
     )
@@ -170,7 +170,7 @@ def test_an_effect_that_acts_like_a_cause_keeps_the_size_with_which_it_helps():
         acts_like=("b",),
         key=("a", "b"),
         probability=0.5,
-        each={"a": Each(0.9, None, None, ()), "b": Each(0.5, None, None, ())},
+        each={"a": Each(0.9, 0.1, 0.05, ()), "b": Each(0.5, 0.1, 0.05, ())},
         unlisted=0.1,
     )
     fits, sizes = {}, {("a", "b"): [1.0, 3.0], ("a",): [2.0], ("b",): [4.0], (): []}
@@ -186,6 +186,11 @@ def test_an_effect_that_acts_like_a_cause_keeps_the_size_with_which_it_helps():
     vars(case)["widening"] = 1.0
     # Of the sets with a half have b as well; of those with b nine in ten have a.
     np.testing.assert_allclose(case.sizes, [[1.5, 3.0], [0.5, np.sqrt(0.1)]], rtol=1e-6)
+
+
+def test_a_parameter_differs_beyond_two_standard_errors():
+    claims = [changed(1.0, x, 0.1).differs for x in (1.19, 1.21, 0.81, 0.79)]
+    assert claims == [False, True, False, True]
 
 
 def test_without_a_simulator_no_parameter_differs(frame):

@@ -9,12 +9,12 @@ from conftest_diagnosis import bare, brush
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, Atom
-from tirefit.diagnosis.extended import Document, extend, extension_of, parsed
+from tirefit.diagnosis.extended import Document, extend, extension_of, read_document
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import fit_base
 from tirefit.models import MODELS, TireInputs, forces, modelled
-from tirefit.results import UsageError
+from tirefit.results import DataError, UsageError
 
 RIG = Rig(noise={"fx_relative": 0.01, "fy_relative": 0.01})
 """The slip is exact: a force is that at the slip, not the mean over its noise."""
@@ -28,7 +28,9 @@ HELD = {
 }  # fmt: skip
 LATERAL = {"camber_thrust", "conicity"}
 OF_SHAPE = {"pressure_asymmetry", "carcass_flexibility", "kinetic_friction", "load_friction"}
-"""Enough for another slip or base: effects of shape use the pressure law of the base."""
+OF_SHAPE |= {"friction_speed_linear"}
+"""Enough for another slip or base: effects of shape use the pressure law of the base, those of the
+sliding speed the braking slip."""
 
 
 def table(mode, rows=240):
@@ -114,6 +116,10 @@ def test_each_tire_effect_gives_the_forces_of_the_diagnosis(mode, model, expecte
             assert found.tire is found.bare
             continue
         held.add(effect.id)
+        if effect.id == "friction_pressure":  # an unknown pressure is the mean of the rows
+            mean = np.full(len(rows.slip), np.mean(rows.column("pressure")))
+            both = (inputs._replace(pressure=p) for p in (0 * mean, mean))
+            np.testing.assert_array_equal(*(force_of(found.tire, name, x) for x in both))
         wanted = base.forces(base.z, base.amplitudes((k,), (size / scale,)))[name]
         ours = force_of(found.tire, name, inputs)
         assert np.max(np.abs(ours - wanted) / rows.inputs.fz) < 1e-9, effect.id
@@ -138,6 +144,23 @@ def test_effects_of_measurement_vehicle_and_past_are_only_reported():
         assert found.names == () and words in found.sentences[1]
 
 
+@pytest.mark.parametrize(
+    ("status", "claim"),
+    [
+        ("none", "no effect"),
+        ("unknown", "an unlisted effect"),
+        ("incomplete", "exactly these effects and an unlisted one"),
+        ("cannot_tell", "exactly these effects"),
+    ],
+)
+def test_the_probability_of_a_verdict_is_stated_with_its_claim(status, claim):
+    base = based("x", "brush")
+    at = document(base, base.atoms[0], 0.1, extension_of(base, only(base, 0)))
+    at.verdict.status = status
+    sentence = extend(MODELS["brush"], "brush", at, lambda tire: tire).sentences[0]
+    assert sentence.endswith(f": {status.replace('_', ' ')}, probability 0.90 of {claim}")
+
+
 def test_a_tire_with_effects_is_finite_at_rest_and_without_load():
     base = based("y", "brush")
     k = [atom.effect.id for atom in base.atoms].index("load_friction")
@@ -147,14 +170,13 @@ def test_a_tire_with_effects_is_finite_at_rest_and_without_load():
     assert np.all(np.asarray(still.fy) == 0)
 
 
-def test_a_diagnosis_of_another_model_or_of_columns_is_refused():
-    base = based("x", "brush")
+def test_a_diagnosis_of_another_model_or_of_columns_is_refused(tmp_path):
+    base, path = based("x", "brush"), tmp_path / "run.json"
     at = document(base, base.atoms[0], 0.1, extension_of(base, only(base, 0)))
     for changes in ({"model": "brush-d"}, {"simulator": {"kind": "columns"}}):
-        text = at.model_dump_json()
-        content = json.loads(text) | changes | {"schema": "tirefit.diagnosis/4"}
-        other = parsed(json.dumps(content), Document)
+        path.write_text(json.dumps(at.model_dump() | changes | {"schema": "tirefit.diagnosis/4"}))
         with pytest.raises(UsageError, match="the tire is a brush"):
-            extend(MODELS["brush"], "brush", other, lambda tire: tire)
-    with pytest.raises(ValueError, match="schema"):
-        parsed(json.dumps({"schema": "tirefit.diagnosis/2"}), Document)
+            extend(MODELS["brush"], "brush", read_document(path), lambda tire: tire)
+    path.write_text(json.dumps({"schema": "tirefit.diagnosis/2"}))
+    with pytest.raises(DataError, match="schema"):
+        read_document(path)

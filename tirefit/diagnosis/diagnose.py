@@ -37,7 +37,7 @@ from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import Values
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.results import InputProblem, UsageError, unknown_names
 
 _MOST_ROWS = 6000
 """Number of rows, evenly spread, on which the search runs; the verdict uses all rows."""
@@ -130,7 +130,8 @@ def diagnose(
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, others)
     data, others = without_far(data), [without_far(other) for other in others]
-    _are_known(without, {effect.id for effect in effects})
+    ids = sorted(effect.id for effect in effects)
+    UsageError.raise_for(unknown_names("--without", sorted({*without}), ids))
     is_fitted = sim is None
     if model in MAGIC_FORMULAS and is_fitted:
         # Its coefficients are fitted to all rows; a hypothesis adapts scaling factors.
@@ -147,8 +148,12 @@ def diagnose(
     if asked is not None:
         gives = _asked_for(asked, data, gives, channels)
     library = tuple(effect for effect in effects if effect.id not in without)
-    ids, digests = (tuple(e.id for e in library), tuple(other.source.sha256 for other in others))
-    settings = Settings(rig=rig, effects=ids, forces=asked, holdout=digests)
+    settings = Settings(
+        rig=rig,
+        effects=tuple(effect.id for effect in library),
+        forces=asked,
+        holdout=tuple(other.source.sha256 for other in others),
+    )
     # One thread: the matrices are too small for two, and another order of summation
     # changes last digits, which can change the course of a search.
     with ThreadpoolController().limit(limits=1, user_api="blas"):
@@ -230,15 +235,6 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
             reason = "the held-out data are those that are diagnosed"
             remedy = "give other data with --holdout, or none: parts are then left out"
             raise unfit(other, reason, remedy)
-
-
-def _are_known(without: Sequence[str], known: set[str]) -> None:
-    """Raises UsageError if a name to leave out is not an effect."""
-    every, problems = ", ".join(sorted(known)), []
-    for name in sorted(set(without) - known):
-        remedy = f"{did_you_mean(name, known)}known effects: {every}"
-        problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
-    UsageError.raise_for(problems)
 
 
 def _asked_for(

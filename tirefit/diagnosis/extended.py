@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
-from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, effects_by_id
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Atom, NoiseEffect, effects_by_id
 from tirefit.diagnosis.effects.state import (
     Covariates,
     arm_of,
@@ -45,6 +45,13 @@ SCHEMA = "tirefit.diagnosis/4"
 _NO_LOAD = 1e-6
 """Share of the mean load below which laws of the load are constant, as powers of the load
 have no value at zero."""
+
+_CLAIM = {
+    "none": "no effect",
+    "unknown": "an unlisted effect",
+    "incomplete": "exactly these effects and an unlisted one",
+}
+"""Status -> the claim that has the probability of the verdict; else exactly its effects."""
 
 _OF_RUN = ("brisk", "cruise", "rise", "peak")  # covariates with one value for all rows
 
@@ -252,21 +259,16 @@ def read_checked(
     remedy = f"give {what}; run it again for an older file"
     try:
         if isinstance(source, Record):
-            return parsed(source.to_json(), kind, schema)
-        text = content_of(Path(source), RECORD, DataError, remedy).decode("utf-8")
-        return parsed(text, kind, schema)
+            content = json.loads(source.to_json())
+        else:
+            content = json.loads(content_of(Path(source), RECORD, DataError, remedy))
+        if not isinstance(content, dict) or content.get("schema") != schema:
+            raise ValueError(f"its schema is not {schema}")
+        if odd := outrageous(content, 0.0):
+            raise ValueError(": ".join(odd))
+        return kind.model_validate(content)
     except (ValueError, RecursionError) as error:
         raise DataError(InputProblem(f"not {what}: {faults_in(error)}", remedy, file)) from None
-
-
-def parsed(text: str, kind: type[Parsed], schema: str = SCHEMA) -> Parsed:
-    """:func:`read_checked` of a text; ValueError if it is no such document."""
-    content = json.loads(text)
-    if not isinstance(content, dict) or content.get("schema") != schema:
-        raise ValueError(f"its schema is not {schema}")
-    if odd := outrageous(content, 0.0):
-        raise ValueError(": ".join(odd))
-    return kind.model_validate(content)
 
 
 def read_document(source: Record | str | PathLike[str]) -> Document:
@@ -275,18 +277,11 @@ def read_document(source: Record | str | PathLike[str]) -> Document:
 
 
 class Report(NamedTuple):
-    """A tire with effects.
+    """A tire with effects, and sentences on the verdict and on each effect."""
 
-    Attributes:
-        tire: with the effects that it can have; the given tire if there are none.
-        bare: the same without them.
-        names: of the effects that it holds.
-        sentences: on the verdict and on each effect.
-    """
-
-    tire: AbstractTire
-    bare: AbstractTire
-    names: tuple[str, ...]
+    tire: AbstractTire  # with the effects that it can have
+    bare: AbstractTire  # without them
+    names: tuple[str, ...]  # of the effects that it holds
     sentences: tuple[str, ...]
 
 
@@ -315,7 +310,8 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable[.
         check_values(tire, name, values)
     sentences = [
         f"diagnosis of {document.data.name} (sha256 {document.data.sha256[:12]}):"
-        f" {verdict.status.replace('_', ' ')}, probability {verdict.probability:.2f}"
+        f" {verdict.status.replace('_', ' ')}, probability {verdict.probability:.2f} of"
+        f" {_CLAIM.get(verdict.status, 'exactly these effects')}"
     ]
     if verdict.also_possible:
         others = ", ".join(verdict.also_possible)
@@ -340,29 +336,27 @@ def extend(tire: AbstractTire, name: str, document: Document, finish: Callable[.
 def _judged(id: str, document: Document) -> tuple[list[tuple[Atom, float]], str]:
     """The formula of an effect and its amplitude, if a tire can have it, and a sentence."""
     effect = effects_by_id((*EFFECTS, *NOISE_EFFECTS)).get(id)
-    if effect is None or not hasattr(effect, "change"):
+    if effect is None or isinstance(effect, NoiseEffect):
         what = "of the noise" if effect else "not in the library of effects"
         what = "no listed effect is the likely cause" if id == UNKNOWN else what
         return [], f"not in the forces: {id}: {what}"
-    prefix, amplitudes = f"{id}: ", document.amplitudes
-    whole = next((key for key in amplitudes if key.startswith(prefix)), None)
-    variant = document.extension.variants.get(id, -1)
-    if whole is None or variant not in range(len(effect.variants)):
+    extension, prefix = document.extension, f"{id}: "
+    sizes = ((k, x) for k, x in document.amplitudes.items() if k.startswith(prefix))
+    whole, size = next(sizes, (id, None))
+    variant = extension.variants.get(id, -1)
+    if size is None or variant not in range(len(effect.variants)):
         return [], f"not in the forces: {id}: it has no amplitude"
-    size, atom = amplitudes[whole], Atom(effect, variant)
-    message = f"{id} {whole.removeprefix(prefix)} = {size.value:.5g} +- {size.std:.2g}"
-    unit = size.unit.removeprefix("-").strip()
-    message += f"{' ' if unit else ''}{unit}: {effect.means} ({effect.formula})"
+    atom, name = Atom(effect, variant), whole.removeprefix(prefix)
+    unit = f" {size.unit.removeprefix('-').strip()}".rstrip()
+    message = f"{id} {name} = {size.value:.5g} +- {size.std:.2g}{unit}"
+    message += f": {effect.means} ({effect.formula})"
     if effect.of == "measurement":
         return [], f"of the measurement, not in the forces: {message}; {effect.remedy}"
     if effect.of != "tire":
         return [], f"not in the forces, of the {effect.of}: {message}"
-    extension = document.extension
+    usual = TireInputs(0.01, 0.01, extension.load, extension.cruise)
     try:
-        at = _covariates(
-            extension, TireInputs(0.01, 0.01, extension.load, extension.cruise), extension.load
-        )
-        atom.change(null_state(), size.value, at)
+        atom.change(null_state(), size.value, _covariates(extension, usual, extension.load))
     except TypeError:  # it uses a covariate that is None: no input of a tire
         return [], f"not in the forces: {message}"
     return [(atom, size.value)], f"in the forces: {message}"

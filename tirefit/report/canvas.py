@@ -66,7 +66,7 @@ def frame(
     width, height = size
     heads = textwrap.wrap(title, int(9.5 * width), max_lines=2, placeholder=" …")
     # Of the text below the title of a figure.
-    lines = textwrap.wrap(text, int(14.3 * width), max_lines=5, placeholder=" …")
+    lines = textwrap.wrap(text, int(14.3 * width))
     feet = textwrap.wrap(foot, int(18.5 * width))
     below, above = 0.06 + 0.12 * len(feet), 0.2 + 0.2 * len(heads)
     head = above + 0.15 * len(lines) + 0.14 * (len(note.splitlines()) + bool(note))

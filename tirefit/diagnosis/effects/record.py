@@ -374,8 +374,8 @@ class States:
             first, second = b - a, c - b
             slopes[field] = (3 * first - second) / (2 * step)
             # The second step is as large as the first unless the slope is infinite, as of a root.
-            shrinks = _size(second) + ROUNDING * _size(b) < 0.9 * _size(first)
-            if shrinks and not amplitude:
+            sizes = np.linalg.norm([first, second, b], axis=1)
+            if sizes[1] + ROUNDING * sizes[2] < 0.9 * sizes[0] and not amplitude:
                 slopes[field] = np.full_like(a, np.inf)
         return slopes
 
@@ -394,10 +394,6 @@ class States:
                 remedy += " a state, each field a number or one for each row"
                 raise UsageError(InputProblem(reason, remedy)) from error
         return state
-
-
-def _size(values: Values | float) -> float:
-    return float(np.sqrt(np.vdot(values, values)))
 
 
 def _constant(values: Values | float, shape: tuple[int, ...]) -> np.ndarray:

@@ -115,8 +115,8 @@ class Each(NamedTuple):
     standard error; and its ``twins``: effects that these data cannot distinguish from it."""
 
     probability: float
-    closed_left_out: float | None
-    closed_left_out_std: float | None
+    closed_left_out: float
+    closed_left_out_std: float
     twins: tuple[str, ...]
 
 

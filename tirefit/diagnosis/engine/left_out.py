@@ -113,13 +113,12 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
         mean = [np.mean((x * unit)[rows] ** 2) for x, rows in zip(left, first, strict=True)]
         return np.array([mean, [np.sum(x[out] ** 2) for x, out in zip(left, outs, strict=True)]])
 
-    each, none = {}, np.zeros((2, len(outs), 0))
-    every = np.empty((2, len(outs), len(sets)))
-    for s, fit in enumerate(sets):
+    each, none = dict[Key, LeftOut](), np.zeros((2, len(outs), 0))
+    for fit in sets:
         moved, p = np.array([fit.without(out) for out in outs]), len(fit.z)
-        every[..., s] = errors([fit.residual - fit.columns @ step for step in moved])
+        missed = errors([fit.residual - fit.columns @ step for step in moved])
         ends = fit.z + moved[:, :p], fit.amplitude + moved[:, p:]
-        each[fit.key] = LeftOut(*every[..., s], *ends)
+        each[fit.key] = LeftOut(missed[0], missed[1], *ends)
     given = subject.given_residual
     return Predicted(
         folds,

@@ -32,6 +32,9 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.subject import Base, on_rows
 from tirefit.padding import pad_rows
 
+Numbers = tuple[np.ndarray, np.ndarray]
+"""Parameters z (p,), and amplitudes (K,) of all effects in prior scales."""
+
 
 class Untestable(NamedTuple):
     """An effect that these data cannot show, and the data that it needs."""
@@ -167,6 +170,15 @@ class Case(Concluded):
         return atom.formula(self.base.design.rows, self.base.rows.time)
 
     @property
+    def before(self) -> Numbers:
+        """Parameters and amplitudes of the base: as given, or as fitted without effects."""
+        return self.base.as_given, self.base.amplitudes()
+
+    def numbers_of(self, fit: Fit) -> Numbers:
+        """Parameters and amplitudes of a fit."""
+        return fit.z, self.base.amplitudes(fit.atoms, fit.amplitude)
+
+    @property
     def noise_flags(self) -> tuple[str, ...]:
         """The flags of the noise of all channels."""
         levels = self.base.noise.values()
@@ -217,10 +229,9 @@ class Case(Concluded):
     def widening(self) -> float:
         """Factor on the variance of amplitudes: mean square of the remainder, times its
         rows per independent row; one if the remainder is noise."""
-        base, fit, n = self.base, self.chosen, self.base.rows.n
-        left = base.residual(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-        parts = np.split(left, len(left) // n)
-        rows_each = max(correlation(part, base.rows.time, base.rows.run) for part in parts)
+        rows, left = self.base.rows, self.base.residual(*self.numbers_of(self.chosen))
+        parts = np.split(left, len(left) // rows.n)
+        rows_each = max(correlation(part, rows.time, rows.run) for part in parts)
         return max(float(np.mean(left**2)) * rows_each, 1.0)
 
 
@@ -242,16 +253,12 @@ def averaged(
 def _both(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     """Forces of the base and of the fit of the verdict by channel, at the slips of ``at``;
     for a simulator, also its forces as given and tuned."""
-    base, fit = case.base, case.chosen
-    before = at.forces(base.as_given, base.amplitudes())
-    after = at.forces(fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-    channels = base.rows.channels
-    forces = {c: {"base": before[c], "extended": after[c]} for c in channels}
+    base = case.base
+    kinds = {"base": case.before, "extended": case.numbers_of(case.chosen)}
     if base.simulator:
-        tuned = at.forces(base.z, base.amplitudes())
-        for channel in channels:
-            forces[channel] |= {"sim": before[channel], "tuned": tuned[channel]}
-    return forces
+        kinds |= {"sim": case.before, "tuned": (base.z, base.amplitudes())}
+    forces = {kind: at.forces(*numbers) for kind, numbers in kinds.items()}
+    return {c: {kind: of[c] for kind, of in forces.items()} for c in base.rows.channels}
 
 
 def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:

@@ -65,7 +65,7 @@ def closure_of(
 
     # The gain varies with the remaining energy as it does between bootstrap samples.
     drawn = closed(means[np.argsort(means[:, 1]), 0], left)
-    middle, (low, high) = float(np.median(drawn)), np.quantile(drawn, INTERVAL)
+    middle, (low, high) = float(np.median(drawn)), np.quantile(drawn, INTERVAL).tolist()
     if fewer := [np.median(closed(*less)) for less in without_each(terms, run)]:
         low, high = of_so_few_runs(middle, low, high, np.array(fewer))
     energy = gained + left
@@ -75,29 +75,24 @@ def closure_of(
         rms=rms,
         resolvable=resolvable,
         closed=middle if resolvable else None,
-        closed_ci=(float(low), float(high)) if resolvable else (None, None),
+        closed_ci=(low, high) if resolvable else (None, None),
         remaining_rms=(1 - middle) * rms,
     )
 
 
-def _fitted_rows(case: Case, channel: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Whether each row (n,) is used for a channel; the variance of the noise of those that are,
-    less the part that fitted numbers take up, and their runs; rows per independent row."""
-    noise = case.base.noise[channel]
-    used, fitted = ~noise.outlier, len(case.chosen.pull) * noise.inflation / case.base.rows.n
-    variance = max(1 - fitted, 0.0) * noise.std[used] ** 2
-    return used, variance, case.base.rows.run[used], noise.inflation
-
-
 def gaps_of(case: Case, generator: np.random.Generator) -> dict[str, Shrinkage]:
     """Closure of the gap of every channel on the fitted rows."""
-    base, fit, gaps = case.base, case.chosen, {}
-    fits = (base.as_given, base.amplitudes()), (fit.z, base.amplitudes(fit.atoms, fit.amplitude))
-    forces = [base.forces(*numbers) for numbers in fits]
-    for channel in base.rows.channels:
-        used, variance, run, inflation = _fitted_rows(case, channel)
-        before, after = ((base.rows.observed[channel] - of[channel])[used] for of in forces)
-        gaps[channel] = closure_of(before, after, variance, run, inflation, generator)
+    base, rows, gaps = case.base, case.base.rows, {}
+    forces = [base.forces(*numbers) for numbers in (case.before, case.numbers_of(case.chosen))]
+    for channel in rows.channels:
+        noise, used = base.noise[channel], ~base.noise[channel].outlier
+        before, after = ((rows.observed[channel] - of[channel])[used] for of in forces)
+        # Fitted numbers take up a part of the noise.
+        fitted = len(case.chosen.pull) * noise.inflation / rows.n
+        variance = max(1 - fitted, 0.0) * noise.std[used] ** 2
+        gaps[channel] = closure_of(
+            before, after, variance, rows.run[used], noise.inflation, generator
+        )
     return gaps
 
 
@@ -125,17 +120,12 @@ def without_each(terms: np.ndarray, run: np.ndarray) -> np.ndarray:
 
 
 def of_so_few_runs(
-    value: np.ndarray | float,
-    low: np.ndarray | float,
-    high: np.ndarray | float,
-    one_less: np.ndarray,
-) -> tuple[np.ndarray | float, np.ndarray | float]:
+    value: float, low: float, high: float, one_less: np.ndarray
+) -> tuple[float, float]:
     """A 90 % interval (low, high) of a value widened to the jackknife's over the runs,
-    by Student's t; ``one_less`` (R, ...) are the values with each run left out."""
-    count = len(one_less)
-    reach = float(stdtrit(count - 1, INTERVAL[1])) * jackknife_error(one_less)
-    low = np.maximum(np.minimum(low, value - reach), WORST)
-    return low, np.minimum(np.maximum(high, value + reach), 1.0)
+    by Student's t; ``one_less`` (R,) are the values with each run left out."""
+    reach = float(stdtrit(len(one_less) - 1, INTERVAL[1]) * jackknife_error(one_less))
+    return max(min(low, value - reach), WORST), min(max(high, value + reach), 1.0)
 
 
 def of_the_ladder(ladder: Ladder) -> HeldOut | None:
@@ -172,9 +162,7 @@ def held_out(
     main, runs = rows.channels[0], 0
     scale = np.median(base.noise[main].std / rows.inputs.fz)
     steps, parts = fits_of(case, ladder), []
-    sets = [(base.as_given, base.amplitudes())]
-    fits = case.chosen, *steps.values()
-    sets += [(fit.z, base.amplitudes(fit.atoms, fit.amplitude)) for fit in fits]
+    sets = [case.before, *map(case.numbers_of, (case.chosen, *steps.values()))]
     for data in holdout:
         left_out, shown = prepare(data, rig, rows.channels), rows.shown
         if shown is not None and rows.scatter:  # only a part of the scatter is noise
@@ -239,13 +227,12 @@ def budget_of(ladder: Ladder) -> tuple[Part, ...]:
     added = [[e for e in b.effects if e not in a.effects] for a, b in pairwise(steps[:-1])]
     names = [*(" + ".join(new) or PARAMETERS for new in added), "unexplained", "noise"]
     energies = [*(-np.diff(left)).tolist(), float(left[-1])]
-    each = zip(names, energies, [*errors, errors[-1]], strict=True)
-    return tuple(_part(name, energy, whole, NORMAL * error) for name, energy, error in each)
-
-
-def _part(name: str, energy: float, whole: float, reach: float) -> Part:
-    ends = max(energy - reach, 0.0) / whole, min((energy + reach) / whole, 1.0)
-    return Part(name, float(np.sqrt(energy)), energy / whole, ends)
+    parts = []
+    for name, energy, error in zip(names, energies, [*errors, errors[-1]], strict=True):
+        reach = NORMAL * error
+        ends = max(energy - reach, 0.0) / whole, min((energy + reach) / whole, 1.0)
+        parts.append(Part(name, float(np.sqrt(energy)), energy / whole, ends))
+    return tuple(parts)
 
 
 def parameter_changes(case: Case) -> Mapping[str, Change]:

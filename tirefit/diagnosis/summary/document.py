@@ -1,12 +1,12 @@
 """Build the document of a diagnosis and its rows."""
 
-import importlib.metadata
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from tirefit import __version__
 from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.engine import NONZERO, ROUNDING
 from tirefit.diagnosis.engine.decide import UNKNOWN, Status, calibration
@@ -62,7 +62,7 @@ def document_of(
     # Random numbers are drawn in this order: held-out data, gaps.
     held, ladder = held_out(case, holdout, rig, generator)
     gaps = {c: _gap(case, gap, rows[c]["gap"]) for c, gap in gaps_of(case, generator).items()}
-    missed = base.residual(base.as_given, base.amplitudes())[:n]
+    missed = base.residual(*case.before)[:n]
     # Rows of the fit without effects, counted as by `tirefit fit`: its residuals contain the
     # misfit of the model, which the noise does not.
     null = base.at_null
@@ -91,7 +91,6 @@ def document_of(
         seed=seed,
         rows=all_rows(case, whole, rig, rows),
         table=data,
-        mean_load=float(np.mean(data.usable("fz"))),
         comparison=compared(base, rows[main], bool(verdict.key) or tuned_alone),
         library=library,
         meanings={p.name: p.spec.meaning for p in layout.free},
@@ -163,6 +162,7 @@ def of_any_subject(
     """
     main, base = next(iter(gaps)), case.base
     gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held)
+    verdict = _verdict(case, gap, parameters, shapes)
     # The smallest generic remainder that would be detected four times in five: 0.84 standard
     # deviations of noise above 1.65, which noise exceeds once in 20 files. A force over slip has
     # at most 40 smooth directions.
@@ -171,12 +171,12 @@ def of_any_subject(
     return {
         "gap": gap,
         "budget": budget_of(ladder),
-        "verdict": _verdict(case, gap, parameters, shapes),
+        "verdict": verdict,
         "ladder": ladder,
-        "candidates": _candidates(case),
+        "candidates": _candidates(case, verdict),
         "untestable": case.untestable,
         "resolution": float(np.median(scale) * np.sqrt(energy)),
-        "version": importlib.metadata.version("tirefit"),
+        "version": __version__,
     }
 
 
@@ -189,13 +189,13 @@ def _verdict(
     groups, scale = case.base.groups(), case.base.priors.scale
     status = "noise" if noise else verdict.status
     probability = calibration().often(str(status), verdict.probability)
-    # Only one of the two probabilities includes the absence of an unlisted effect.
-    unlisted = verdict.unlisted
+    # An unlisted effect is all of the claim "unknown", a part of "incomplete", excluded by others.
+    unlisted = probability
     if verdict.status == Status.INCOMPLETE:
-        unlisted = max(unlisted, probability)
+        unlisted = max(verdict.unlisted, probability)
     elif verdict.status != Status.UNKNOWN:
-        unlisted = min(unlisted, 1 - probability)
-    answer = {**vars(verdict), "probability": probability}
+        unlisted = min(verdict.unlisted, 1 - probability)
+    answer = {**vars(verdict), "probability": probability, "unlisted": unlisted}
     if noise:
         answer |= {"status": Status.NAMED, "effects": noise}
     return VerdictSummary(
@@ -214,9 +214,9 @@ def _verdict(
     )
 
 
-def _candidates(case: Concluded) -> tuple[Candidate, ...]:
-    """The most probable sets of effects, and the unknown."""
-    total, verdict, base = _chances(case), case.verdict, case.base
+def _candidates(case: Concluded, verdict: VerdictSummary) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, that of the verdict first, and the unknown."""
+    total, base = _chances(case, verdict.left.unlisted), case.base
     ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
     listed = []
     for key in ranked[:10]:
@@ -237,21 +237,25 @@ def _candidates(case: Concluded) -> tuple[Candidate, ...]:
             effects=key, family=family, probability=total[key], parameters=parameters
         )
         listed.append(candidate)
-    alone = verdict.unlisted if not verdict.key else 0.0
-    if alone > 1e-3:
+    if not verdict.names_an_effect and (alone := verdict.left.unlisted) > 1e-3:
         listed.append(Candidate(effects=(UNKNOWN,), family=UNKNOWN, probability=alone))
     return tuple(listed)
 
 
-def _chances(case: Concluded) -> dict[tuple[str, ...], float]:
-    """Probability of every refitted set: that of the verdict; others by evidence."""
-    verdict, listed = case.verdict, case.weighed.listed
-    named = bool(verdict.key)
-    some = {k: p for k, p in listed.items() if k and not (named and k == verdict.key)}
-    alone = verdict.status in (Status.NAMED, Status.CANNOT_TELL)
-    rest = 1 - verdict.unlisted - verdict.probability * alone
+def _chances(case: Concluded, unlisted: float) -> dict[tuple[str, ...], float]:
+    """Probability of every refitted set by the evidence; of a named one that of the verdict.
+
+    Args:
+        unlisted: stated probability of an unlisted effect.
+    """
+    verdict = case.verdict
+    claims = verdict.status not in (Status.NONE, Status.UNKNOWN)
+    named = {verdict.key: verdict.probability} if claims else {}
+    others = {k: p for k, p in case.weighed.listed.items() if k and k not in named}
+    rest = 1 - max(verdict.unlisted, unlisted)
+    if verdict.status != Status.INCOMPLETE:  # else the named set is beside an unlisted effect
+        rest -= sum(named.values())
     if verdict.status == Status.NONE:
         rest *= 1 - case.weighed.nothing_shown
-    scale = rest / max(sum(some.values()), ROUNDING)
-    shared = {k: min(scale, 1.0) * p for k, p in some.items()}
-    return shared | ({verdict.key: verdict.probability} if named else {})
+    scale = min(rest / max(sum(others.values()), ROUNDING), 1.0)
+    return {k: scale * p for k, p in others.items()} | named

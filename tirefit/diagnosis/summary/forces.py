@@ -59,9 +59,9 @@ def differing_forces(
     A force differs if it does so in errors beyond the band that holds all slips and loads
     together (Scheffe) at ``level``, shared among the forces.
     """
-    steady = {name: _steady(given) for name, given in tires.items()}
-    if notes := [f"{name}: no forces in steady state" for name, x in steady.items() if x is None]:
-        return (), tuple(notes)
+    steady = {name: _steady(given.tire) for name, given in tires.items()}
+    if moving := [name for name, tire in steady.items() if tire.transient]:
+        return (), tuple(f"{name}: no forces in steady state" for name in moving)
     if len(tires) < 2:
         return (), ()
     each = [given.content.get("forces") or modelled(given.tire) for given in tires.values()]
@@ -86,10 +86,9 @@ def differing_forces(
     return tuple(differences), tuple(notes)
 
 
-def _steady(given: GivenTire) -> AbstractTire | None:
-    """The tire, without relaxation; None if it has no force in steady state."""
-    tire = given.tire.tire if isinstance(given.tire, Relaxed) else given.tire
-    return None if tire.transient else tire
+def _steady(tire: AbstractTire) -> AbstractTire:
+    """The tire without relaxation."""
+    return tire.tire if isinstance(tire, Relaxed) else tire
 
 
 def _ranges(given: GivenTire) -> dict[str, tuple[float, float]]:
@@ -137,8 +136,7 @@ def _force(
         std = None
         if given.fit is not None:
             drawn = given.drawn(np.random.default_rng(k), _DRAWS)
-            drawn = [tire.tire if isinstance(tire, Relaxed) else tire for tire in drawn]
-            std = np.std([_at(tire, name, slip, at) for tire in drawn], axis=0)
+            std = np.std([_at(_steady(tire), name, slip, at) for tire in drawn], axis=0)
         free[source] = () if given.fit is None else given.fit[0].labels
         curves[source] = ForceCurve(force, std)
     first, *others = curves

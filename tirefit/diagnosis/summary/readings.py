@@ -46,8 +46,8 @@ def with_readings(
         whole: rows of the case.
         model: that describes both; ``study`` diagnoses rows with it.
     """
-    given = case.base.simulator
-    assert given is not None, "the diagnosis is that of a simulator"
+    given, simulator = case.base.simulator, result.simulator
+    assert given is not None and simulator is not None, "the diagnosis is that of a simulator"
     followed = all(
         missed_share(whole, c, np.asarray(x)[: whole.n]) <= FARTHEST_OFF
         for c, x in case.base.design.offset.items()
@@ -61,33 +61,32 @@ def with_readings(
     # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
     search = described.search
-    left = predicted(search.subject, [described.chosen], search.null, folds)
-    left = left.sets[described.chosen.key].loss
+    of_both = predicted(search.subject, [described.chosen], search.null, folds)
+    left = of_both.sets[described.chosen.key].loss
     out, changed = case.predicted, _loss(case)
     share = out.rows / out.rows.sum()
     gains = share * (changed - left)
     gain, error = float(gains.sum()), float(np.sqrt(len(gains)) * np.std(gains, ddof=1))
-    structure = structures_of(whole)
-    lacking = any(feature.id in UNLIKE for feature in structure)
-    itself = None if lacking else _of_simulator(whole, rig, study, structure)
+    structure, itself = structures_of(whole), None
+    if not any(feature.id in UNLIKE for feature in structure):
+        itself = _of_simulator(whole, rig, study, structure)
     closed = closed_share(out.rows, left, out.first, floor_of(case.base, out))
     step = Step(OWN_MODEL, float(np.sqrt(share @ left)), *closed, gain, error)
     # Where both predict alike, the one that does not depend on a stand-in for the simulator.
     rough = given.given.tire is None and given.stand_in != model
     likelier = gain > (-error if rough else error)
     both = Readings(
-        "described" if likelier or not followed else "changed",
-        gain,
-        error,
-        float(np.sqrt(share @ changed)),
-        model,
-        _described(described, step.rms_left_out),
-        itself,
-        structure,
+        first="described" if likelier or not followed else "changed",
+        gain=gain,
+        gain_std=error,
+        rms_changed=float(np.sqrt(share @ changed)),
+        model=model,
+        measured=_described(described, step.rms_left_out),
+        simulator=itself,
+        structure=structure,
     )
-    steps, simulator = result.ladder.steps, result.simulator
-    ladder = result.ladder._replace(steps=(*steps[:-2], step, *steps[-2:]))
-    assert simulator is not None, "the diagnosis is that of a simulator"
+    *steps, smooth, noise = result.ladder.steps
+    ladder = result.ladder._replace(steps=(*steps, step, smooth, noise))
     return replace(result, ladder=ladder, simulator=simulator._replace(readings=both))
 
 
@@ -131,8 +130,7 @@ def _described(case: Case, rms: float) -> Described:
     steps = _STEP * np.eye(p)
     slope = np.array([_slope(case, z + step) - _slope(case, z - step) for step in steps])
     covariance = case.chosen.covariance[:p, :p]
-    wider = spread / np.sqrt(np.diag(covariance))
-    covariance = wider[:, None] * covariance * wider
+    slope = slope * spread / np.sqrt(np.diag(covariance))  # as uncertain as the averages are
     error = np.sqrt(slope @ covariance @ slope) / (2 * _STEP)
     unit = "N" if base.rows.mode == "x" else "N/rad"
     parameters[SLOPE] = Estimate(_slope(case, z), float(error), unit)

@@ -15,7 +15,7 @@ import numpy as np
 from tirefit.data.records import FileRecord, Row, frame
 from tirefit.data.table import TireData
 from tirefit.data.write import csv_text, to_convention
-from tirefit.diagnosis.effects import NOISE_EFFECTS, Effect
+from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.engine.decide import NOT_WRITTEN, UNKNOWN, Verdict
 from tirefit.diagnosis.engine.left_out import Ladder, SizeByGroup
 from tirefit.diagnosis.extended import SCHEMA
@@ -107,9 +107,7 @@ class VerdictSummary(Verdict):
     @property
     def names_an_effect(self) -> bool:
         """Whether effects on the mean force are named, and not only on the noise."""
-        of_noise = {effect.id for effect in NOISE_EFFECTS}
-        on_mean = [e for e in self.effects if e not in of_noise]
-        return bool(on_mean) and on_mean != [UNKNOWN]
+        return any(effect in self.each for effect in self.effects)
 
     @property
     def helping(self) -> tuple[str, ...]:
@@ -265,8 +263,8 @@ class Diagnosis(Record):
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator, ``base`` and
     ``sim`` are its forces as given, ``tuned`` those with adapted parameters.
     ``simulator`` is None if a form was fitted; ``meanings`` are those of its parameters.
-    ``table`` is the data, ``mean_load`` [N] that of its used rows; ``comparison`` is the content
-    of a figure; ``library`` holds the searched effects, including a user's own.
+    ``table`` is the data; ``comparison`` is the content of a figure; ``library`` holds the
+    searched effects, including a user's own.
     """
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis.report:diagnosis_text"
@@ -300,7 +298,6 @@ class Diagnosis(Record):
     asked: str = ""
     rows: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict, metadata=NOT_WRITTEN)
     table: TireData | None = field(default=None, metadata=NOT_WRITTEN)
-    mean_load: float = field(default=np.nan, metadata=NOT_WRITTEN)
     comparison: Comparison | None = field(default=None, metadata=NOT_WRITTEN)
     library: tuple[Effect, ...] = field(metadata=NOT_WRITTEN)
     meanings: Mapping[str, str] = field(metadata=NOT_WRITTEN)

@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.summary.closure import PARAMETERS
 from tirefit.diagnosis.summary.readings import SLOPE
-from tirefit.diagnosis.summary.result import Diagnosis, Estimate, Readings
+from tirefit.diagnosis.summary.result import Change, Diagnosis, Estimate, Readings
 from tirefit.report.diagnosis import words
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.page import Section
@@ -33,15 +33,15 @@ def answer(result: Diagnosis) -> str:
     shares = {part.part: part.share for part in result.budget}
     sentences = [_on_effects(result, shares, "its parameters and " * bool(changes))]
     if changes:
-        share = shares.get(PARAMETERS, 0.0)
-        of_error = f", {words.share_text(share)} of its error" * (PARAMETERS in shares)
+        share = shares.get(PARAMETERS)
+        of_error = "" if share is None else f", {words.share_text(share)} of its error"
         largest = max((shares.get(effect, 0.0) for effect in verdict.effects), default=0.0)
-        first = not verdict.names_an_effect or share >= largest
-        sentences.insert(
-            0 if first else 1, f"The simulator has {words.listing(changes)}{of_error}."
-        )
-    changed = " ".join([*sentences, *_how_much(result)])
-    return _of_readings(result, result.readings, changed) if result.readings else changed
+        after = verdict.names_an_effect and (share or 0.0) < largest
+        sentences.insert(after, f"The simulator has {words.listing(changes)}{of_error}.")
+    sentences += _how_much(result)
+    if result.readings:
+        sentences = [*_of_readings(result, result.readings, " ".join(sentences))]
+    return " ".join(sentences)
 
 
 def _how_much(result: Diagnosis) -> Iterator[str]:
@@ -133,10 +133,8 @@ def _acting(result: Diagnosis, shares: Mapping[str, float], what: str) -> str:
     for effect in carried(result, result.verdict.acts_like, shares):
         each = result.verdict.each[effect]
         text = words.sized_name(effect, words.size_of(result, effect))
-        text += f" ({each.probability:.2f} that this is the cause"
-        if each.closed_left_out is not None:
-            text += f"; it removes {words.share_text(each.closed_left_out)} on data left out"
-        parts.append(f"{text})")
+        removes = f"it removes {words.share_text(each.closed_left_out)} on data left out"
+        parts.append(f"{text} ({each.probability:.2f} that this is the cause; {removes})")
     return f" In the model, {what} acts like {words.listing(parts)}." if parts else ""
 
 
@@ -145,25 +143,41 @@ def change_texts(result: Diagnosis) -> list[str]:
     significant first; only those that differ from the measurement."""
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
     wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
-    readings, meanings = result.readings, {**result.meanings, **_SHORT}
-    if readings and any(feature.id == "no_saturation" for feature in readings.structure):
+    structure = result.readings.structure if result.readings else ()
+    if any(feature.id == "no_saturation" for feature in structure):
         wrong = [(name, change) for name, change in wrong if name not in _FRICTION]
-    used, texts = _used_friction(result) if wrong else 0.0, []
-    for name, change in wrong:
-        meaning, off = meanings.get(name, name), change.simulated - change.measured
-        if min(change.simulated, change.measured) > 0:
-            ratio = change.simulated / change.measured
-            error = ratio * change.std / change.measured
-            # A simulator that is known by its forces has none of the scaling factors; those of the
-            # axles of a car are of this diagnosis.
-            is_columns = result.simulator is not None and result.simulator.kind == "columns"
-            scaling = ("front.", "rear.", *(("LM", "LK") if is_columns else ()))
-            todo = _set_text(name, change.measured, name.startswith(scaling))
-            texts.append(_ratio_text(name, meaning, ratio, error, todo, used))
-        else:
-            side = f"{'high' if off > 0 else 'low'} ({_set_text(name, change.measured)})"
-            texts.append(f"{meaning} {format_estimate(abs(off), change.std)} too {side}")
-    return texts
+    meanings = {**result.meanings, **_SHORT}
+    # A simulator that is known by its forces has none of the scaling factors; those of the axles
+    # of a car are of this diagnosis.
+    is_columns = result.simulator is not None and result.simulator.kind == "columns"
+    scaling = ("front.", "rear.", *(("LM", "LK") if is_columns else ()))
+    return [
+        _change_text(result, name, meanings.get(name, name), change, name.startswith(scaling))
+        for name, change in wrong
+    ]
+
+
+def _change_text(
+    result: Diagnosis, name: str, meaning: str, change: Change, is_factor: bool = False
+) -> str:
+    """How far a parameter is off, and what to do; of a ratio that is far from one what it means:
+    up to the friction that the rows use, there is no limit."""
+    verb = "measured:" if name == SLOPE else f"set {name} to"  # the slope is no parameter
+    todo = f"{'multiply it by' if is_factor else verb} {format_number(change.measured, 3)}"
+    off = change.simulated - change.measured
+    side = f"too {'high' if off > 0 else 'low'} ({todo})"
+    if min(change.simulated, change.measured) <= 0:
+        return f"{meaning} {format_estimate(abs(off), change.std)} {side}"
+    ratio = change.simulated / change.measured
+    if ratio > _MANY_TIMES:
+        if name not in _FRICTION:
+            return f"{meaning} more than {_MANY_TIMES:.0f} times too high ({todo})"
+        used = format_number(_used_friction(result), 2)
+        return f"no friction limit below {used} F_z in these rows ({todo})"
+    if name not in _FRICTION and abs(math.log(math.degrees(ratio))) < 0.1:  # 1/57 to a tenth
+        return f"{meaning} {1 / ratio:.0f} times too low, as if it were per degree ({todo})"
+    error = ratio * change.std / change.measured
+    return f"{meaning} {format_estimate(100 * abs(ratio - 1), 100 * error)} % {side}"
 
 
 def _used_friction(result: Diagnosis) -> float:
@@ -173,71 +187,42 @@ def _used_friction(result: Diagnosis) -> float:
     return max((float(np.nanmax(np.abs(force) / load)) for force in every), default=0.0)
 
 
-def _set_text(name: str, measured: float, is_factor: bool = False) -> str:
-    """What to do about a parameter."""
-    verb = "measured:" if name == SLOPE else f"set {name} to"  # the slope is no parameter
-    if is_factor:
-        verb = "multiply it by"
-    return f"{verb} {format_number(measured, 3)}"
-
-
-def _ratio_text(name: str, meaning: str, ratio: float, error: float, todo: str, used: float) -> str:
-    """A parameter that is ``ratio`` times the measured one, and what to do; of a ratio that is
-    far from one what it means: up to the friction ``used``, there is no limit."""
-    if ratio > _MANY_TIMES and name in _FRICTION:
-        return f"no friction limit below {format_number(used, 2)} F_z in these rows ({todo})"
-    if ratio > _MANY_TIMES:
-        return f"{meaning} more than {_MANY_TIMES:.0f} times too high ({todo})"
-    if name not in _FRICTION and abs(math.log(math.degrees(ratio))) < 0.1:  # 1/57 to a tenth
-        return f"{meaning} {1 / ratio:.0f} times too low, as if it were per degree ({todo})"
-    share = format_estimate(100 * abs(ratio - 1), 100 * error)
-    return f"{meaning} {share} % too {'high' if ratio > 1 else 'low'} ({todo})"
-
-
 # --- both readings of a simulator -----------------------------------------------------
 
 
-def _of_readings(result: Diagnosis, readings: Readings, changed: str) -> str:
+def _of_readings(result: Diagnosis, readings: Readings, changed: str) -> Iterator[str]:
     """The answer on a simulator: its structure, then the reading that predicts data left out
     better, then a sentence on the other one.
 
     Args:
         changed: the answer that the simulator with its parameters and effects changed gives.
     """
-    unit = result.unit
-    rms = format_number(readings.measured.rms_left_out, 3)
-    of_it = format_number(readings.rms_changed, 3)
-    parts = [
-        f"The simulator's {words.channel_name(s.channel)} shows that {s.means}. To do: {s.remedy}."
-        for s in readings.structure
-    ]
+    unit, measured = result.unit, readings.measured
+    rms, of_it = (format_number(x, 3) for x in (measured.rms_left_out, readings.rms_changed))
+    for part in readings.structure:
+        channel = words.channel_name(part.channel)
+        yield f"The simulator's {channel} shows that {part.means}. To do: {part.remedy}."
     simulated = readings.simulator.effects if readings.simulator else {}
     likely = {e: x for e, x in simulated.items() if (x.probability or 0.0) >= 0.5}
     if likely:
         shown = words.listing([words.sized_name(effect, x) for effect, x in likely.items()])
-        surplus = [words.name_of(e) for e in likely if e not in readings.measured.effects]
-        parts.append(f"The simulator's own forces show {shown}.")
-        if surplus:
-            parts.append(
-                f"The measured forces do not show {words.listing(surplus, 'or')}: take it out of"
-                " the simulator."
-            )
+        yield f"The simulator's own forces show {shown}."
+    if surplus := [words.name_of(e) for e in likely if e not in measured.effects]:
+        names = words.listing(surplus, "or")
+        yield f"The measured forces do not show {names}: take it out of the simulator."
     fitted = f"A {readings.model} with effects, fitted to the measured rows, predicts rows left out"
     fitted += f" to {rms} {unit}"
     if readings.first == "changed":
-        parts.append(changed)
+        yield changed
         if rms != of_it:
-            parts.append(f"({fitted}, the changed simulator to {of_it} {unit}.)")
-    else:
-        why = "so the answer describes both the rows and the simulator by this model"
-        if readings.gain <= readings.gain_std:
-            why = "neither is better, and this model needs no stand-in for the simulator"
-        parts += [
-            *_differences(result, readings),
-            f"{fitted}; the simulator, with parameters and effects changed, to {of_it} {unit}:"
-            f" {why}.",
-        ]
-    return " ".join(parts)
+            yield f"({fitted}, the changed simulator to {of_it} {unit}.)"
+        return
+    yield from _differences(result, readings)
+    why = "so the answer describes both the rows and the simulator by this model"
+    if readings.gain <= readings.gain_std:
+        why = "neither is better, and this model needs no stand-in for the simulator"
+    changes = "the simulator, with parameters and effects changed"
+    yield f"{fitted}; {changes}, to {of_it} {unit}: {why}."
 
 
 def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
@@ -250,12 +235,11 @@ def _differences(result: Diagnosis, readings: Readings) -> Iterator[str]:
             continue  # it follows from the others
         if simulated is None or min(measured.value, simulated.value) <= 0:
             continue
+        error = np.hypot(measured.std / measured.value, simulated.std / simulated.value)
         ratio = simulated.value / measured.value
-        error = ratio * np.hypot(measured.std / measured.value, simulated.std / simulated.value)
-        if abs(ratio - 1) > 2.0 * error:
-            used = _used_friction(result)
-            todo = _set_text(name, measured.value)
-            wrong.append(_ratio_text(name, _SHORT.get(name, name), ratio, float(error), todo, used))
+        if abs(ratio - 1) > 2.0 * ratio * error:
+            both = Change(simulated.value, measured.value, error * measured.value, True)
+            wrong.append(_change_text(result, name, _SHORT.get(name, name), both))
     if wrong:
         yield f"The simulator has {words.listing(wrong)}."
     if there is None:

@@ -18,10 +18,9 @@ from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import answer
 from tirefit.report.diagnosis.sections import foot_line, step_label, subject
 from tirefit.report.fit.curves import slip_axis
-from tirefit.report.numbers import format_number
+from tirefit.report.numbers import format_number, plain_text
 
-_SIZE = (canvas.WIDE, 3.5)
-_SHOWN = 3  # number of panels of the figure beside the page
+_HALF = 0.17  # half of the height of a bar, whose label needs the rest
 _KIND = {"base": canvas.GREY, "effect": canvas.BLUE, "smooth": canvas.ORANGE, "noise": "#bbbbbb"}
 """Colours of the bars by their kind."""
 
@@ -62,20 +61,24 @@ def draw_bars(figure: Any, bars: Sequence[Bar], x_label: str, title: str, note: 
     """Draw bars one below the other, each below its text."""
     axes = figure.subplots()
     reach = 1.05 * max(max(bar.length + bar.error, bar.mark or 0.0) for bar in bars)
-    for place, bar in zip(range(len(bars))[::-1], bars, strict=True):
-        axes.barh(place, bar.length, 0.34, color=_KIND[bar.kind])
+    places = np.arange(len(bars))[::-1]
+    for place, bar in zip(places, bars, strict=True):
+        axes.barh(place, bar.length, 2 * _HALF, color=_KIND[bar.kind])
         if bar.error:
             axes.errorbar(
                 bar.length, place, xerr=bar.error, fmt="none", ecolor=canvas.DARK, capsize=2
             )
         if bar.mark is not None:
             axes.plot(bar.mark, place, "D", ms=6, mfc="white", mec=canvas.DARK)
-        if bar.kind in ("smooth", "noise"):
-            axes.axvline(bar.length, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0)
-        canvas.boxed(axes, 0.01 * reach, place + 0.28, f"{bar.label}: {bar.text}", 9)
+        if bar.kind in ("smooth", "noise"):  # at every bar, and not across the labels between them
+            ends = places - _HALF, places + _HALF
+            at = np.full(len(bars), bar.length)
+            axes.vlines(at, *ends, color=_KIND[bar.kind], lw=1.2, ls=(0, (2, 1)), zorder=0)
+        label = plain_text(f"{bar.label}: {bar.text}")
+        axes.text(0.01 * reach, place + _HALF + 0.1, label, fontsize=9, color=canvas.DARK)
     canvas.tidy(axes, x_label, size=9.5)
     axes.set_xlim(0, reach)
-    axes.set_ylim(-0.4, len(bars) - 0.3)
+    axes.set_ylim(-0.4, len(bars) - 0.25)
     axes.set_yticks([])
     canvas.panel_title(axes, title, note)
 
@@ -136,6 +139,11 @@ def draw_comparison(figure: Any, panel: Comparison, after: str, base: str = "bas
     bottom.legend(**beside)
 
 
+def _bars_panel(bars: Sequence[Bar], text: str, **titles: str) -> canvas.Panel:
+    height = 1.1 + 0.42 * len(bars)  # of the title and the axis, and of each bar with its label
+    return canvas.Panel(partial(draw_bars, bars=bars, **titles), text, (canvas.WIDE, height))
+
+
 def panels_of(result: Diagnosis) -> dict[str, canvas.Panel]:
     """Name of a panel -> the panel."""
     base = "simulator" if result.simulator else "base fit"
@@ -147,7 +155,7 @@ def panels_of(result: Diagnosis) -> dict[str, canvas.Panel]:
     x_label = f"rms on {'data left out' if on else 'the rows fitted'} [{result.unit}]"
     titles = {"x_label": x_label, "title": "How far the gap shrinks", "note": note}
     text = "Rms on data left out, step by step, down to the noise"
-    panels = {"ladder": canvas.Panel(partial(draw_bars, bars=bars, **titles), text, _SIZE)}
+    panels = {"ladder": _bars_panel(bars, text, **titles)}
     if (compared := result.comparison) is not None:
         text = "Force over slip and residuals, of the base fit and after it"
         draw = partial(draw_comparison, panel=compared, after=after, base=base)
@@ -156,14 +164,14 @@ def panels_of(result: Diagnosis) -> dict[str, canvas.Panel]:
         titles = {"x_label": "share of the gap's energy [%]", "title": "Where the gap lies"}
         titles |= {"note": f"measured minus {base}: regions beyond the noise (5 % false)"}
         text = "Regions of load, speed, slip or time with their shares of the gap"
-        panels["where"] = canvas.Panel(partial(draw_bars, bars=regions, **titles), text, _SIZE)
+        panels["where"] = _bars_panel(regions, text, **titles)
     return panels
 
 
 def diagnosis_figure(result: Diagnosis) -> canvas.Picture:
-    """The first panels one below the other, below the answer; the page has all."""
-    panels = list(panels_of(result).values())[:_SHOWN]
+    """All panels one below the other, below the answer."""
     foot = f"{foot_line(result)} · {format_number(result.n)} rows"
+    panels = [*panels_of(result).values()]
     return canvas.together(panels, subject(result), answer(result), foot)
 
 

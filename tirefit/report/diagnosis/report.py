@@ -1,7 +1,7 @@
 """A diagnosis as text, as one self-contained page, and as a fragment for notebooks; and the
 details, for ``--full`` and the page."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from tirefit.diagnosis.effects import EFFECTS
@@ -84,28 +84,31 @@ def _details(result: Diagnosis) -> list[Section]:
         Section("Where the gap lies", (), where),
         Section(title, candidates),
         Section(f"{of_changed}Parameters", (), _parameters(result)),
-        Section("Also not testable", sections.missing_lines(result)[1]),
+        Section("Also not testable", sections.missing_lines(result)[sections.MOST_MISSING :]),
         Section("Data and settings", list(_settings(result))),
     ]
 
 
-def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
+def _parameters(result: Diagnosis) -> Sequence[tuple[str, ...]]:
     model = MODELS.get(result.model)
     units = {k: f"[{spec.unit}]" for k, spec in specs(model).items()} if model else {}
-    rows: list[tuple[str, ...]]
     if changes := result.verdict.parameters:
         rows = [("parameter", "simulated", "measured", "differs")]
-        for name, change in changes.items():
-            sizes = format_number(change.simulated), format_estimate(change.measured, change.std)
-            rows.append(
-                (f"{name} {units.get(name, '')}", *sizes, "yes" if change.differs else "no")
+        rows += [
+            (
+                f"{name} {units.get(name, '')}",
+                format_number(change.simulated),
+                format_estimate(change.measured, change.std),
+                "yes" if change.differs else "no",
             )
+            for name, change in changes.items()
+        ]
         return rows
-    rows = [("parameter", "model alone", "with the answer")]
-    for name, value in result.base_parameters.items():
-        after = format_number(result.extended_parameters.get(name))
-        rows.append((f"{name} {units.get(name, '')}", format_number(value), after))
-    return rows
+    extended = result.extended_parameters
+    return [("parameter", "model alone", "with the answer")] + [
+        (f"{name} {units.get(name, '')}", format_number(value), format_number(extended.get(name)))
+        for name, value in result.base_parameters.items()
+    ]
 
 
 def _settings(result: Diagnosis) -> Iterator[str]:

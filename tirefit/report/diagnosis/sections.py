@@ -5,14 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from tirefit.diagnosis.engine import NONZERO
-from tirefit.diagnosis.engine.decide import Each, Status
+from tirefit.diagnosis.engine.decide import Status
 from tirefit.diagnosis.engine.left_out import AS_GIVEN, NOISE, OWN_MODEL, SMOOTH
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.result import UNITS, Diagnosis, NextMeasurement, Readings, Shrinkage
 from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import readings_section, worse_steps
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.page import Section
+from tirefit.report.page import Section, first_of
 
 _SHOWN = (
     "signs read as",
@@ -24,6 +24,9 @@ _SHOWN = (
 )
 """Texts that mark the notes to show: on signs, on a simulator, on findings of derive, and on
 the windows and tires of a car."""
+
+
+MOST_MISSING = 8  # number of needs on the first screen; the details have the others
 
 
 def subject(result: Diagnosis) -> str:
@@ -79,16 +82,8 @@ def step_label(result: Diagnosis, number: int) -> str:
         return "noise floor" if effects == NOISE else SMOOTH[0]
     if effects == OWN_MODEL and result.readings:
         return f"a {result.readings.model} with effects"
-    before = set(steps[number - 1].effects)
-    if before < set(effects):
-        added = [e for e in effects if e not in before]
-        return f"+ {' + '.join(map(words.name_of, added))}"
-    return f"instead: {' + '.join(map(words.name_of, effects))}"
-
-
-def _percent(share: float, std: float | None) -> str:
-    """``82 ± 5 %``."""
-    return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
+    added = [words.name_of(e) for e in effects if e not in steps[number - 1].effects]
+    return f"+ {' + '.join(added)}"
 
 
 def _ladder(result: Diagnosis) -> Section:
@@ -97,8 +92,8 @@ def _ladder(result: Diagnosis) -> Section:
     table = [("model", f"rms left out [{unit}]", "closed", f"held out [{unit}]")[: 3 + held_out]]
     for k, step in enumerate(ladder.steps):
         rms, closed = format_number(step.rms_held_out, 3), step.closed_held_out
-        share = _percent(step.closed, step.closed_std or None) if k else "-"
-        row = step_label(result, k), format_number(step.rms_left_out, 3), share
+        share = f"{format_estimate(100 * step.closed, 100 * step.closed_std or None)} %"
+        row = step_label(result, k), format_number(step.rms_left_out, 3), share if k else "-"
         table.append((*row, *[rms + f" ({closed or 0:.0%})" * bool(closed)] * held_out))
     lines = ["closed: removed share of the first row's rms beyond the noise, ± std"]
     if not ladder.steps:
@@ -125,9 +120,11 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
     unit = result.unit
 
     def size(force: float) -> str:
-        share = format_number(100 * force / result.mean_load, 2)
-        tail = f" ({share} % of mean F_z)" * (unit == "N")
-        return f"{format_number(force, 3)} {unit}{tail}"
+        text = f"{format_number(force, 3)} {unit}"
+        if result.table is None or unit != "N":  # of a car, or a moment
+            return text
+        share = 100 * force / np.mean(result.table.usable("fz"))
+        return f"{text} ({format_number(share, 2)} % of mean F_z)"
 
     line = f"{where}: gap of {size(gap.rms)} rms beyond the noise"
     if not (result.verdict.helping or result.simulator):
@@ -169,7 +166,11 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
             tail = words.amplitude_text(size) + words.in_the_file(result, size)
         yield f"{name}: {tail}" if tail else name
         if (each := verdict.each.get(effect)) is not None:
-            yield f"    {_each_text(each)}"
+            cause = words.listing(["it", *map(words.name_of, each.twins)], "or")
+            text = f"probability {each.probability:.2f} that {cause} is the cause"
+            text += ": this data cannot tell them apart" * bool(each.twins)
+            closed = format_estimate(100 * each.closed_left_out, 100 * each.closed_left_out_std)
+            yield f"    {text}; closes {closed} % of the gap on data left out"
         if groups := verdict.sizes.get(effect):
             # Those by the covariate over which they are most unequal.
             by, (factor, unit) = groups[0], words.readable_unit(size.unit if size else "")
@@ -182,17 +183,6 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
             yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
     if verdict.helping and result.simulator:
         yield "amplitudes are measurement minus simulator; either may be wrong"
-
-
-def _each_text(each: Each) -> str:
-    """Probability, twins and closure of a named effect."""
-    what = words.listing(["it", *map(words.name_of, each.twins)], "or")
-    text = f"probability {each.probability:.2f} that {what} is the cause"
-    text += ": this data cannot tell them apart" * bool(each.twins)
-    if each.closed_left_out is not None:
-        closed = _percent(each.closed_left_out, each.closed_left_out_std)
-        text += f"; closes {closed} of the gap on data left out"
-    return text
 
 
 def left_lines(result: Diagnosis) -> Iterator[str]:
@@ -233,16 +223,15 @@ def _tells_apart(step: NextMeasurement) -> str:
     return f"separates {first} from {second} {forecast}"
 
 
-def missing_lines(result: Diagnosis) -> tuple[list[str], list[str]]:
+def missing_lines(result: Diagnosis) -> list[str]:
     """A line for each missing need with the effects that cannot be tested without it, the one
-    with most effects first: those of the first screen, and those of the details."""
+    with most effects first."""
     groups: dict[str, list[str]] = {}
     for item in result.untestable:
         needs = words.needs_text(item.needs, bool(result.data.motion))
         groups.setdefault(needs, []).append(words.name_of(item.effect))
     ranked = sorted(groups.items(), key=lambda group: -len(group[1]))
-    lines = [f"{needs}: {', '.join(effects)}" for needs, effects in ranked]
-    return lines[:8], lines[8:]
+    return [f"{needs}: {', '.join(effects)}" for needs, effects in ranked]
 
 
 def both_described(result: Diagnosis) -> Readings | None:
@@ -271,8 +260,7 @@ def first_screen(result: Diagnosis) -> list[Section]:
 def of_effects(result: Diagnosis) -> list[Section]:
     """Effects, remainder, next measurement, effects that cannot be tested."""
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
-    missing, more = missing_lines(result)
-    missing += [f"and {len(more)} more in the details"] * bool(more)
+    missing = first_of(missing_lines(result), MOST_MISSING, " in the details")
     return [
         Section("Effects", list(_effect_lines(result))),
         Section("What is left", list(left_lines(result))),

@@ -1,6 +1,5 @@
 """Effects, covariates and needs of a diagnosis in words, and what to do about them."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -212,28 +211,21 @@ def readable_unit(unit: str) -> tuple[float, str]:
     return 1.0, unit
 
 
-def amount_text(value: float, std: float | None, unit: str, digits: int = 4) -> str:
+def amount_text(value: float, std: float | None, unit: str) -> str:
     """An amplitude with its unit: ``0.27 ± 0.03 % of the mean F_z``.
 
     Args:
         std: its standard error, None where it has none.
         unit: of an effect.
-        digits: significant ones, without a standard error.
     """
     factor, tail = readable_unit(unit)
-    if std is None:
-        return f"{format_number(factor * value, digits)} {tail}".rstrip()
-    return f"{format_estimate(factor * value, factor * std)} {tail}".rstrip()
+    text = format_estimate(factor * value, None if std is None else factor * std)
+    return f"{text} {tail}".rstrip()
 
 
-def share_text(share: float | None, ends: tuple[float | None, float | None] | None = None) -> str:
-    """``95 % [80 %, 96 %]``; ``-`` for an unknown share."""
-    if share is None:
-        return "-"
-    text = f"{100 * share:.0f} %"
-    if ends is not None and ends[0] is not None:
-        text += " [{:.0%}, {:.0%}]".format(*ends).replace("%", " %")
-    return text
+def share_text(share: float) -> str:
+    """``95 %``."""
+    return f"{100 * share:.0f} %"
 
 
 def closed_text(closed: float, ends: tuple[float | None, float | None]) -> str:
@@ -247,9 +239,9 @@ def closed_text(closed: float, ends: tuple[float | None, float | None]) -> str:
     return f"{message} [{', '.join(more)}]" if more else message
 
 
-def p_text(p: float, least: float = 1e-12) -> str:
-    """A p-value with two digits, or ``< least``, the smallest possible one."""
-    return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"
+def p_text(p: float) -> str:
+    """A p-value with two digits, or an upper limit of a very small one."""
+    return f"{p:.2g}" if p > 1e-12 else "< 1e-12"
 
 
 def slip_check_line(check: SlipCheck) -> str:
