@@ -289,7 +289,7 @@ def test_the_error_of_an_amplitude_is_at_least_that_between_parts(spread):
         key=key, effects=key, amplitude=np.ones(1), errors=np.array([0.2]), z=np.zeros(0)
     )
     each = 1 + spread * np.array([[-1.0], [0.0], [1.0], [0.0]])
-    out = SimpleNamespace(effects=(key,), amplitude=(each,))
+    out = SimpleNamespace(sets={key: SimpleNamespace(amplitude=each)})
     weighed = SimpleNamespace(best_of={key: fit}, log_weight={key: 0.0})
     verdict = SimpleNamespace(
         key=key, effects=key, each={"one": SimpleNamespace(probability=1.0, twins=())}

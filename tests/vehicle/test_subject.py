@@ -182,8 +182,12 @@ def test_white_noise_has_its_size_in_samples_that_start_states_leave_free():
     # Each of many logs is left out, or eight blocks of the time of few.
     for logs, parts, what in ((5, 5, "5 logs"), (2, 8, "8 blocks of time")):
         log = np.repeat(np.arange(logs), w // logs)
-        code, on = replace(made, cut=cut._replace(log=log)).folds(())
-        assert on == f"{what} left out in turn" and {*np.bincount(code) // (k * c)} <= {62, 63, 100}
+        code, on, is_covered = replace(made, cut=cut._replace(log=log)).folds(())
+        assert (
+            is_covered
+            and on == f"{what} left out in turn"
+            and {*np.bincount(code) // (k * c)} <= {62, 63, 100}
+        )
         assert code.max() + 1 == parts and np.all(np.diff(code) >= 0)
 
 
