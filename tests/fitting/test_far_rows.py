@@ -9,9 +9,11 @@ from recipes import ESTIMATED, STD, TRUTH, brush_force, curve, table
 from scipy.stats import binom
 
 from tirefit.fitting.estimate import fit
+from tirefit.fitting.problem.build import build
 from tirefit.fitting.problem.config import parse_config
-from tirefit.fitting.solve.far_rows import settle
+from tirefit.fitting.solve.far_rows import _judge, _scale, settle
 from tirefit.fitting.solve.inference import half_width_95
+from tirefit.fitting.solve.multistart import solve_problem
 from tirefit.params import constrain
 from tirefit.report.fit.report import fit_report
 
@@ -148,6 +150,34 @@ def test_a_row_that_alone_determines_a_parameter_is_kept():
     (far,) = end.outliers
     assert (far.row, far.set_aside) == (7, False)
     assert far.remedy == "check the row"
+
+
+def test_a_row_is_compared_with_what_the_others_predict():
+    """Each row left out in turn; its distance counts the error of what the others predict."""
+    data, std = curve(n=12, reach=0.8, seed=2), 1.5 * STD
+    config = parse_config({"noise": {"fx": std, "effective_samples": "all"}, "starts": 1})
+    whole = build(data, "brush", config)
+    every = _judge(whole, whole, solve_problem(whole, config), np.ones(12, bool), 5.0)
+    shares = []
+    for i, distance in enumerate(every.distance[0]):
+        others = build(data.where(np.arange(12) != i), "brush", config)
+        end = solve_problem(others, config)
+
+        def force(z, i=i, layout=others.problem.layout):
+            return brush_force(data["sigma_x"][[i]], **layout.natural(z))[0]
+
+        steps = 1e-4 * np.eye(2)
+        slope = [(force(end.z + step) - force(end.z - step)) / 2e-4 for step in steps]
+        shares.append(slope @ end.covariance @ slope / std**2)
+        off = abs(data["fx"][i] - force(end.z)) / std / np.sqrt(1 + shares[-1])
+        assert distance == pytest.approx(off, rel=0.05, abs=0.02)
+    assert max(shares) > 0.5
+
+
+def test_scale_is_that_of_normal_noise_whatever_a_tenth_of_the_rows_says():
+    off = np.abs(np.random.default_rng(0).standard_normal(100_000))
+    assert _scale(off) == pytest.approx(1.0, rel=0.01)
+    assert _scale(np.where(off > np.quantile(off, 0.9), 1e6, off)) == pytest.approx(_scale(off))
 
 
 def test_too_many_outliers_are_kept_and_reported():

@@ -292,7 +292,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
             check_slip_noise(data, slip, std)
             slip_std[slip] = _put(std, size)
     rows = Rows(
-        inputs=TireInputs(*(_put(np.asarray(values), size) for values in inputs_of(data))),
+        inputs=jax.tree.map(lambda values: _put(values, size), inputs_of(data)),
         run=_put(data.run[data.used].astype(int), size),
         weight=jax.device_put((np.arange(size) < data.n).astype(float)),
         observed=observed,
