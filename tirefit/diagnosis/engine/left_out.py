@@ -118,8 +118,9 @@ def predicted(subject: Forward, sets: Sequence[Fit], null: Fit, folds: Folds) ->
     for s, fit in enumerate(sets):
         moved, p = np.array([fit.without(out) for out in outs]), len(fit.z)
         every[..., s] = errors([fit.residual - fit.columns @ step for step in moved])
+        mean, total = every[..., s]
         ends = fit.z + moved[:, :p], fit.amplitude + moved[:, p:]
-        each[fit.key] = LeftOut(*every[..., s], *ends)
+        each[fit.key] = LeftOut(mean, total, *ends)
     given = subject.given_residual
     return Predicted(
         folds,
