@@ -20,7 +20,7 @@ SPREAD = (20.0 * (SLIP < 1 / 3)) ** 2
 GROWING = 40 * (0.4 + 1.6 * FORCE / 4000)
 
 
-def alike(residual, given, slip=SLIP, groups=None, force=LOAD, spread=0 * LOAD):
+def alike(residual, given, slip=SLIP, groups=None, force=LOAD, spread=0 * LOAD, refine=True):
     """The noise of records in the order of time; of a constant force if no other is given."""
     basis = np.stack([slip**k for k in range(5)], axis=1)
     waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
@@ -28,7 +28,7 @@ def alike(residual, given, slip=SLIP, groups=None, force=LOAD, spread=0 * LOAD):
     groups = [np.argsort(slip)] if groups is None else groups
     order = np.arange(float(ROWS)), np.zeros(ROWS, int)
     fixed = basis, lambda _: waves, groups, *order
-    return judge_noise(residual, spread, LOAD, force, level, *fixed)
+    return judge_noise(residual, spread, LOAD, force, level, *fixed, refine)
 
 
 def judged(std, given=40.0, seed=1):
@@ -94,6 +94,17 @@ def test_neighbours_lower_the_level_of_white_noise_only_by_chance():
     assert np.count_nonzero(with_them < without) <= 4
     # 40 records of 900 rows: 0.4 %; clipped squares are made up for.
     assert np.mean(without) == pytest.approx(40, rel=0.015)
+
+
+def test_a_row_is_excluded_by_its_neighbours_and_not_for_a_bend():
+    """Nine bumps as wide as a few rows have no outlier; eleven single rows are outliers."""
+    rows = np.arange(ROWS)
+    bumps = sum(np.exp(-0.5 * ((rows - at) / 3) ** 2) for at in range(50, ROWS, 100))
+    white = 40 * np.random.default_rng(4).standard_normal(ROWS)
+    assert not alike(white + 1200 * bumps, 40.0, groups=[rows], refine=False).outlier.any()
+    hit = rows[20::80]
+    found = alike(white + 600 * np.isin(rows, hit), 40.0, groups=[rows], refine=False)
+    np.testing.assert_array_equal(np.flatnonzero(found.outlier), hit)
 
 
 def first_order(fade, seed):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG, bare, brush, record
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.stats import false_discovery_control
 
@@ -23,6 +23,7 @@ from tirefit.diagnosis.effects.state import _breakaway, force_of_state, null_sta
 from tirefit.diagnosis.engine.discrepancy import Cell, Component
 from tirefit.diagnosis.engine.fit import Start
 from tirefit.diagnosis.rows import slips
+from tirefit.diagnosis.rows.covariates import work_of_sliding
 from tirefit.diagnosis.rows.discrepancy import PLACE, discrepancy_of, waves_within
 from tirefit.diagnosis.rows.noise import judge_noise
 from tirefit.diagnosis.rows.prepared import prepare
@@ -315,6 +316,18 @@ def test_segments_break_at_pauses_and_runs():
     run = np.array([0, 0, 0, 0, 0, 1, 1])
     parts = segments(time, run)
     assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
+
+
+def test_the_work_of_sliding_solves_its_equation():
+    """dw/dt = power - w / constant; constants of 20 % and 5 % of the time, or no cooling."""
+    time = np.linspace(0.0, 10.0, 4001)
+    found = work_of_sliding(100 * (1 + np.sin(time)), time, np.zeros(len(time), int))
+    for work, constant in zip(found.T, (np.inf, 2.0, 0.5), strict=True):
+        right = solve_ivp(
+            lambda t, w, cooling=constant: 100 * (1 + np.sin(t)) - w / cooling,
+            (0.0, 10.0), [0.0], t_eval=time, rtol=1e-8,
+        )  # fmt: skip
+        np.testing.assert_allclose(work, right.y[0], atol=0.005 * right.y.max())
 
 
 def test_one_wave_among_many_is_found():

@@ -8,7 +8,7 @@ import pytest
 from conftest_diagnosis import Toy, log_normal
 from scipy.integrate import quad, simpson
 from scipy.optimize import least_squares
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from tirefit.diagnosis.engine.fit import Start, fitted
 from tirefit.diagnosis.engine.search import (
@@ -86,6 +86,17 @@ def test_at_its_bound_an_effect_has_the_evidence_of_the_best_parameters():
     linear = subject.observed - fit.columns @ np.append(z, a), fit.columns
     inside = fitted(subject, (0,), Start(z, a), linear)
     assert inside.log_evidence == pytest.approx(fit.log_evidence, abs=1e-6)
+
+
+def test_a_prior_of_the_parameters_is_about_zero():
+    """The density of the observations, whatever the point of linearisation."""
+    subject = toy([(0, 1.5)])
+    whole = np.hstack([subject.columns, subject.slopes[:, [0]]])
+    direct = multivariate_normal(cov=np.eye(ROWS) + whole @ whole.T).logpdf(subject.observed)
+    for both in (np.zeros(3), np.array([0.5, -1.0, 2.0])):
+        linear = subject.observed - whole @ both, whole
+        fit = fitted(subject, (0,), Start(both[:2], both[2:]), linear, precision=1.0)
+        assert fit.log_evidence == pytest.approx(direct + 0.5 * ROWS * np.log(2 * np.pi))
 
 
 def test_without_some_rows_agrees_with_a_refit_by_scipy():

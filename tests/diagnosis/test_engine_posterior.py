@@ -200,7 +200,9 @@ def test_a_simulator_as_given_is_not_refitted(split):
     assert [step.effects for step in steps] == [AS_GIVEN, (), SMOOTH, NOISE]
     # The gap is that of the simulator; its parameters close a part.
     assert steps[0].closed == 0 and steps[0].gain == 0
-    before, after = (np.average(x, weights=out.rows) for x in (out.first, out.sets[()].loss))
+    before, after = (
+        np.average(x, weights=out.rows) for x in (out.as_given.loss, out.sets[()].loss)
+    )
     assert steps[1].gain == pytest.approx(before - after)
     assert steps[1].closed == pytest.approx(1 - np.sqrt((after - 20) / (before - 20)))
 
@@ -338,5 +340,11 @@ def test_nothing_unlisted_is_claimed_where_smooth_functions_predict_no_better():
     gain = -np.arange(6.0)
     z = gain.sum() / (np.sqrt(6) * np.std(gain, ddof=1))
     assert limited == pytest.approx(t_law.cdf(z, 5)) and limited < 0.1
+    # What belongs to one part of the data, no other part could predict.
+    (cell,) = SMOOTH_PART.cells
+    local = Discrepancy(SMOOTH_PART.columns, (cell._replace(is_local=True),))
+    search.subject.discrepancy = local
+    assert findings_of(search, posterior, worse).unlisted == pytest.approx(posterior.unlisted)
+    search.subject.discrepancy = SMOOTH_PART
     worse = worse._replace(folds=out.folds._replace(is_covered=False))
     assert findings_of(search, posterior, worse).unlisted == posterior.unlisted

@@ -61,8 +61,8 @@ def with_readings(
     # The same parts are left out of both.
     folds = case.base.folds(case.weighed.best)
     search = described.search
-    of_both = predicted(search.subject, [described.chosen], search.null, folds)
-    left = of_both.sets[described.chosen.key].loss
+    chosen = described.chosen
+    left = predicted(search.subject, [chosen], search.null, folds).sets[chosen.key].loss
     out, changed = case.predicted, _loss(case)
     share = out.rows / out.rows.sum()
     gains = share * (changed - left)
