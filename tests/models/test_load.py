@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tirefit.models import MODELS, LoadDependent, TireInputs, forces
-from tirefit.params import specs, with_values
+from tirefit.params import with_values
 
 NAMES = sorted(name for name, model in MODELS.items() if type(model) is LoadDependent)
 TRUTH = {"cpa2": 6e4, "mu": 0.9, "half_length": 0.08, "fz0": 4000.0}
@@ -48,9 +48,3 @@ def test_friction_stays_positive_and_zero_load_gives_no_force():
     result = forces(tire, TireInputs(0.5, 0.1, np.array([0.0, -100.0, 4e4])))
     np.testing.assert_array_equal(np.stack(result[:3])[:, :2], 0.0)
     np.testing.assert_allclose(np.hypot(result.fx, result.fy)[2], 360.0, rtol=1e-12)
-
-
-def test_the_reference_load_is_fixed_by_default():
-    found = specs(MODELS["brush-load"])
-    assert not found["fz0"].free and found["fz0"].unit == "N"
-    assert found["stiffness_power"].free and found["mu_load"].free

@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 
 from tirefit.models import LuGre, LuGreLumped, TireInputs, forces
 from tirefit.models.lugre import patch_means
-from tirefit.params import specs
 
 TIRE = LuGre(sigma0=150.0, sigma1=0.08, sigma2=0.002, length=0.25, exponent=0.7)
 LUMPED = LuGreLumped(sigma2=0.002, exponent=0.7)
@@ -127,10 +126,3 @@ def test_lumped_is_discontinuous_at_zero_slip():
     found = forces(LUMPED, TireInputs(np.array([-1e-9, 0.0, 1e-9]), 0.0, LOAD, 1))
     jump = LOAD * TIRE.mu_s
     np.testing.assert_allclose(found.fx, [-jump, 0.0, jump], rtol=1e-5)
-
-
-def test_six_parameters_are_free():
-    free = [name for name, spec in specs(LuGre()).items() if spec.free]
-    assert sorted(free) == ["mu_c", "mu_s", "sigma0", "sigma1", "sigma2", "v_st"]
-    lumped = [name for name, spec in specs(LuGreLumped()).items() if spec.free]
-    assert sorted(lumped) == ["mu_c", "mu_s", "sigma2", "v_st"]

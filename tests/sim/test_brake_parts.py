@@ -27,8 +27,8 @@ from tirefit.sim.brake_vehicle import (
 
 def test_roads_are_read_from_text():
     constant, jump, split = map(road_of, ROADS)
-    assert constant.before.tolist() == [0.4, 0.4] and not constant.jumps
-    assert jump.after.tolist() == [0.8, 0.8] and jump.jump == 20.0 and jump.jumps
+    assert constant.before.tolist() == [0.4, 0.4] and constant.jump == np.inf
+    assert jump.after.tolist() == [0.8, 0.8] and jump.jump == 20.0
     assert split.before.tolist() == [0.3, 0.8] and split.split and not jump.split
     at = jnp.asarray([19.8, 20.0, 20.2, 25.0])
     y = jnp.asarray([1.0, -1.0, 1.0, -1.0])

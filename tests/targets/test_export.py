@@ -277,7 +277,7 @@ def test_the_head_says_at_which_speed_and_slip_and_without_which_lag(tmp_path):
     head = tirefit.export("lugre", "numpy", tmp_path / "tire.py").path.read_text()
     assert "# parameters:\n#   mu_s = 1.2\n" in head  # no fit, no standard errors
     assert "# steady state: the bristles of LuGre follow the slip at once" in head
-    assert "# zero slip at 10 m/s: fx" in head
+    assert "# zero slip at 10 m/s: fx" in head and "to F_z 8000 N" in head  # twice the load
     peak = re.search(r"# peak at 10 m/s: fx ([\d.]+) F_z at kappa ([\d.]+) \(", head)
     given = {"sigma_x": sigma_from_kappa(float(peak[2])), "fz": LOAD[0], "v": 10.0}
     top = forces(MODELS["lugre"], TireInputs(**given)).fx / LOAD[0]

@@ -159,11 +159,6 @@ class Road(NamedTuple):
         """Whether left and right differ."""
         return bool(np.ptp(self.before) or np.ptp(self.after))
 
-    @property
-    def jumps(self) -> bool:
-        """Whether the friction changes along the road."""
-        return bool(np.isfinite(self.jump))
-
 
 def road_of(text: str) -> Road:
     """The road described by a text as in :data:`ROADS`.
