@@ -296,14 +296,15 @@ def _point(motion: Motion, vehicle: Vehicle, kept: np.ndarray) -> tuple[_Point |
 
 
 def _slope(lines: _Lines) -> float:
-    """Slope of the slip angle over the force at the stated point, in its standard errors."""
-    rows, strong, zero = lines.moderate(0.0)
+    """Slope of the slip angle over the force at the stated point, in its standard errors, with any
+    zero error."""
+    rows, strong, _ = lines.moderate(0.0)
     alpha, sides = lines.at(0.0, strong)
     share = sides[rows, :1]
     if np.std(share) < 0.05:  # one operating point, at which the slope is undefined
         return 0.0
     try:
-        fit = lines.solved(alpha, sides[:, :1], rows, zero)
+        fit = lines.solved(alpha, sides[:, :1], rows, math.inf)
     except np.linalg.LinAlgError:
         return 0.0
     enough = fit.effective * np.mean(share**2) ** 2 / np.mean(share**4) >= SURE**2

@@ -84,32 +84,20 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
     finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
     used = (clock, *channels[:needed])
     read = [c.header for c in used]
-    fill = "fill the column, or name another one in [columns] of vehicle.toml"
-
-    def refuse(wrong: Sequence[Channel], reason: str) -> None:
-        columns_of = ((reason.format(c.quantity), c.header) for c in wrong)
-        DataError.raise_for([InputProblem(r, fill, table.file, None, h) for r, h in columns_of])
-
     if not finite.any():
         empty = [c for c in used if not np.isfinite(columns[c.header]).any()]
-        refuse(empty, "has no value in any row, but {} is needed")
+        _refuse(empty, "has no value in any row, but {} is needed", table.file)
         reason = f"no row has a value in all of {', '.join(map(repr, read))}"
-        raise DataError(reason, fill, table.file)
+        raise DataError(reason, _FILL, table.file)
     absent = {h: np.flatnonzero(~np.isfinite(columns[h])) for h in read}
     faults = [BadRows(header, rows, (), NO_VALUE) for header, rows in absent.items() if len(rows)]
     lacking, _ = excluded(faults, table.lines, table.file, False)
-    read_as = {c.quantity for c in (clock, *channels)}
-    unused = [
-        f"{name} = {text!r} of [units] or --unit is not used: the log has no column of {name}"
-        for name, text in vehicle.units.items()
-        if name not in read_as
-    ]
     time, signals, active = time[finite], signals[finite], active[finite]
     period = _period(time, vehicle, table.file)
     # A car that turns by more than noise of its heading leaves both axes.
     if vehicle.columns.motion == POSE and np.ptp(np.unwrap(signals[:, 2])) > 0.1:
         still = [c for c, x in zip(channels[:2], signals.T, strict=False) if not np.ptp(x)]
-        refuse(still, "{} is the same in all rows, while the car turns")
+        _refuse(still, "{} is the same in all rows, while the car turns", table.file)
     max_gap = vehicle.filter.max_gap or 3.5 * period
     time, run, runs = _in_runs(time, label[finite], period, max_gap, notes)
     later = _later(time, period)
@@ -127,12 +115,32 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         if channel.quantity == "yaw":
             there = np.isfinite(values)
             values[there] = np.unwrap(values[there]) + vehicle.yaw_offset
+    missing = (*table.doubts, *filter(None, [lacking]), *_unused(vehicle, (clock, *channels)))
     epoch = float(time[fresh][0]) + (table.epoch if clock.header == "time" else 0.0)
     return Track(
         time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
         max_gap, epoch, len(table.lines), dropped, table.sha256,
-        tuple(notes), run[fresh], runs, (*table.doubts, *([lacking] if lacking else []), *unused),
+        tuple(notes), run[fresh], runs, missing,
     )  # fmt: skip
+
+
+_FILL = "fill the column, or name another one in [columns] of vehicle.toml"
+
+
+def _refuse(wrong: Sequence[Channel], reason: str, file: str) -> None:
+    """Raises DataError with a problem of each channel, if there are any."""
+    texts = ((reason.format(channel.quantity), channel.header) for channel in wrong)
+    DataError.raise_for([InputProblem(text, _FILL, file, None, header) for text, header in texts])
+
+
+def _unused(vehicle: Vehicle, channels: Sequence[Channel]) -> list[str]:
+    """Sentences on units of quantities that no column of the log has."""
+    read = {channel.quantity for channel in channels}
+    return [
+        f"{name} = {text!r} of [units] or --unit is not used: the log has no column of {name}"
+        for name, text in vehicle.units.items()
+        if name not in read
+    ]
 
 
 def _in_runs(
