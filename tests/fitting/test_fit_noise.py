@@ -5,7 +5,12 @@ import pytest
 
 from tirefit.fitting.problem.latent_slip import OFFSETS, slips_of_nodes
 from tirefit.fitting.problem.noise import autocorrelation_time, effective_inflation
-from tirefit.fitting.problem.slip_noise import slip_density, slip_distribution, slip_knots
+from tirefit.fitting.problem.slip_noise import (
+    slip_density,
+    slip_distribution,
+    slip_knots,
+    std_with_speed,
+)
 
 
 def autoregressive(rho, n, seed):
@@ -72,6 +77,12 @@ def test_a_direction_without_information_is_ignored():
     runs = np.repeat(np.arange(10), 10)  # enough of them to compare their sums
     assert effective_inflation(scores, runs, None) == effective_inflation(scores[:, :1], runs, None)
     assert effective_inflation(np.zeros((100, 2)), runs, None) == 1.0
+
+
+def test_noise_of_a_speed_adds_to_that_of_the_slip():
+    """3, 4 and 5; that of a standing wheel is of 3 % of the median speed."""
+    std = std_with_speed(0.003, 0.04, np.array([10.0, -10.0, 0.0]))
+    np.testing.assert_allclose(std, [0.005, 0.005, np.hypot(0.003, 0.04 / 0.3)])
 
 
 def triangle(s):
