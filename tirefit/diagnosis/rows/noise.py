@@ -86,7 +86,8 @@ def memory_of(
     white: np.ndarray, unit: np.ndarray, stretches: Sequence[np.ndarray], most: float = np.inf
 ) -> tuple[Memory, ...]:
     """Correlations of a noise of 2 % probability or more, the most probable first;
-    :data:`FORGETFUL` where the correlation of neighbours is not significant.
+    :data:`FORGETFUL` where the correlation of neighbours is not significant, or the remainder is
+    below a fifth of the noise: due to rounding, or to a stated noise that is too large.
 
     Smooth functions absorb slow noise, so the correlation of the remainder is biased
     downwards; the restricted likelihood corrects that.
@@ -99,7 +100,6 @@ def memory_of(
             level is not treated as correlated noise.
     """
     stretches = [rows for rows in stretches if len(rows) > 2]
-    # A remainder below a fifth of the noise is due to rounding, or the stated noise is too large.
     if not stretches or np.sqrt(np.mean(white**2)) < 0.2:
         return (FORGETFUL,)
     rows, q = unit.shape
