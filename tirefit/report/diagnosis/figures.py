@@ -18,7 +18,7 @@ from tirefit.report.diagnosis import words
 from tirefit.report.diagnosis.answer import answer
 from tirefit.report.diagnosis.sections import foot_line, step_label, subject
 from tirefit.report.fit.curves import slip_axis
-from tirefit.report.numbers import format_number
+from tirefit.report.numbers import format_number, plain_text
 
 _HALF = 0.17  # half of the height of a bar, whose label needs the rest
 _KIND = {"base": canvas.GREY, "effect": canvas.BLUE, "smooth": canvas.ORANGE, "noise": "#bbbbbb"}
@@ -74,7 +74,7 @@ def draw_bars(figure: Any, bars: Sequence[Bar], x_label: str, title: str, note: 
             ends = places - _HALF, places + _HALF
             at = np.full(len(bars), bar.length)
             axes.vlines(at, *ends, color=_KIND[bar.kind], lw=1.2, ls=(0, (2, 1)), zorder=0)
-        label = canvas.plain_text(f"{bar.label}: {bar.text}")
+        label = plain_text(f"{bar.label}: {bar.text}")
         axes.text(0.01 * reach, place + _HALF + 0.1, label, fontsize=9, color=canvas.DARK)
     canvas.tidy(axes, x_label, size=9.5)
     axes.set_xlim(0, reach)
