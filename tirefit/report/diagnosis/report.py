@@ -13,7 +13,7 @@ from tirefit.params import specs
 from tirefit.report.diagnosis import sections, words
 from tirefit.report.diagnosis.answer import answer
 from tirefit.report.numbers import format_estimate, format_number
-from tirefit.report.page import Section, fragment, page, report_text, verdict_of, wrapped
+from tirefit.report.page import Rows, Section, fragment, page, report_text, verdict_of, wrapped
 
 _LEAST = 0.005  # smallest probability of a candidate that is listed
 
@@ -89,26 +89,22 @@ def _details(result: Diagnosis) -> list[Section]:
     ]
 
 
-def _parameters(result: Diagnosis) -> Sequence[tuple[str, ...]]:
+def _parameters(result: Diagnosis) -> Rows:
     model = MODELS.get(result.model)
     units = {k: f"[{spec.unit}]" for k, spec in specs(model).items()} if model else {}
+    rows: list[Sequence[str]]
     if changes := result.verdict.parameters:
         rows = [("parameter", "simulated", "measured", "differs")]
-        rows += [
-            (
-                f"{name} {units.get(name, '')}",
-                format_number(change.simulated),
-                format_estimate(change.measured, change.std),
-                "yes" if change.differs else "no",
-            )
-            for name, change in changes.items()
-        ]
+        for name, change in changes.items():
+            sizes = format_number(change.simulated), format_estimate(change.measured, change.std)
+            differs = "yes" if change.differs else "no"
+            rows.append((f"{name} {units.get(name, '')}", *sizes, differs))
         return rows
-    extended = result.extended_parameters
-    return [("parameter", "model alone", "with the answer")] + [
-        (f"{name} {units.get(name, '')}", format_number(value), format_number(extended.get(name)))
-        for name, value in result.base_parameters.items()
-    ]
+    rows = [("parameter", "model alone", "with the answer")]
+    for name, value in result.base_parameters.items():
+        after = format_number(result.extended_parameters.get(name))
+        rows.append((f"{name} {units.get(name, '')}", format_number(value), after))
+    return rows
 
 
 def _settings(result: Diagnosis) -> Iterator[str]:
