@@ -317,7 +317,7 @@ def test_the_command_writes_and_replaces_only_exports(tmp_path):
     assert refused.exit_code == 2 and path.read_text() == "mine"
     assert ran("brush", "--to", "c", "--out", path, "--force").exit_code == 0
     again = ran("brush", "--to", "c", "--out", path, "--set", "mu=0.8")
-    assert again.exit_code == 0 and "mu = 0.8 -" in path.read_text()
+    assert again.exit_code == 0 and "mu = 0.8\n" in path.read_text()
     assert len(again.stdout.splitlines()) == 6
 
 

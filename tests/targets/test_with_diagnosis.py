@@ -122,7 +122,7 @@ def test_a_fit_gets_the_parameters_found_with_the_effects(tmp_path):
     said = document(tmp_path / "run.json", ("load_friction", "power", POWER))
     path = tmp_path / "tire.py"
     done = tirefit.export(fit, "numpy", path, diagnosis=said)
-    assert "mu = 0.9 -" in path.read_text()
+    assert "mu = 0.9\n" in path.read_text()
     assert any("without standard error" in note for note in done.notes)
 
 
