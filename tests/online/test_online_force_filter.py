@@ -44,6 +44,19 @@ def test_the_filter_uses_the_equations_of_the_simulated_car():
     np.testing.assert_allclose(forces, x[8:], atol=0.05 * np.max(abs(x[8:])))
 
 
+def test_a_brake_on_the_left_turns_the_car_to_the_left():
+    """Accelerations of the forces summed wheel by wheel; a moment is x F_y - y F_x."""
+    kind, steering = ForceFilter(), 0.3
+    along, across = np.array([900.0, -400, 250, 600]), np.array([750.0, 750, -400, -400])
+    turn = np.array([steering, steering, 0.0, 0.0])
+    x, y = np.array([1.2, 1.2, -1.4, -1.4]), 0.75 * np.array([1, -1, 1, -1])
+    fx = -along * np.cos(turn) - across * np.sin(turn)
+    fy = across * np.cos(turn) - along * np.sin(turn)
+    expected = np.sum(fx) / 1500, np.sum(fy) / 1500, np.sum(x * fy - y * fx) / 2500
+    state = jnp.array(np.r_[np.zeros(8), along, 1500.0, -800.0])
+    np.testing.assert_allclose(kind.pushed(state, steering), expected, rtol=1e-12)
+
+
 def test_a_correction_agrees_with_gaussian_conditioning():
     kind, random = ForceFilter(), np.random.default_rng(0)
     x = np.r_[25, 0, 0.1, 0, [83] * 4, 100 * random.standard_normal(6)]

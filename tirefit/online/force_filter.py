@@ -135,7 +135,7 @@ class ForceFilter(vehicle.AbstractVehicleMethod):
         braked = along[0] + along[1]
         left = front * cos - braked * sin
         ahead = -braked * cos - front * sin - along[2] - along[3]
-        twist = (along[1] - along[0]) * cos + along[3] - along[2]
+        twist = (along[0] - along[1]) * cos + along[2] - along[3]
         turned = self.l_f * left - self.l_r * rear + self.track / 2 * twist
         return ahead / self.mass, (left + rear) / self.mass, turned / self.yaw_inertia
 
