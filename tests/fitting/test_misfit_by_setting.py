@@ -43,7 +43,7 @@ CASES = {
         lambda a, p: kinetic(a, 1.35 - 1e-6 * p, 0.3 * p),
         "mf61",
     ),
-    "speed": ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "use brush-n: "),
+    "speed": ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "use brush-ln: "),
     "camber": ("gamma", (0.0, 0.07), lambda a, g: kinetic(a + 0.3 * g, 1.1), "mf61"),
 }
 """Input -> its column, its values, the force, and a model that depends on it."""

@@ -152,6 +152,20 @@ def together(
     return picture
 
 
+def legend_below(figure: Any, handles: Sequence[Any], title: str = "", columns: int = 2) -> None:
+    """Draw the legend of a panel below its axes."""
+    figure.legend(
+        handles=handles,
+        loc="outside lower left",
+        ncols=columns,
+        fontsize=8,
+        frameon=False,
+        title=title or None,
+        title_fontsize=8,
+        alignment="left",
+    )
+
+
 def colors_of(count: int) -> Sequence[Any]:
     """Distinct colours; of many groups, in their order."""
     if count <= len(COLORS):

@@ -129,9 +129,18 @@ class TrajectoryFit(Record):
         return {axle: _reached(tire.tire, self.rows[axle]) for axle, tire in self.axles.items()}
 
     def force(self, axle: str, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lateral force [N] of an axle at slip angles (n,) [rad], and half of its 95 % interval,
-        linear in the parameters: drawn from their covariance, friction and stiffness leave the
-        valley of the squares to the side of smaller forces."""
+        """Lateral force of an axle, and half of its 95 % interval, both (n,) [N].
+
+        The interval is linear in the parameters: drawn from their covariance, friction and
+        stiffness leave the valley of the squares to the side of smaller forces.
+
+        Args:
+            axle: "front" or "rear".
+            alpha: (n,) slip angles [rad].
+
+        Returns:
+            Force and half of the interval.
+        """
         tire = self.axles[axle]
         assert tire.fit is not None  # it was fitted
         at = TireInputs(*(np.broadcast_to(x, alpha.shape) for x in _inputs(alpha, self.rows[axle])))

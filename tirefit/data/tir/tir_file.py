@@ -21,7 +21,6 @@ from tirefit.data.tir.tir_keys import (
     SECTIONS,
     UNITS,
 )
-from tirefit.data.units import known_unit
 from tirefit.results import InputProblem, UsageError
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?"
@@ -67,6 +66,8 @@ class Entry:
 
     def size_of(self, dimension: str) -> float | None:
         """Size in SI of the unit that an entry of [UNITS] names; None if it is not known."""
+        from tirefit.data.units import known_unit  # NumPy, which completion of words does not need
+
         unit = known_unit("inch" if self.text.lower() == "in" else self.text)
         return unit.scale if unit and unit.dimension == dimension else None
 
