@@ -116,9 +116,9 @@ def test_twins_count_together_beside_an_unlisted_effect_too():
     [
         (9.0, 9.1, 0.1, True),  # within a standard error of the difference
         (9.1, 9.0, 0.1, False),
-        (24.9, 0.0, 0.6, True),  # a quarter of the gain of 100, which something unlisted may have
-        (25.1, 0.0, 0.6, False),
-        (24.9, 0.0, 0.4, False),
+        (9.9, 0.0, 0.6, True),  # a tenth of the gain of 100, which something unlisted may have
+        (10.1, 0.0, 0.6, False),
+        (9.9, 0.0, 0.4, False),
         (-5.0, 1.0, 0.1, True),  # it predicts better
     ],
 )

@@ -76,7 +76,7 @@ class Policy:
     likely: float = 0.5
     gain: float = 1.0
     perhaps: float = 0.1
-    alike: float = 0.25
+    alike: float = 0.1
 
 
 POLICY = Policy()
