@@ -119,6 +119,9 @@ def test_fits_of_the_same_rows_are_not_tested(days):
     assert found.shared == ("data (1)", "data (2)") and "same rows" in found.notes[-1]
     assert not any(one.differs for one in found.numbers)
     assert "errors)" not in str(found)
+    again = tirefit.fit(tirefit.simulate("rig", values={"mu": 0.8}, seed=2).columns, "quartic")
+    pairs = tirefit.compare([days[0], other, days[1], again])
+    assert pairs.models == () and len(pairs.shared) == 4  # each pair has other rows: no ranking
     apart = tirefit.compare([days[1], other])  # of other rows: by what both models have
     assert {one.name for one in apart.numbers} >= {"C_x", "F_max_over_fz"}
     assert "mu" not in {one.name for one in apart.numbers}

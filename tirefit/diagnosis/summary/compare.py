@@ -190,7 +190,7 @@ def compared(opened: Sequence[Source]) -> Comparison:
     rows = [source.rows for source in opened]
     shared = tuple(x.name for x in opened if x.rows and rows.count(x.rows) > 1)
     fits = [source for source in opened if source.kind == "fit"]
-    if len(shared) == len(opened) and all("fit" in source.content for source in opened):
+    if rows[0] and len({*rows}) == 1 and all("fit" in source.content for source in opened):
         return Comparison(sources=tuple(opened), models=_ranked(opened), shared=shared)
     same = len({(fit.model, *fit.numbers) for fit in fits}) < 2
     of = {x.name: x.numbers if same or x.kind != "fit" else x.derived for x in opened}
