@@ -123,7 +123,7 @@ def _figure(frame, channel, base, k):
 
     plain, once = force(0.0), force(1.0)
     change = np.sqrt(np.mean((once - plain) ** 2) / np.mean(plain**2))
-    scale = float(np.asarray(base.design.prior_scale)[k])
+    scale = float(base.priors.scale[k])
     size = min(max(SHOWN / change, 1.0), LARGEST, atom.prior(rows, RIG).high / scale)
     changed, kept = force(size), rows.kept
     columns = {name: np.asarray(column)[kept] for name, column in frame.items()}
