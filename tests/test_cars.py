@@ -92,14 +92,16 @@ def test_f1tenth_gym_has_the_slope_at_zero_slip_with_its_interval(car):
 def test_autoware(car):
     (p,) = yaml.safe_load((CARS / car / "autoware.param.yaml").read_text())["/**"].values()
     assert p["steer_time_delay"] == pytest.approx(TABLE[car, "steering_delay"][0], rel=1e-3)
-    assert p["steer_bias"] == pytest.approx(-TABLE[car, "steering_offset"][0], rel=1e-3)
+    offset, error, *_ = TABLE[car, "steering_offset"]
+    assert ("steer_bias" in p) == (error <= 0.005)  # only a bias that is known well enough
+    assert p.get("steer_bias", -offset) == pytest.approx(-offset, rel=1e-3)
     assert p["wheel_base"] == 0.33 and "steer_time_constant" not in p
 
 
 def test_every_file_states_the_estimates_of_the_table():
     ours = [path for path in CARS.glob("*/*.yaml") if "cpa2" in path.read_text()]
     assert len(ours) == 15
-    line = re.compile(r"#   (cpa2|mu) = (\S+) \+- \S+ \S+, 95 %: (\S+) to (\S+)$", re.M)
+    line = re.compile(r"#   (cpa2|mu) = (\S+) \+- \S+(?: N)?, 95 %: (\S+) to (\S+)$", re.M)
     for path in ours:
         axles = ["rear"] if "front" not in path.name else ["front"]
         if path.stem in ("forzaeth", "gymkhana-stp"):
