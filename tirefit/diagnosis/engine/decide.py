@@ -203,11 +203,12 @@ def predictions(search: Search) -> tuple[Weighed, Predicted]:
     # The six most probable sets and single effects, and subsets of the leading ones.
     wanted = [(), *ranked[:6], *singles[:6]]
     wanted += [part for key in (*ranked[:2], posterior.best_beside) for part in parts_of(key)]
+    # These are not in the posterior: they show what data left out cannot tell apart.
     leading = dict.fromkeys((posterior.best, posterior.best_beside))
     exchanged = [x for key in leading for x in search.refit_exchanged(posterior.best_of[key])]
-    known = {fit.key: fit for fit in exchanged} | {**posterior.best_of}
+    fit_of = {fit.key: fit for fit in exchanged} | {**posterior.best_of}
     wanted += [fit.key for fit in exchanged]
-    sets = [known[key] for key in dict.fromkeys(wanted) if key in known]
+    sets = [fit_of[key] for key in dict.fromkeys(wanted) if key in fit_of]
     folds = search.subject.folds(posterior.best)
     return posterior, predicted(search.subject, sets, search.null, folds)
 

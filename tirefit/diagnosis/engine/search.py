@@ -239,8 +239,8 @@ class Search:
         self.refit(starts)
 
     def refit_exchanged(self, fit: Fit) -> list[Fit]:
-        """Refit a set with each effect that one of its own is mistaken for in the place of that
-        one; returns these sets."""
+        """Refit a set with one of its effects replaced by an effect that is mistaken for it, for
+        each such pair; the fits."""
         starts: dict[tuple[int, ...], list[Start]] = {}
         for atom in fit.atoms:
             rest = self.fits.get(tuple(k for k in fit.atoms if k != atom))
@@ -249,8 +249,8 @@ class Search:
             gram, score, _ = self.further(rest)
             for variants in self.best_variants(gram, score, fit.effects):
                 k = variants[0][1]
-                one, other = self.effects[atom], self.effects[k]
-                if other.id in one.looks_like or one.id in other.looks_like:
+                replaced, other = self.effects[atom], self.effects[k]
+                if other.id in replaced.looks_like or replaced.id in other.looks_like:
                     atoms, begin = self._with(rest, k, gram, score)
                     starts[atoms] = begin
         self.refit(starts)

@@ -221,11 +221,13 @@ def tried(result: FitResult, task: FitTask, config: FitConfig) -> tuple[Trial, .
         if other is None:
             continue
         before, after = _criteria(result.solved, other)
-        against = "" if before - after >= _CLEAR else "its AICc is no lower"
-        if 0 < before - after < _CLEAR:
-            against = f"it lowers AICc by only {before - after:.3g}, too little to tell"
-        if stops := labels_at_bound(other):
+        gain, stops, against = before - after, labels_at_bound(other), ""
+        if stops:
             against = f"{stops[0]} stops at its bound"
+        elif gain <= 0:
+            against = "its AICc is no lower"
+        elif gain < _CLEAR:
+            against = f"it lowers AICc by only {gain:.3g}, too little to tell"
         trials.append(Trial(column, name, against, (before, after)))
     return tuple(trials)
 
